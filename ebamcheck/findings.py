@@ -32,6 +32,7 @@ CODES: Mapping[str, str] = {
     "hole-closed": "A hole is so narrow that beads close it.",
     "interpass-limit": "A layer is entered above the interpass limit, or its limit cannot be reached by waiting.",
     "interpass-wait": "The waits between layers, and what they do to the time of the build.",
+    "layer-height-fitted": "No layer height was set, and the run took one with which level faces lie between layers.",
     "layer-over-bead": "The layer height is far from the height of the bead that wire and feed give.",
     "level-within-layer": "Layers, each of one section, add to the solid or leave out of it more than the metal may be off: level faces "
     "lie within a layer.",

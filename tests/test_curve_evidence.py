@@ -17,10 +17,11 @@ from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.evidence import CROSSING, PLANE, SAGITTA, TURNED, evidence
 from ebamcheck.curves.fallback import POLYLINE, polylines, with_rings
 from ebamcheck.curves.sagitta import coordinate_rounding_mm, sagittas
-from ebamcheck.curves.stack_evidence import stack_evidence, volumes_between
+from ebamcheck.curves.stack_evidence import stack_evidence
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
 from ebamcheck.pipeline.gates import fit_gate
 from ebamcheck.slicers.slicing import slice_part

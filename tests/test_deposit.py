@@ -1,10 +1,13 @@
 """The metal of programs: right on parts of any shape, and planted faults that shut the gate."""
 
+import json
 import re
 
 import numpy as np
 import pytest
 import shapely
+from command_line import FAST, ebamcheck, write_stl
+from parts import box
 from prism_program import CONFIG, Made
 
 from ebamcheck.layers.stack import from_polygons
@@ -19,7 +22,8 @@ from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import COLUMNS, event_totals, process_events
 from ebamcheck.program.toolpath.thin_walls import narrow_bead
-from ebamcheck.settings.process_window import checked_window
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import checked_window, nominal_wire_speed_mm_s
 
 DISC = shapely.Point(3, -8).buffer(45, 64)
 PARTS = {
@@ -316,3 +320,16 @@ def test_the_field_of_a_layer_is_that_of_its_figures(square):
     field, figures = found.fields[3], found.layers.iloc[3]
     assert field.laid_mm.sum() * field.target.step_mm**2 == pytest.approx(figures["laid_mm3"], rel=1e-6)
     assert field.over_mm.max() == pytest.approx(figures["high_mm"])
+
+
+def test_beads_that_are_all_at_the_most_wire_of_the_feeder_leave_metal_out_and_that_is_said(tmp_path):
+    """Nobody makes up for the rim of such layers: beads of nominal wire alone leave it a sixth short."""
+    write_stl(box((0, 0, 0), (20, 20, 5)), tmp_path / "low.stl")
+    nominal = nominal_wire_speed_mm_s(Config(), Config().layer_height_mm)
+    (tmp_path / "c.toml").write_text(f"process.wire_speed_max_mm_s = {nominal + 1e-6}\n")
+    done = ebamcheck("run", "low.stl", "-c", "c.toml", "--backends", FAST, "-o", "r", cwd=tmp_path)
+    assert done.returncode == 1
+    record = json.loads((tmp_path / "r/run.json").read_text())
+    found = [finding for finding in record["findings"] if finding["severity"] == "fault"]
+    assert {finding["code"] for finding in found} == {"metal-missing"}
+    assert any("process.wire_speed_max_mm_s" in finding["remedy"] for finding in found)

@@ -178,6 +178,14 @@ def test_a_table_of_power_is_kept_and_waited_for():
     assert (entries_k(config, plan) <= config.material.interpass_limit_k).all()
 
 
+def test_power_goes_down_no_further_than_the_process_window_allows():
+    for window in ({"line_energy_j_mm": (500.0, 3000.0)}, {"current_window_ma": (83.0, 1000.0)}):
+        config, plan = planned(**window)
+        assert least_power_share(config) < 0.6
+        assert plan.metrics["power_share"].min() == 0.7
+        assert entries_k(config, plan).max() <= entry_limit_k(config) + 0.1
+
+
 def test_a_geometric_order_is_driven_too():
     config = CONFIG.changed(scan={"order": "raster"})
     plan = plan_stack(tube(config, 8), config)

@@ -149,6 +149,16 @@ def test_a_missing_line_is_named_by_the_one_after_it(tmp_path):
     assert "1 gaps" in found["coverage"].text
 
 
+def test_lines_of_islands_that_lie_beside_each_other_have_none_between_them(tmp_path):
+    # One after the other in the text and parallel, 8.64 mm apart across, but the one ends where the other has yet to begin.
+    left, right = [(4.0, 10.0, 10.0, 10.0)], [(24.0, 18.64, 34.0, 18.64)]
+    found, _ = filled(tmp_path, left + right)
+    assert found["hatch spacing"].passed
+    assert not found["coverage"].passed
+    over, _ = filled(tmp_path, [(10.0, 10.0, 26.0, 10.0), *right])
+    assert not over["hatch spacing"].passed
+
+
 def test_a_line_laid_twice_is_named(tmp_path):
     some = lines()
     found, files = filled(tmp_path, [*some, some[2]])

@@ -9,9 +9,9 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
-from ebamcheck.curves.stack_evidence import volumes_between
 from ebamcheck.layers.cuts import cut_heights
-from ebamcheck.metal.layer_rule import layer_rule, level_faces, section_areas
+from ebamcheck.layers.layer_rule import layer_rule, level_faces, section_areas
+from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.pipeline.solid_metal import layer_borders, solid_check
 from ebamcheck.plugins.model import models
 from ebamcheck.program.checking.deposit_checks import SOLID
@@ -156,7 +156,8 @@ def test_a_top_beside_its_layer_is_told_once(tmp_path):
     done = ebamcheck("run", "low.stl", "-o", "run", "--backends", FAST, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     write_stl(box((0, 0, 0), (24, 24, 6)), tmp_path / "odd.stl")
-    assert ebamcheck("run", "odd.stl", "-o", "odd", "--backends", FAST, cwd=tmp_path).returncode == 1
+    odd = ebamcheck("run", "odd.stl", "-o", "odd", "--backends", FAST, "--layer-height", 1.676, cwd=tmp_path)
+    assert odd.returncode == 1
     codes = {f["code"] for f in json.loads((tmp_path / "odd" / "run.json").read_text())["findings"]}
     assert "level-within-layer" in codes
     assert "height-off-part" not in codes

@@ -61,6 +61,22 @@ def write(curves: Curves, path: Path) -> None:
     SettingsError
         If the file cannot be written.
     """
+    table = table_of(curves)
+    with replacing(path) as temporary:
+        # Coordinates hardly repeat: a dictionary would only cost time. Checksums find flipped bits.
+        pq.write_table(
+            table,
+            temporary,
+            compression="lz4",
+            use_dictionary=False,
+            write_statistics=False,
+            write_page_checksum=True,
+            row_group_size=LAYERS_A_ROW_GROUP,
+        )
+
+
+def table_of(curves: Curves) -> pa.Table:
+    """Table of curves, one row a layer, as it is written."""
     of_layer = {"ring": curves.layer_starts}
     of_layer["piece"] = curves.ring_starts[of_layer["ring"]]
     of_layer["control"] = curves.control_starts[of_layer["piece"]]
@@ -77,18 +93,7 @@ def write(curves: Curves, path: Path) -> None:
     }
     labels = {name: getattr(curves, name) for name in LABELS} | {"settings": dict(curves.settings)}
     metadata = {VERSION_KEY: VERSION.encode(), LABELS_KEY: json.dumps(labels, sort_keys=True).encode()}
-    table = pa.table(columns).replace_schema_metadata(metadata)
-    with replacing(path) as temporary:
-        # Coordinates hardly repeat: a dictionary would only cost time. Checksums find flipped bits.
-        pq.write_table(
-            table,
-            temporary,
-            compression="lz4",
-            use_dictionary=False,
-            write_statistics=False,
-            write_page_checksum=True,
-            row_group_size=LAYERS_A_ROW_GROUP,
-        )
+    return pa.table(columns).replace_schema_metadata(metadata)
 
 
 def read(path: Path) -> Curves:

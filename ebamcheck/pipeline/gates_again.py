@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, fit
+from ebamcheck.curves.storage import table_of
 from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.json_values import plain
 from ebamcheck.layers.files import LayerFile
@@ -45,6 +47,7 @@ from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.interpass_checks import AGAIN
+from ebamcheck.program.checking.metal_field import FIELD_FILE
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
@@ -128,6 +131,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         of_run = tables_check(run, manifest, tables, why_not)
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
     verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
+    tables["curves.parquet"] = table_of(verdict.curves)
     smooth = verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None
     checks, plan, of_text = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
@@ -146,17 +150,18 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
     tables |= of_text
     if record["witness"] != witness:
-        why_not["deposit.csv"] = f"the run used sections by {record['witness']}, these are by {witness}"
+        other = f"the run used sections by {record['witness']}, these are by {witness}"
+        why_not |= {"deposit.csv": other, FIELD_FILE: other}
     of_run = tables_check(run, manifest, tables, why_not)
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run)
 
 
 def _tables(
     manifest: Mapping[str, Any], comparison: Comparison
-) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
+) -> tuple[dict[str, pd.DataFrame | pa.Table], dict[str, str]]:
     """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
     done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
-    found = of_comparison(comparison)
+    found: dict[str, pd.DataFrame | pa.Table] = {**of_comparison(comparison)}
     if done == set(comparison.stacks):
         return found, {}
     return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")

@@ -113,6 +113,7 @@ def run_job(
     usable_templates(config, config.machine.control)
     part = begun or ready(part_path, config, "run", yes)
     part.preflight.stop("run")
+    config = part.config
     fine = read_reference(reference, part_path, config.part) if reference else None
 
     def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
@@ -188,6 +189,8 @@ def _job(
     job.from_layer, job.live, job.workers = from_layer, live, workers
     if begun.turned:
         job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
+    if begun.fitted:
+        job.add_finding(noticed.fitted_layers(begun.fitted))
     job.add_finding(*noticed.of_part(found, config), *loose_limits(config))
     # A job without a program may cut layers that no process can lay.
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))

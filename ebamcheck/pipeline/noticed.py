@@ -31,6 +31,11 @@ def turned_over(turned: int, facets: int) -> Finding:
     )
 
 
+def fitted_layers(text: str) -> Finding:
+    """A layer height that a run chose for the part."""
+    return Finding("note", "layer-height-fitted", text, "layers.fit_height")
+
+
 def unavailable(outcome: Outcome) -> Finding:
     """A slicer that this machine cannot run."""
     return Finding(

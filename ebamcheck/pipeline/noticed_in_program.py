@@ -26,12 +26,14 @@ NARROWER = (
     "allow for machining (process.machining_allowance_mm), use a narrower bead, or build in another direction"
 )
 
+LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
+
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", NARROWER),
     "reach of metal": ("bead-out-of-section", NARROWER),
     "holes": ("hole-closed", "machine the hole afterwards and close it in the model, or use a narrower bead"),
-    "metal": ("metal-excess", "look at the sections with the most metal beside them in deposit.csv"),
-    "metal of layers": ("metal-excess", "look at that layer in deposit.csv"),
+    "metal": ("metal-excess", f"look at the layers with the most metal in deposit.csv, and {LEAST_WIRE}"),
+    "metal of layers": ("metal-excess", f"look at that layer in deposit.csv, and {LEAST_WIRE}"),
     "height inside": ("metal-excess", "change the bead spacing, or the side of the hexagons"),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
     "height of layers": ("metal-excess", "look at that layer in deposit.csv"),
@@ -47,6 +49,12 @@ METAL: Mapping[str, tuple[str, str]] = {
 }
 """Code and remedy of each check of the metal that fails."""
 
+LACKING: Mapping[str, str] = {
+    name: f"look at {what} in deposit.csv, and whether beads are at the most wire of the feeder (process.wire_speed_max_mm_s)"
+    for name, what in {"metal": "the layers with the least metal", "metal of layers": "that layer"}.items()
+}
+"""Remedies where the metal of a check lacks, other than those of one that has too much."""
+
 
 def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
     """What is wrong with the metal of a program, each with its place."""
@@ -58,10 +66,9 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         lacks = code == "metal-excess" and (
             "too low" in check.text.split("(at most")[0] or _lacks(check.text)
         )
-        yield Finding(
-            "fault", "metal-missing" if lacks else code, check.text, check.where, check.value, check.limit,
-            check.unit, remedy,
-        )  # fmt: skip
+        if lacks:
+            code, remedy = "metal-missing", LACKING.get(check.name, remedy)
+        yield Finding("fault", code, check.text, check.where, check.value, check.limit, check.unit, remedy)
 
 
 def _lacks(text: str) -> bool:

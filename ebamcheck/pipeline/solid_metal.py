@@ -11,20 +11,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.stack_evidence import volumes_between
-from ebamcheck.layers.heights import layer_heights
+from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
-from ebamcheck.metal.layer_rule import LEVEL_MM, LayerRule, layer_rule, level_faces, section_areas
+from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
+from ebamcheck.preflight.layer_height import nearest_fitting
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.slicing import slice_part
 
 SAME_AREA = 1e-3
@@ -35,15 +34,6 @@ CUTS_OF_A_LAYER = 16
 
 CUTS_AT_ONCE = 512
 """Sections that are held at once for that."""
-
-OTHER_HEIGHTS = 0.25
-"""How far a layer height that is proposed may lie beside the one that is set: what wire and feed can be changed for."""
-
-HEIGHTS_TRIED = 40
-"""Layer heights that are tried for a proposal, the nearest first."""
-
-HEIGHT_DECIMALS = 4
-"""Decimals of a layer height that is proposed, mm."""
 
 
 class Solid(NamedTuple):
@@ -88,7 +78,7 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
         layer = min(int(np.searchsorted(borders, z_mm, side="right")) - 1, len(cuts) - 1)
         text += f", most {_face(rule)}"
     if not any(_overlap(mesh, cuts, areas) for mesh, areas, _ in parts):
-        text += _proposed(part, [mesh for mesh, _, _ in parts], config)
+        text += _proposed(part, config)
     return Solid(Check(SOLID, False, rule.share, limit, "of the part", "", text, layer), z_mm)
 
 
@@ -179,34 +169,9 @@ def _face(rule: LayerRule) -> str:
     return f"at the level face of {face.area_mm2:.0f} mm2 at z = {face.z_mm:.3f} mm of the part: it lies within a layer, and the metal {does} it by {abs(face.added_mm):.2f} mm, {share:.2f} %"
 
 
-def _proposed(part: Part, meshes: list[Part], config: Config) -> str:
+def _proposed(part: Part, config: Config) -> str:
     """A layer height with which the part passes, in words; empty where none was found near the one that is set."""
-    if _of_some_layers(config):
+    found = None if _of_some_layers(config) else nearest_fitting(part, config)
+    if found is None:
         return ""
-    (bottom, top), spot_mm2 = part.bounds[:, 2].tolist(), config.process.bead_width_mm**2
-    levels = {round(face.z_mm - bottom, 6) for mesh in meshes for face in level_faces(mesh, spot_mm2)}
-    for height in _near_heights([*levels, top - bottom], config):
-        other = config.changed(layers={"layer_height_mm": height})
-        cuts = layer_heights(part, height)
-        borders = layer_borders(part, cuts, other)
-        share = max(_rule(mesh, cuts, borders, section_areas(mesh, cuts), other).share for mesh in meshes)
-        if share <= config.process.mass_tolerance:
-            return f"; layers of {height:g} mm (layers.layer_height_mm) leave {100.0 * share:.2f} %"
-    return ""
-
-
-def _near_heights(levels: list[float], config: Config) -> Iterator[float]:
-    """Layer heights of which a level over the bottom has a whole number, the nearest first, within the process window."""
-    now = config.layer_height_mm
-    tried = {
-        round(z_mm / count, HEIGHT_DECIMALS)
-        for z_mm in levels
-        for count in range(
-            max(1, int(z_mm / now / (1.0 + OTHER_HEIGHTS))), int(z_mm / now * (1.0 + OTHER_HEIGHTS)) + 2
-        )
-    }
-    near = sorted((h for h in tried if abs(h / now - 1.0) <= OTHER_HEIGHTS), key=lambda h: (abs(h - now), h))
-    for height in near[:HEIGHTS_TRIED]:
-        other = config.changed(layers={"layer_height_mm": height})
-        if not any(outside_window(other)) and not any(unusual_layers(other)):
-            yield height
+    return f"; layers of {found.height_mm:g} mm (layers.layer_height_mm) leave {100.0 * found.share:.2f} %"

@@ -12,15 +12,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import layer_table
 from ebamcheck.pipeline.reports_again import reports_again
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program import Check, NCProgram, program_summary
+from ebamcheck.program.checking.deposit import Deposit
 from ebamcheck.program.checking.matching import matched
+from ebamcheck.program.checking.metal_field import FIELD_FILE, field_table
 from ebamcheck.program.toolpath.events import event_totals, process_events
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan import ScanPlan
@@ -36,6 +41,9 @@ NOTHING = 1e-9
 """Figures that differ by less are the same, whatever they are."""
 
 
+SAME_LENGTH_MM = 1e-6
+"""Heights of metal and points of curves that differ by less are the same."""
+
 SHOWN = 40
 """Characters that are told of two lines that differ, from a little before the place on."""
 
@@ -43,7 +51,7 @@ SHOWN = 40
 def tables_check(
     run: RunFolder,
     manifest: Mapping[str, Any],
-    tables: Mapping[str, pd.DataFrame],
+    tables: Mapping[str, pd.DataFrame | pa.Table],
     why_not: Mapping[str, str],
 ) -> Check:
     """Compare tables and reports of a run with those that follow, and name the files of which only hashes are known.
@@ -55,7 +63,7 @@ def tables_check(
     why_not
         Files that could be worked out, and were not, each with the reason.
     """
-    found: dict[str, pd.DataFrame | bytes] = {**tables, **reports_again(run)}
+    found: dict[str, pd.DataFrame | pa.Table | bytes] = {**tables, **reports_again(run)}
     why_not = dict(why_not)
     if manifest["ebamcheck"] != __version__:
         other = f"the run is of version {manifest['ebamcheck']}, this is {__version__}"
@@ -127,17 +135,30 @@ def of_program(nc: NCProgram, path: Toolpath, contours: Layers, config: Config) 
     }
 
 
-def _differences(path: Path, found: pd.DataFrame | bytes) -> Iterable[str]:
+def of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, pd.DataFrame | pa.Table]:
+    """Tables of the metal that a program lays; `z_of` are the tops of its layers."""
+    if laid.worst < 0:
+        return {"deposit.csv": laid.layers}
+    thickness_mm = float(np.diff(z_of, prepend=base_mm)[laid.worst])
+    return {
+        "deposit.csv": laid.layers,
+        FIELD_FILE: field_table(laid.fields[laid.worst], laid.worst, thickness_mm),
+    }
+
+
+def _differences(path: Path, found: pd.DataFrame | pa.Table | bytes) -> Iterable[str]:
     """The first place where a recorded table or report is another than the one that was found, in words."""
     try:
         if isinstance(found, bytes):
             return _of_lines(path.name, _lines(path.read_bytes(), path.suffix), _lines(found, path.suffix))
+        if isinstance(found, pa.Table):
+            return _of_columns(path.name, pq.read_table(path, partitioning=None), found)
         if path.suffix == ".parquet":
             recorded = pd.read_parquet(path)
         else:
             recorded = pd.read_csv(path)
             found = pd.read_csv(io.StringIO(found.to_csv(index=False)))
-    except (OSError, ValueError, ElementTree.ParseError) as error:
+    except (OSError, ValueError, pa.ArrowException, ElementTree.ParseError) as error:
         return [f"{path.name}: cannot be read: {error}"]
     if list(recorded.columns) != list(found.columns) or len(recorded) != len(found):
         sizes = [f"{len(table)} rows of {len(table.columns)} columns" for table in (recorded, found)]
@@ -152,6 +173,30 @@ def _differences(path: Path, found: pd.DataFrame | bytes) -> Iterable[str]:
                 f"{path.name}: row {k + 1}, {name}: recorded {recorded[name].iloc[k]}, found {found[name].iloc[k]}"
             ]
     return []
+
+
+def _of_columns(name: str, recorded: pa.Table, found: pa.Table) -> list[str]:
+    """The first column that differs, in words; of lists the numbers one after the other."""
+    if recorded.schema != found.schema or recorded.schema.metadata != found.schema.metadata:
+        return [f"{name}: its columns, or what it says of itself, are not those that follow"]
+    for column in found.column_names:
+        a, b = (_numbers(table.column(column)) for table in (recorded, found))
+        if a.shape != b.shape:
+            return [f"{name}: {column}: {a.size} numbers are recorded, {b.size} follow"]
+        other = np.flatnonzero(~np.isclose(a, b, rtol=SAME_FIGURE, atol=SAME_LENGTH_MM, equal_nan=True))
+        if other.size:
+            k = int(other[0])
+            return [f"{name}: {column}, number {k + 1}: recorded {a[k]:.9g}, found {b[k]:.9g}"]
+    return []
+
+
+def _numbers(column: pa.ChunkedArray) -> Floats:
+    """Numbers of a column; of one of lists, how long each is and then all of their items."""
+    whole = column.combine_chunks()
+    if not pa.types.is_large_list(whole.type):
+        return np.asarray(whole.to_numpy(zero_copy_only=False), np.float64)
+    parts = (whole.value_lengths(), whole.flatten())
+    return np.concatenate([np.asarray(part.to_numpy(zero_copy_only=False), np.float64) for part in parts])
 
 
 def _lines(data: bytes, suffix: str) -> list[str]:

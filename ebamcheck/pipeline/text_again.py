@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import pandas as pd
+import pyarrow as pa
 
 from ebamcheck.curves import Curves
 from ebamcheck.json_values import sha256_of_json
@@ -13,7 +14,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.solid_metal import with_solid
-from ebamcheck.pipeline.tables_again import of_plan, of_program
+from ebamcheck.pipeline.tables_again import of_metal, of_plan, of_program
 from ebamcheck.program import Check, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.header_checks import Truth
@@ -29,7 +30,7 @@ class TextAgain(NamedTuple):
 
     checks: list[Check]
     plan: ScanPlan
-    tables: dict[str, pd.DataFrame]
+    tables: dict[str, pd.DataFrame | pa.Table]
     """Tables of plan and text; of the plan alone where the text cannot be read."""
 
 
@@ -54,13 +55,12 @@ def text_again(
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     beads = Curves.from_parquet(run.path / "beads.parquet")
     path = planned_path(beads, plan, config)
-    tables = of_plan(path, plan, config)
+    tables: dict[str, pd.DataFrame | pa.Table] = {**of_plan(path, plan, config)}
     nc, readable = read_checked(run.program_folder / record["files"][0]["name"], config)
     if nc is None:
         return TextAgain([readable], plan, tables)
-    laid = deposit(
-        nc, fresh, deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm), config
-    )
+    z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
+    laid = deposit(nc, fresh, z_of, config)
     checks = verify_program(
         nc,
         config=config,
@@ -74,14 +74,17 @@ def text_again(
         heat=True,
         heights=fresh.heights,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
-        truth=truth_of(manifest, config),
+        truth=truth_of(manifest),
     )
     tables |= of_program(nc, path, run.read_layers(str(manifest["primary"])), config)
-    tables["deposit.csv"] = laid.layers
+    tables |= of_metal(laid, z_of, config.base_mm)
     return TextAgain([readable, *with_solid(checks, part, fresh, config)], plan, tables)
 
 
-def truth_of(manifest: Mapping[str, Any], config: Config) -> Truth:
-    """What a run's record tells of its program, against which the program's header is held."""
+def truth_of(manifest: Mapping[str, Any]) -> Truth:
+    """What a run's record tells of its program, against which the program's header is held.
+
+    The settings are those that were recorded: a version that has more of them still reads the program of one that had fewer.
+    """
     validated = bool(manifest["program"]["validated"])
-    return Truth(validated, manifest["part"]["sha256"], sha256_of_json(config.model_dump()))
+    return Truth(validated, manifest["part"]["sha256"], sha256_of_json(manifest["settings"]))

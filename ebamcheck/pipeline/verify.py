@@ -37,6 +37,7 @@ from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.text_again import truth_of
+from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
@@ -254,7 +255,7 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
         metal=True,
         heat=True,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
-        truth=truth_of(manifest, config),
+        truth=truth_of(manifest),
     )
 
 
@@ -286,7 +287,7 @@ def verify_against_part(
 ) -> list[Check]:
     """Check a program from its text alone against the part that it should make.
 
-    The part is sliced anew at the layers of the settings, by an exact backend that did not make the program where
+    The part is sliced anew at the layers that a run of it with these settings has, by an exact backend that did not make the program where
     its certificate says which one did. A certificate beside the program is checked, too.
 
     Raises
@@ -300,6 +301,7 @@ def verify_against_part(
     found = inspect(part)
     said = f"{found.verdict}: {found.why}"
     sound = Check("part sound", found.passed, float(not found.passed), 0.0, "faults", part_path.name, said)
+    config = chosen_height(part, found.passed, config).config
     heights = cut_heights(part, config)
     paper = find_certificate(program)
     maker = str(read_certificate(paper).get("primary", "")) if paper else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
+from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.preflight.room import room_checks
 from ebamcheck.preflight.sense import sense_checks
 from ebamcheck.preflight.suspicions import sizes, suspicions
@@ -75,17 +76,23 @@ class Ready:
         Facets that were turned over.
     found
         Its inspection.
+    config
+        Settings of the job: those given, with the layer height that a run takes where they leave it open.
     heights
         (L,) heights of the cuts, mm.
     preflight
         What was looked at.
+    fitted
+        What tells of a layer height that was chosen for the part; empty where it is that of the settings or of a bead.
     """
 
     part: Part
     turned: int
     found: Inspection
+    config: Config
     heights: Floats
     preflight: Preflight
+    fitted: str = ""
 
 
 def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -> Ready:
@@ -108,20 +115,29 @@ def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -
         If the part cannot be read, or the heights of the settings are outside of it.
     """
     part, turned = read_part(path, config.part)
-    heights = cut_heights(part, config)
     found = inspect(part)
+    chosen = chosen_height(part, found.passed, config) if job == RUN else None
+    config = chosen.config if chosen else config
+    heights = cut_heights(part, config)
     work = workload(part, heights, config, job)
-    return Ready(
-        part, turned, found, heights, Preflight(tuple(_checks(part, found, heights, work, config, yes)), work)
-    )
+    checks = _checks(part, found, heights, work, config, yes, [chosen.check] if chosen else [])
+    fitted = chosen.check.text if chosen and chosen.fitted else ""
+    return Ready(part, turned, found, config, heights, Preflight(tuple(checks), work), fitted)
 
 
 def _checks(
-    part: Part, found: Inspection, heights: Floats, work: Workload, config: Config, yes: bool
+    part: Part,
+    found: Inspection,
+    heights: Floats,
+    work: Workload,
+    config: Config,
+    yes: bool,
+    of_layers: Sequence[PreflightCheck],
 ) -> Iterator[PreflightCheck]:
     yield _mesh(found)
     yield from _units(found, config)
     yield _thickness(found, config)
+    yield from of_layers
     step = float(heights[1] - heights[0]) if len(heights) > 1 else config.layer_height_mm
     layers_mm = float(heights[-1] - heights[0]) + step
     yield from room_checks(part, config, layers_mm)

@@ -37,6 +37,21 @@ def line_energy_j_mm(config: Config) -> float:
     return config.process.power_w / config.process.travel_speed_mm_s
 
 
+def least_window_share(config: Config) -> float:
+    """Share of the power under which its line energy or its current leaves the process window.
+
+    Examples
+    --------
+    >>> round(least_window_share(Config(process={"line_energy_j_mm": (180.0, 3000.0)})), 3)
+    0.25
+    """
+    process = config.process
+    return max(
+        process.line_energy_j_mm[0] / line_energy_j_mm(config),
+        process.current_window_ma[0] / process.current_ma,
+    )
+
+
 def least_wall_mm(config: Config) -> float:
     """Thinnest wall that beads can lay: the one set, else the bead's width at the least wire speed.
 

@@ -38,7 +38,10 @@ class LayerSettings(Section):
     """Where the part is cut."""
 
     layer_height_mm: Annotated[float, Between(0.005, 100.0)] | None = None
-    """None: the height of one bead, from the mass balance of the process."""
+    """None: the height of one bead, from the mass balance of the process; of a run see `fit_height`."""
+    fit_height: bool = True
+    """Where no layer height is set, a run whose layers of a bead's height would be off the solid's metal by more than
+    `process.mass_tolerance`, since level faces lie within layers, takes the nearest height with which they are not."""
     heights_mm: tuple[Place, ...] = ()
     """Listed heights, absolute z; they take the place of uniform ones."""
     base_mm: NotNegative = 0.0

@@ -110,19 +110,25 @@ class _LayersSeen:
 
 
 def _is_bare(seen: _LayersSeen, pair: Ints, config: Config, z_of: Floats) -> bool:
-    """Whether the place half-way between two lines is in the section, and under no bead."""
+    """Whether the place half-way between two lines is in the section, and under no bead.
+
+    Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
+    """
     nc = seen.nc
     shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
     middle = 0.5 * (nc.start + nc.end)[shorter, :2]
     way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
     from_other = middle - nc.start[other, :2]
-    place = shapely.Point(middle - 0.5 * (from_other - (from_other @ way) * way))
+    along, room = float(from_other @ way), 0.5 * config.process.bead_width_mm
+    if not -room <= along <= float(nc.lengths[other]) + room:
+        return False
+    place = shapely.Point(middle - 0.5 * (from_other - along * way))
     if seen.layers is not None:
         k = int(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[shorter, 2]))
         if not shapely.intersects(seen.section(k), place):
             return False
     lines = seen.beads(int(nc.layer[shorter]))
-    return bool(np.min(shapely.distance(lines, place)) > 0.5 * config.process.bead_width_mm)
+    return bool(np.min(shapely.distance(lines, place)) > room)
 
 
 def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
@@ -135,10 +136,20 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     hottest_k = np.full(shares.size, -np.inf)
     np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
     allowed_k = ROOM * (highest_entry_k(config) - config.process.ambient_temperature_k)
+    # The balance spreads heat over all of a section. Pieces that do not touch, as parts of a plate, keep theirs: the least of them
+    # may be as much hotter as it is smaller.
+    hottest_k *= [_concentration(section, config) for section in known]
     # What lies below does not get hotter with the layer's own power: all of it counts as if it did.
     with np.errstate(invalid="ignore"):
         could_have_more = hottest_k * (shares + PERCENT) / shares < allowed_k
     return np.where(could_have_more, 1.0, shares)
+
+
+def _concentration(section: BaseGeometry, config: Config) -> float:
+    """Area of a section over that of its least piece which is no mere spot; 1 without any."""
+    pieces = shapely.area(shapely.get_parts(section))
+    pieces = pieces[pieces >= config.process.bead_width_mm**2]
+    return float(pieces.sum() / pieces.min()) if pieces.size else 1.0
 
 
 def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | None) -> Check:

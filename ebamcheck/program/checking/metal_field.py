@@ -42,6 +42,11 @@ class LayerField:
 
 def write_field(path: Path, field: LayerField, layer: int, thickness_mm: float) -> None:
     """Write the field of a layer, one row a cell, in single precision."""
+    pq.write_table(field_table(field, layer, thickness_mm), path, version="2.6", compression=COMPRESSION)
+
+
+def field_table(field: LayerField, layer: int, thickness_mm: float) -> pa.Table:
+    """Table of the field of a layer, as it is written."""
     header = {
         "format": FORMAT,
         "layer": layer,
@@ -52,8 +57,7 @@ def write_field(path: Path, field: LayerField, layer: int, thickness_mm: float) 
     }
     columns = {"share": field.target.share, "laid_mm": field.laid_mm, "over_mm": field.over_mm}
     table = pa.table({name: pa.array(cells.ravel().astype(np.float32)) for name, cells in columns.items()})
-    table = table.replace_schema_metadata({"ebamcheck": json.dumps(header, sort_keys=True)})
-    pq.write_table(table, path, version="2.6", compression=COMPRESSION)
+    return table.replace_schema_metadata({"ebamcheck": json.dumps(header, sort_keys=True)})
 
 
 def read_field(path: Path) -> tuple[LayerField, int, float]:

@@ -156,13 +156,20 @@ def _flat(
     runs = beads.footprints.joined(first)
     width = np.add.reduceat(width, first) / np.diff(np.append(first, width.size))
     width = balanced_widths(runs, wanted, weight, cell_mm2, width, limits)
-    width = np.asarray(np.round(width, WIDTH_DIGITS), np.float64)
+    width = rounded_widths(width, limits)
     of_place = width[np.searchsorted(first, beads.stretch, side="right") - 1]
     radius = 0.5 * config.process.bead_width_mm / surface.step_mm
     laid = pooled(beads.cells, of_place * beads.length_mm, radius, wanted.shape, cell_mm2)
     surface.add(target, laid * thickness_mm, thickness_mm)
     last = np.append(first[1:], beads.every.size) - 1
     return division.stretches(tracks, beads.every[first], beads.every[last], width)
+
+
+def rounded_widths(width: Floats, limits: tuple[float, float]) -> Floats:
+    """Widths of so many decimals, none of which is rounded over a limit."""
+    unit = 10.0**WIDTH_DIGITS
+    least, most = math.ceil(limits[0] * unit) / unit, math.floor(limits[1] * unit) / unit
+    return np.asarray(np.clip(np.round(width, WIDTH_DIGITS), least, max(least, most)), np.float64)
 
 
 def _wanted(target: Target, surface: Surface, thickness_mm: float, config: Config) -> tuple[Floats, Floats]:

@@ -22,6 +22,7 @@ from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_s
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import least_window_share
 
 MARGIN = 0.01
 """Share of the limit's rise over ambient by which a plan stays under it: waits are whole seconds, and the program rounds."""
@@ -135,7 +136,8 @@ def power_share(
         return scheduled
     if config.process.interpass not in ("power", "both"):
         return 1.0
-    least = min(1.0, least_power_share(config, job.shape.thickness_mm))
+    melts = least_power_share(config, job.shape.thickness_mm)
+    least = min(1.0, max(melts, least_window_share(config)))
     low, high = math.ceil(PERCENT * least), PERCENT
 
     def fits(percent: int) -> bool:

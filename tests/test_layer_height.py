@@ -1,0 +1,103 @@
+"""The layer height that a run takes where none is set: level faces of the part lie between its layers."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from command_line import FAST, ebamcheck, write_stl
+from parts import box, join
+
+from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.pipeline.solid_metal import solid_check
+from ebamcheck.plugins.model import models
+from ebamcheck.preflight.layer_height import OTHER_HEIGHTS, chosen_height, nearest_fitting, share_off
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
+
+BEAD_MM = Config().process.bead_height_mm
+MUSHROOM = join(box((-5, -5, 0), (5, 5, 9)), box((-20, -20, 9), (20, 20, 15)))
+
+
+def solid(part, config):
+    return solid_check(part, slice_part(part, cut_heights(part, config)), config).check
+
+
+@pytest.mark.parametrize("name", ["cube", "prism", "sphere", "torus", "blade", "bracket"])
+def test_the_height_of_a_bead_is_kept_where_it_has_the_metal(name):
+    found = chosen_height(models()[name].tessellate(0.3), True, Config())
+    assert found.config == Config()
+    assert not found.fitted
+    assert found.check.level == "pass"
+
+
+@pytest.mark.parametrize("name", ["cube", "sphere", "cone", "torus", "bracket", "impeller"])
+@pytest.mark.parametrize("height_mm", [1.1, 1.676, 2.3])
+def test_the_share_is_that_of_the_gate(name, height_mm):
+    part, config = models()[name].tessellate(0.3), Config().changed(layers={"layer_height_mm": height_mm})
+    assert share_off(part, config) == pytest.approx(solid(part, config).value, abs=1e-6)
+
+
+@pytest.mark.parametrize("top_mm", [1.9, 4.2, 6.0, 7.0, 12.0, 17.5, 22.0])
+def test_a_box_of_any_height_gets_layers_that_end_at_its_top(top_mm):
+    part = box((0, 0, 0), (30, 30, top_mm))
+    found = chosen_height(part, True, Config())
+    assert solid(part, found.config).passed
+    assert abs(found.config.layer_height_mm / BEAD_MM - 1.0) <= OTHER_HEIGHTS
+    assert found.fitted == (not solid(part, Config()).passed)
+
+
+def test_no_height_that_is_nearer_would_do():
+    near = nearest_fitting(MUSHROOM, Config())
+    assert near.height_mm == 1.5
+    assert share_off(MUSHROOM, Config().changed(layers={"layer_height_mm": near.height_mm})) <= 0.02
+    for between in (1.55, 1.6, 1.65, 1.7, 1.75, 1.8):
+        assert not solid(MUSHROOM, Config().changed(layers={"layer_height_mm": between})).passed
+
+
+def test_what_is_set_stays_as_it_is():
+    for layers in (
+        {"layer_height_mm": 1.676},
+        {"heights_mm": [1.0, 3.0]},
+        {"fit_height": False},
+        {"base_mm": 3.0},
+    ):
+        config = Config().changed(layers=layers)
+        found = chosen_height(MUSHROOM, True, config)
+        assert found.config == config
+        assert not found.fitted
+    assert not chosen_height(MUSHROOM, False, Config()).fitted
+
+
+def test_where_nothing_fits_the_preflight_warns():
+    part = join(box((0, 0, 0), (20, 20, 2.6)), box((30, 0, 0), (50, 20, 3.3)))
+    found = chosen_height(part, True, Config())
+    assert found.config == Config()
+    assert found.check.level == "warning"
+    assert not solid(part, Config()).passed
+
+
+def test_a_run_takes_it_tells_it_and_is_verified(tmp_path):
+    write_stl(box((0, 0, 0), (24, 24, 7)), tmp_path / "box.stl")
+    looked = ebamcheck("preflight", "box.stl", "--json", cwd=tmp_path)
+    (told,) = [check for check in json.loads(looked.stdout)["checks"] if check["name"] == "layer height"]
+    assert "layers of 1.75 mm in place of a bead's" in told["text"]
+    done = ebamcheck("run", "box.stl", "--backends", FAST, "-o", "r", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout
+    record = json.loads((tmp_path / "r/run.json").read_text())
+    assert record["heights"]["layer_height_mm"] == record["settings"]["layers"]["layer_height_mm"] == 1.75
+    assert record["heights"]["count"] == 4
+    assert [f["severity"] for f in record["findings"] if f["code"] == "layer-height-fitted"] == ["note"]
+    assert ebamcheck("verify", "r", cwd=tmp_path).returncode == 0
+    # Elsewhere, with the part and the default settings alone, its layers are those that a run has.
+    assert ebamcheck("post", "r", "-o", "away", cwd=tmp_path).returncode == 0
+    alone = ebamcheck("verify", "away", "--part", "box.stl", "--json", cwd=tmp_path)
+    assert [check["name"] for check in json.loads(alone.stdout) if not check["passed"]] == []
+
+
+def test_a_run_that_may_not_is_shut(tmp_path):
+    write_stl(box((0, 0, 0), (24, 24, 7)), tmp_path / "box.stl")
+    (tmp_path / "ebamcheck.toml").write_text("layers.fit_height = false\n")
+    done = ebamcheck("run", "box.stl", "--backends", FAST, "-o", "r", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "layers of 1.75 mm (layers.layer_height_mm) leave 0.00 %" in done.stdout

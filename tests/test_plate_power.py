@@ -1,0 +1,46 @@
+"""Power of layers of several parts, judged from the text alone: the balance of a text spreads heat over all of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.program import read_program, verify_program
+from ebamcheck.program.controls.gcode.writing import write_plain_gcode
+from ebamcheck.scan import plan_stack
+from ebamcheck.settings.config import Config
+
+CONFIG = Config().changed(
+    scan={"annealing_steps": 100}, machine={"control": "plain-gcode", "curve_form": "lines"}
+)
+
+
+def tube(x, outer, inner):
+    return shapely.Point(x, 0).buffer(outer, 32).difference(shapely.Point(x, 0).buffer(inner, 32))
+
+
+PARTS = [tube(0, 30, 15), tube(160, 60, 38), tube(300, 60, 38)]
+
+
+def plate(parts, count=2):
+    heights = (np.arange(count) + 0.5) * CONFIG.layer_height_mm
+    return from_polygons(heights, [parts] * count)
+
+
+def power_check(parts, folder):
+    layers = plate(parts)
+    plan = plan_stack(layers, CONFIG)
+    files = write_plain_gcode(bead_paths(layers, plan, CONFIG), plan, CONFIG, folder)
+    nc = read_program(files.main, CONFIG)
+    checks = verify_program(nc, config=CONFIG, layers=layers, heat=True)
+    return plan, next(check for check in checks if check.name == "power")
+
+
+@pytest.mark.parametrize("parts", [PARTS, PARTS[:1]], ids=["three", "one"])
+def test_power_that_is_taken_back_for_one_of_the_parts_is_no_fault(parts, tmp_path):
+    plan, check = power_check(parts, tmp_path / "p")
+    assert (plan.metrics["power_share"] < 1.0).all()
+    assert check.passed, check.text
