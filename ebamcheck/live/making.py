@@ -40,8 +40,9 @@ from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, ProgramFiles, mark_validated, verify_program
+from ebamcheck.program import Check, ProgramFiles, verify_program
 from ebamcheck.program.checking.hatch_form import form_checks
+from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
 from ebamcheck.program.toolpath.bead_ends import planned_path
@@ -303,8 +304,7 @@ class LayerMaker:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
             made += _gates_of_program(checks, plan, config)
-            if all(gate.passed for gate in made):
-                files = mark_validated(files)
+            files = marked_validated(files) if all(gate.passed for gate in made) else files
         return MadeLayer(
             wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
             len(plan.islands), after.layer_s + scan_seconds(program, config), clock.seconds,

@@ -11,8 +11,9 @@ from typing import Any
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program import Check, mark_validated, read_program
+from ebamcheck.program import Check, read_program
 from ebamcheck.program.checking.entry_check import NAME, entry_check
+from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.writing.entry import begin_at_layer
@@ -32,7 +33,7 @@ class Entry:
 
     def marked_validated(self) -> Entry:
         """The same program with the status of a validated one."""
-        return replace(self, files=mark_validated(self.files))
+        return replace(self, files=marked_validated(self.files))
 
     def record(self) -> dict[str, Any]:
         """What the run's record holds of it."""

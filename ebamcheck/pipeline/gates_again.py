@@ -43,9 +43,10 @@ from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
+from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
+from ebamcheck.program.checking.interpass_checks import AGAIN
 from ebamcheck.program.checking.metal_field import FIELD_FILE
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
@@ -77,7 +78,8 @@ OF_TEXT_ALONE = (
     CROSSINGS,
     HANDSHAKE,
     WIRE_OF_BEADS,
-    SOLID,  # of runs of an earlier version
+    AGAIN,  # of runs of an earlier version
+    *OF_THE_MESH,
 )
 """Checks that are made here and not by a run, which has its plan to compare with."""
 

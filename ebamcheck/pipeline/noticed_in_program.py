@@ -13,9 +13,9 @@ from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import SOLID
+from ebamcheck.program.checking.deposit_checks import HEIGHTS, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, NARROWER
+from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, MISTAKE, NARROWER
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -41,6 +41,9 @@ METAL: Mapping[str, tuple[str, str]] = {
         "look at that place in the picture of the metal; " + HATCH,
     ),
     SOLID: ("level-within-layer", LEVELS),
+    SECTIONS: ("sections-off-mesh", MISTAKE),
+    HEIGHTS: ("height-off-part", MISTAKE),
+    PART_FILE: ("part-off-file", MISTAKE),
     "surface": (
         "metal-excess",
         f"turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",

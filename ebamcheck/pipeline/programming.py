@@ -26,11 +26,12 @@ from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_aga
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.plate_record import plate_record
-from ebamcheck.pipeline.solid_metal import solid_check
+from ebamcheck.pipeline.solid_metal import of_mesh, solid_check
 from ebamcheck.pipeline.work import Job, one_beside
-from ebamcheck.program import Check, mark_validated, program_summary, read_program, verify_program
+from ebamcheck.program import Check, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.checking.remedies import told
@@ -140,7 +141,7 @@ def make_program(
     if entry is not None:
         made = (*made, gates.entry_gate(entry.check))
     if validated_so_far and all(gate.passed for gate in made) and not has_fault(job.findings):
-        files = mark_validated(files)
+        files = marked_validated(files)
         entry = entry and entry.marked_validated()
     live = None
     if job.live:
@@ -211,7 +212,11 @@ def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> l
         thickness_mm = float(np.diff(z_of, prepend=job.config.base_mm)[found.worst])
         write_field(job.folder.path / FIELD_FILE, found.fields[found.worst], found.worst, thickness_mm)
     solid = solid_check(job.part, witness, job.config)
-    checks = [*deposit_checks(program, found, job.config), solid.check]
+    checks = [
+        *deposit_checks(program, found, job.config),
+        solid.check,
+        *of_mesh(job.part, witness, job.config),
+    ]
     job.add_finding(*noticed_in_program.of_metal(checks))
     low_mm, top_mm = job.part.bounds[:, 2].tolist()
     if not solid.tells_of(top_mm):

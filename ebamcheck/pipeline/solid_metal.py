@@ -17,6 +17,8 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
+from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.preflight.layer_height import nearest_fitting
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
@@ -80,9 +82,20 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     return Solid(Check(SOLID, False, rule.share, limit, "of the part", "", text, layer), z_mm)
 
 
+def of_mesh(part: Part, layers: Layers, config: Config) -> list[Check]:
+    """Checks of the sections and heights of the layers against the mesh; parameters as of :func:`solid_check`."""
+    return [
+        sections_check(part, layers, config),
+        heights_check(part, np.asarray(layers.heights), config),
+        file_check(part, config),
+    ]
+
+
 def with_solid(checks: list[Check], part: Part, layers: Layers, config: Config) -> list[Check]:
-    """Add that check to those of a program whose metal was looked at; to others it would say nothing of them."""
-    return [*checks, solid_check(part, layers, config).check] if of_deposit(checks) else checks
+    """Add the checks against the mesh to those of a program whose metal was looked at; to others they would say nothing of them."""
+    if not of_deposit(checks):
+        return checks
+    return [*checks, solid_check(part, layers, config).check, *of_mesh(part, layers, config)]
 
 
 def layer_borders(part: Part, cuts: Floats, config: Config) -> Floats:

@@ -17,14 +17,14 @@ from scipy import ndimage
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, target_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import STEP_SHARE, metal_places, pool_of, spread
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import beads_of
-from ebamcheck.program.toolpath.wire import metal_region, width_limits_mm
+from ebamcheck.program.toolpath.wire import width_limits_mm
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import wire_mm2
 
 NAME = "wire of beads"
 
@@ -174,10 +174,9 @@ def _worst(nc: NCProgram, first: Ints, off: Floats, judged: Bools, most: Floats)
 def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers, own: Ints) -> _Asked:
     """What the places of all motions ask for, layer by layer on the surface that is there; `own` is the bead of each motion."""
     process = config.process
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
+    mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
     rows = np.flatnonzero(nc.deposit & nc.wire & np.isfinite(nc.start).all(axis=1) & (own >= 0))
-    sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    sections = [wanted_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     bounds = np.nan_to_num(shapely.total_bounds(sections))
     surface = Surface(np.asarray(bounds, np.float64), process.bead_width_mm)
     step, pool = surface.step_mm, pool_of(process.bead_width_mm, surface.step_mm)

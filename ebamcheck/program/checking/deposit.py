@@ -24,15 +24,14 @@ from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
-from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
-from ebamcheck.settings.wire_speed import wire_mm2
 
 STEP_SHARE = 1.0 / 12.0
 """Distance of the places at which metal is laid, over the bead width: half a cell."""
@@ -118,12 +117,11 @@ def deposit(
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     thickness = np.diff(z_of, prepend=config.base_mm)
-    sections = [metal_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    sections = [wanted_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
     field = _Field(stands.copy() if stands else Surface(bounds, process.bead_width_mm), process)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bead_mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
+    bead_mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
     found, holes, first = [], [], np.full(len(layers), -1, np.int64)
     fields: dict[int, LayerField] = {}
     worst, most = -1, -math.inf
@@ -217,11 +215,11 @@ class _Field:
             if film.any()
             else np.zeros_like(laid)
         )
-        wanted = share * thickness_mm
         over = self.surface.over_mm(target)
         runs = (melted > 0.0) | bead_centres(inside, self._bead_mm / step)
         figures = {
-            "wanted_mm3": float(wanted.sum() * step**2),
+            # Not by the cells, which plan and check have in common.
+            "wanted_mm3": float(section.area) * thickness_mm,
             "laid_mm3": float(volume.sum()),
             # What falls beside all cells is outside, too.
             "outside_mm3": float(volume.sum() - (laid * share).sum() * step**2),

@@ -32,6 +32,15 @@ DEPOSIT_CHECKS = (
 SOLID = "metal of the solid"
 """Name of the check of the layers against the volume of the mesh (:mod:`ebamcheck.pipeline.solid_metal`)."""
 
+SECTIONS, HEIGHTS = "sections of the mesh", "layers of the part"
+"""Names of the checks of the sections against the mesh itself, and of the heights of the layers (:mod:`ebamcheck.pipeline.mesh_sections`)."""
+
+PART_FILE = "part of the file"
+"""Name of the check of the part against its file (:mod:`ebamcheck.pipeline.part_file`)."""
+
+OF_THE_MESH = (SOLID, SECTIONS, HEIGHTS, PART_FILE)
+"""Checks of the layers against the part."""
+
 LEAST_SPOTS = 1.0
 """Bead spots (a bead width squared, one layer high) by which the metal of a layer may be off in any case: the starts and
 ends of its beads."""
@@ -267,4 +276,4 @@ def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
 
 def of_deposit(checks: Iterable[Check]) -> list[Check]:
     """Those of some checks that are about the metal."""
-    return [check for check in checks if check.name in (*DEPOSIT_CHECKS, SOLID)]
+    return [check for check in checks if check.name in (*DEPOSIT_CHECKS, *OF_THE_MESH)]

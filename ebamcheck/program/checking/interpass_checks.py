@@ -10,9 +10,16 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
+from ebamcheck.heat.melting import scheduled_share
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.heat_again import (
+    MODELS_SHARE,
+    BeadHeat,
+    entries_k,
+    highest_entry_k,
+    melting_power_w,
+)
 from ebamcheck.program.checking.text_heat import (
     PAUSE,
     TextBeads,
@@ -27,7 +34,7 @@ from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.settings.config import Config
 
-INTERPASS, MELTING = "interpass temperature", "melting power"
+INTERPASS, MELTING, AGAIN = "interpass temperature", "melting power", "balance of the heat"
 """Names of the checks that the heat gate reads."""
 
 PAUSE_TOLERANCE_S = 1e-6
@@ -61,6 +68,7 @@ def heat_checks(
     config: Config,
     sections: Sequence[BaseGeometry] | None,
     before: HeatColumn | None = None,
+    witness: Sequence[BaseGeometry] | None = None,
 ) -> list[Check]:
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
@@ -71,15 +79,21 @@ def heat_checks(
     before
         Heat of what stands when the program begins; None: the cold plate. Of a program that begins on a part that is half
         built it has to be known: else its entries are not judged, since nothing in its text tells how warm the part is.
+    witness
+        Sections for the second balance, best by a slicer that did not make the program; None: those.
     """
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
     if before is None and config.base_mm > 0.0:
         return [_melting(nc, config, shapes)]
-    return [
+    checks = [
         _melting(nc, config, shapes),
         _entries(nc, beads, config, shapes, before, known[0] if known else None),
     ]
+    own = sections_of_text(nc, config, witness or sections)
+    if before is None and not beads.scans and own:
+        checks.append(_again(nc, beads, own, config))
+    return checks
 
 
 def layer_shares(nc: NCProgram, power_w: float) -> Floats:
@@ -121,7 +135,7 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     bed_k, _ = text_bed_k(beads, config, text_shapes(nc, config, known), lowest=known[0] if known else None)
     hottest_k = np.full(shares.size, -np.inf)
     np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
-    rise_k = entry_limit_k(config) - config.process.ambient_temperature_k
+    rise_k = highest_entry_k(config) - config.process.ambient_temperature_k
     allowed_k = min(ROOM * rise_k, rise_k - ROOM_K)
     # The balance spreads heat over all of a section. Pieces that do not touch, as parts of a plate, keep theirs: the least of them
     # may be as much hotter as it is smaller.
@@ -201,14 +215,14 @@ def _named(beads: TextBeads, n: int) -> str:
 def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Check:
     """Power of each layer over the least at which its wire melts."""
     shares = layer_shares(nc, config.process.power_w)
-    least = np.array([least_power_share(config, shape.thickness_mm) for shape in shapes])
+    full_w = config.process.power_w
+    least = np.array([melting_power_w(config, shape.thickness_mm) for shape in shapes]) / full_w
     laid = np.flatnonzero(np.isfinite(shares))
     if not laid.size:
         return Check(MELTING, True, 0.0, 1.0, "of the power needed", "", "nothing is laid")
     worst = int(laid[np.argmin(shares[laid] / least[laid])])
     value = float(shares[worst] / least[worst])
     row = int(np.flatnonzero(nc.deposit & (nc.layer == worst))[0])
-    full_w = config.process.power_w
     slack_w = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
     allowed = 1.0 - SHARE_TOLERANCE - slack_w / (least[worst] * full_w)
     text = (
@@ -227,7 +241,7 @@ def _entries(
     lowest: BaseGeometry | None = None,
 ) -> Check:
     """Temperature of the surface when a bead is entered, by the balance, against the limit."""
-    limit_k = entry_limit_k(config)
+    limit_k = highest_entry_k(config)
     bed_k, _ = text_bed_k(beads, config, shapes, before, lowest)
     checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     if not checked.any():
@@ -240,6 +254,35 @@ def _entries(
     if over:
         text += f"; {over} of {rows.size} entries are over {limit_k:.0f} K"
     return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
+
+
+def _again(
+    nc: NCProgram,
+    beads: TextBeads,
+    sections: Sequence[BaseGeometry],
+    config: Config,
+) -> Check:
+    """The same temperature by a second balance, against the limit and what two of them may differ by."""
+    ambient_k, limit_k = config.process.ambient_temperature_k, highest_entry_k(config)
+    most_k = limit_k + MODELS_SHARE * max(limit_k - ambient_k, 0.0)
+    heat = BeadHeat(
+        beads.layer, beads.move_s + beads.wait_s, beads.time_s, beads.energy_j * config.material.absorptivity
+    )
+    if not len(beads):
+        return Check(AGAIN, True, 0.0, most_k, "K", "", "nothing is laid")
+    steps = np.diff(nc.layer_heights, prepend=config.base_mm)
+    bed_k = entries_k(heat, sections, np.where(steps > 0.0, steps, config.layer_height_mm), config)
+    if config.process.interpass_at == "layer":
+        bed_k = np.where(beads.enters_layer, bed_k, ambient_k)
+    bead = int(np.argmax(bed_k))
+    figure_k, mark = within_range(float(bed_k[bead]), config)
+    text = (
+        f"surface at {figure_k:.0f} K{mark} when {_named(beads, bead)} is entered, by a second balance of the heat; "
+        f"{limit_k:.0f} K is the limit, and {most_k - limit_k:.0f} K more is what balances may differ by"
+    )
+    return Check(
+        AGAIN, bool(bed_k[bead] <= most_k), figure_k, most_k, "K", nc.where(int(beads.row[bead])), text
+    )
 
 
 def within_range(temperature_k: float, config: Config) -> tuple[float, str]:

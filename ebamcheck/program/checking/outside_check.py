@@ -10,10 +10,10 @@ import shapely
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.bead_metal import wanted_region
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import nearest_layer
-from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
@@ -40,7 +40,7 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
         found = []
         for k in range(start, stop):
             owner, at = nc.samples(rows[layer == k], STEP_MM)
-            region = metal_region(layer_section(layers.polygons(k)), config)
+            region = wanted_region(layer_section(layers.polygons(k)), config)
             if region.is_empty:
                 found += [(math.inf, int(owner[0]), k, *at[0])] if owner.size else []
                 continue

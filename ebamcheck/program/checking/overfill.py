@@ -16,12 +16,12 @@ from scipy import ndimage
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.bead_metal import bead_sections_mm2
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import Beads, beads_of
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import wire_mm2
 
 NAME = "metal laid once"
 
@@ -59,8 +59,7 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
         (L,) Z of each of the `layers`.
     """
     beads = beads_of(nc)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mm2 = np.nan_to_num(nc.wire_mm_s * wire_mm2(config) / (nc.feed_mm_min / 60.0), posinf=0.0)
+    mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
     known = np.isfinite(nc.start[beads.rows]).all(axis=1) & nc.deposit[beads.rows] & nc.wire[beads.rows]
     rows = beads.rows[known]
     thickness = np.diff(z_of, prepend=config.base_mm)

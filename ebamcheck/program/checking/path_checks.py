@@ -22,7 +22,6 @@ from ebamcheck.program.toolpath.inputs import (
     SPLINE,
     CurveColumns,
     ScanColumns,
-    hatch_columns,
 )
 from ebamcheck.settings.config import Config
 
@@ -257,7 +256,7 @@ def hatch_checks(
     vectors = nc.vectors()
     rows = vectors["row"].to_numpy()
     driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
-    island, ends = hatch_columns(plan)
+    island, ends = _planned_lines(plan)
     rounded = np.round(ends, config.machine.printed_decimals)
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
     island, ends = island[kept], ends[kept]
@@ -276,6 +275,12 @@ def hatch_checks(
         count_check("islands", faults, f"{np.unique(island).size} islands, each once, in the planned order"),
         _vectors(nc, rows, driven, island, ends, limit_mm),
     ]
+
+
+def _planned_lines(plan: ScanColumns) -> tuple[Ints, Floats]:
+    """Island (V,) and ends (V, 4) of the lines of a plan, by its own columns: what the writer takes of them is on trial."""
+    columns = [np.asarray(getattr(plan.vectors, name), np.float64) for name in ("x0", "y0", "x1", "y1")]
+    return np.asarray(plan.vectors.island, np.int64), np.stack(columns, axis=1)
 
 
 def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floats, limit_mm: float) -> Check:

@@ -35,6 +35,7 @@ LEVELS = (
     "that is too much, allow for machining (process.machining_allowance_mm)"
 )
 COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
+MISTAKE = "no setting mends it: slicing, layers or heat model have a mistake; report it with the part"
 WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
 
 REMEDIES: Mapping[str, str] = {
@@ -64,6 +65,10 @@ REMEDIES: Mapping[str, str] = {
         HATCH,
     ),
     "metal of the solid": LEVELS,
+    "sections of the mesh": MISTAKE,
+    "layers of the part": MISTAKE,
+    "balance of the heat": MISTAKE,
+    "part of the file": MISTAKE,
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
     **dict.fromkeys(("preheat calls", "preheat state", "preheat path", "preheat count"), AGAIN),

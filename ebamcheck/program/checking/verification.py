@@ -156,7 +156,7 @@ def verify_program(
     nc, match = _with_roles(nc, tracks, layers, z_of, offset, config)
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
-    shares = planned.power_share if planned is not None else _power_shares(nc, config, known, sections, heat)
+    shares = _power_shares(nc, config, known, sections, heat) if plan is None else _planned_shares(plan)
     checks = [
         *text_checks(nc, config, sha256),
         *header_checks(nc, config, truth or Truth(), known),
@@ -169,7 +169,7 @@ def verify_program(
         wait_height_check(nc, config),
     ]
     if heat:
-        checks += heat_checks(nc, config, sections, before)
+        checks += heat_checks(nc, config, sections, before, known_sections(None, layers))
     checks += preheat_checks(nc, config, sections, before, under)
     checks += tilt_checks(nc, config)
     checks += clearance_checks(nc, z_of, config, layers)
@@ -196,6 +196,13 @@ def verify_program(
     if beads:
         checks += bead_checks(nc, config, z_of, layers)
     return checks
+
+
+def _planned_shares(plan: ScanColumns) -> Floats:
+    """Share of the beam's power in each layer (L,) of a plan, by its own table; full where it has none."""
+    metrics = getattr(plan, "metrics", {})
+    found = np.asarray(metrics.get("power_share", np.nan), np.float64)
+    return np.where(np.isnan(found), 1.0, found) * np.ones(len(plan.heights))
 
 
 def _power_shares(

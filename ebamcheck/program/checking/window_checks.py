@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.bead_metal import bead_height_mm, wire_section_mm2
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import wire_mm2
 
 ROUNDING = 1e-5
 """Of a figure: process values are printed with six decimals, wire speeds with the fewest."""
@@ -28,14 +28,14 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     laid = rows[fed]
     with np.errstate(divide="ignore", invalid="ignore"):
         energy = power_w / feed_mm_s
-        metal_mm3_s = wire_mm2(config) * nc.wire_mm_s[laid]
+        metal_mm3_s = wire_section_mm2(config) * nc.wire_mm_s[laid]
         section, heat = metal_mm3_s / feed_mm_s[fed], power_w[fed] / metal_mm3_s
         own_heat = nc.power_w[laid] / metal_mm3_s
     ramp = nc.power_w[laid] < power_w[fed]
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     inside = rows[nc.layer[rows] >= 0]
     layers, first = np.unique(nc.layer[inside], return_index=True)
-    over_bead = layer_steps_mm(nc, config)[layers] / process.bead_height_mm
+    over_bead = layer_steps_mm(nc, config)[layers] / bead_height_mm(config)
     known = np.isfinite(over_bead)
     faults = [
         *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.program.checking.bead_metal import bead_sections_mm2
 from ebamcheck.program.checking.checks import Check, worst_check
 from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.reading.motions import NCProgram
@@ -15,7 +16,6 @@ from ebamcheck.program.toolpath.cuts import segment_lengths
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.program.toolpath.wire import width_limits_mm
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import wire_mm2
 
 NAME = "mass balance"
 
@@ -33,7 +33,7 @@ def wire_check(nc: NCProgram, config: Config, path: Toolpath | None) -> Check:
     hold.
     """
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    bead_mm2 = _bead_mm2(nc, rows, config)
+    bead_mm2 = bead_sections_mm2(nc, config)[rows]
     if path is None:
         return _within_limits(nc, rows, bead_mm2, config)
     wanted = _wanted_mm2(nc, rows, path)
@@ -45,12 +45,6 @@ def wire_check(nc: NCProgram, config: Config, path: Toolpath | None) -> Check:
         off = np.abs(bead_mm2[:, None] / wanted - 1.0).min(axis=1) - _rounded(nc, rows, config)
     off = np.maximum(off, 0.0)
     return worst_check(NAME, nc, rows, off, WIRE_TOLERANCE, "of the bead", "metal of beads against the plan")
-
-
-def _bead_mm2(nc: NCProgram, rows: Ints, config: Config) -> Floats:
-    """Section of the bead that each motion lays, (n,) mm2; NaN where wire or feed is not known."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(nc.wire_mm_s[rows] * wire_mm2(config) / (nc.feed_mm_min[rows] / 60.0), np.float64)
 
 
 def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) -> Check:

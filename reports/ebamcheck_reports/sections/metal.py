@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, SOLID
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH
 from ebamcheck.program.checking.metal_field import FIELD_FILE, read_field
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.showing.markup import inline
@@ -50,7 +50,7 @@ def render(run: RunData) -> Markup:
     )
 
 
-CHECKS = (*DEPOSIT_CHECKS, SOLID, "mass balance")
+CHECKS = (*DEPOSIT_CHECKS, *OF_THE_MESH, "mass balance")
 """Checks of the program that are about its metal."""
 
 

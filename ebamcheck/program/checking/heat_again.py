@@ -1,0 +1,277 @@
+"""A second balance of a program's heat, in code of its own, and the limits of the heat gate worked out anew.
+
+Plan and check of the entries follow one heat column (:mod:`ebamcheck.heat.balance`): a mistake in it would give a plan too
+short waits, and then find its entries cool enough. Here the same heat is followed in the plainest way, from the data of
+the material and the text alone: cells as high as the layers, temperatures in place of heat contents, steps of first
+order, each with the data of its middle. It is coarser, so that it may find beads warmer by :data:`MODELS_SHARE`; what is wrong
+by more has a mistake behind it, here or there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.settings.config import Config
+
+RADIATION_W_MM2K4 = 5.670374e-14
+"""Stefan-Boltzmann constant (CODATA 2018), by square millimetre."""
+
+MODELS_SHARE = 0.1
+"""Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and
+emissivity of an alloy are known no better."""
+
+PLATE_CELLS = 6
+"""Cells of the base plate."""
+
+STEPS = 12
+"""Steps of every time, growing evenly: what is uneven evens out at first."""
+
+HOTTEST_K = 6000.0
+"""End of the data; what is hotter has those of the end."""
+
+SUMMED = 4000
+"""Temperatures in the sum of the heat that melts: less than a kelvin apart."""
+
+
+def highest_entry_k(config: Config) -> float:
+    """Absolute temperature over which no bead may be entered, by the settings, K.
+
+    What the process sets; else the limit of the material, or its solidus where nothing keeps the part cool. Never over the
+    solidus.
+    """
+    process, material = config.process, config.material
+    if process.interpass_limit_k is not None:
+        return min(process.interpass_limit_k, material.solidus_k)
+    return (
+        material.solidus_k
+        if process.interpass == "off"
+        else min(material.interpass_limit_k, material.solidus_k)
+    )
+
+
+def melting_power_w(config: Config, thickness_mm: float) -> float:
+    """Power of the beam at which the wire of a layer, and the metal that is remelted with it, melts from the cold, W.
+
+    Where the full power is too little for both, all of it, or that for the wire alone, is asked for.
+    """
+    process, material = config.process, config.material
+    wire_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing * thickness_mm
+    kg_s = wire_mm3_s * 1e-9 * material.density_kg_m3
+    rise_k = max(material.liquidus_k - process.ambient_temperature_k, 0.0)
+    kelvin = process.ambient_temperature_k + rise_k * (np.arange(SUMMED) + 0.5) / SUMMED
+    sensible = float(np.interp(kelvin, *_data(material.heat_capacity_by_temperature)).mean()) * rise_k
+    efficiency = process.melting_efficiency * material.absorptivity
+    wire_w = kg_s * (sensible + material.latent_heat_j_kg) / efficiency
+    full_w, both_w = process.voltage_kv * process.current_ma, wire_w / (1.0 - process.dilution)
+    return both_w if both_w <= full_w else max(wire_w, full_w)
+
+
+def _data(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
+    """Temperatures and values of a material."""
+    kelvin, values = np.array(points, np.float64).T
+    return kelvin, values
+
+
+@dataclass(frozen=True, eq=False)
+class BeadHeat:
+    """Beads of a program in its sequence, as columns (P,): layer, time with the beam off before each, its own time, s, and the heat
+    that the part takes up in it, J."""
+
+    layer: Ints
+    off_s: Floats
+    time_s: Floats
+    heat_j: Floats
+
+
+def entries_k(
+    beads: BeadHeat, sections: Sequence[BaseGeometry], heights_mm: Floats, config: Config
+) -> Floats:
+    """Temperature of what beads are laid on when the beam comes to them.
+
+    Parameters
+    ----------
+    sections, heights_mm
+        (L,) sections of the layers, and how high each is.
+
+    Returns
+    -------
+    (P,) K.
+    """
+    column = _Column([_Shape.of(s, h) for s, h in zip(sections, heights_mm.tolist(), strict=True)], config)
+    found, layer = np.zeros(beads.layer.size), -1
+    for bead in range(found.size):
+        column.follow(float(beads.off_s[bead]), 0.0)
+        found[bead] = column.bed_k
+        if beads.layer[bead] != layer:
+            layer = int(beads.layer[bead])
+            column.lay(layer)
+        column.follow(float(beads.time_s[bead]), float(beads.heat_j[bead]))
+    return found
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A layer: its height, section, outer border, border of its holes, and their area; mm."""
+
+    height: float
+    area: float
+    outer: float
+    inner: float
+    holes: float
+
+    @classmethod
+    def of(cls, section: BaseGeometry, height_mm: float) -> _Shape:
+        parts = [p for p in shapely.get_parts(section) if p.geom_type == "Polygon"]
+        outer = sum(p.exterior.length for p in parts)
+        filled = sum(shapely.Polygon(p.exterior).area for p in parts)
+        area = sum(p.area for p in parts)
+        inner = sum(p.length for p in parts) - outer
+        return cls(height_mm, float(area), float(outer), float(inner), float(filled - area))
+
+
+class _Column:
+    """Temperatures of plate and layers, from the table up."""
+
+    def __init__(self, shapes: list[_Shape], config: Config) -> None:
+        process, material = config.process, config.material
+        self._shapes, self._ambient = shapes, process.ambient_temperature_k
+        self._cooled, self._plate_mm = process.base == "cooled", process.base_plate_mm
+        self._glow = material.emissivity * RADIATION_W_MM2K4
+        kelvin = np.arange(HOTTEST_K)
+        capacity = np.interp(kelvin, *_data(material.heat_capacity_by_temperature))
+        wide_k = max(material.liquidus_k - material.solidus_k, 1.0)
+        melts = (kelvin >= material.solidus_k) & (kelvin < material.solidus_k + wide_k)
+        capacity += np.where(melts, material.latent_heat_j_kg / wide_k, 0.0)
+        self._capacity = 1e-9 * material.density_kg_m3 * capacity
+        self._conductivity = 1e-3 * np.interp(kelvin, *_data(material.conductivity_by_temperature))
+        self._laid: list[_Shape] = []
+        self._lost = False
+        self._kelvin = np.zeros(0)
+        self._height = self._area = self._shining = np.zeros(0)
+
+    @property
+    def bed_k(self) -> float:
+        """Temperature of the uppermost layer or of the one under it, whichever is warmer."""
+        if self._lost:
+            return math.nan
+        return float(self._kelvin[-2:].max()) if self._laid else self._ambient
+
+    def lay(self, layer: int) -> None:
+        """Put a cold layer on top; the first one lies on a plate as wide as it is."""
+        shape = self._shapes[layer]
+        if shape.area <= 0.0:
+            return
+        plate = 0 if self._laid else PLATE_CELLS
+        self._laid.append(shape)
+        self._kelvin = np.append(self._kelvin, np.full(plate + 1, self._ambient))
+        self._height = np.append(self._height, [*[self._plate_mm / PLATE_CELLS] * plate, shape.height])
+        self._area = np.append(self._area, np.full(plate + 1, shape.area))
+        self._shining = np.concatenate([np.zeros(PLATE_CELLS), self._glow * _shining_mm2(self._laid)])
+
+    def follow(self, time_s: float, heat_j: float) -> None:
+        """Let a time go by in which the uppermost layer takes up heat."""
+        # A feed of nothing never ends: what comes after it has no temperature.
+        self._lost |= not (math.isfinite(time_s) and math.isfinite(heat_j))
+        if self._lost or time_s <= 0.0 or not self._laid:
+            return
+        tables = self._capacity, self._conductivity
+        cells = self._height, self._area, self._shining
+        _follow(self._kelvin, cells, tables, self._ambient, self._cooled, time_s, heat_j / time_s)
+
+
+@kernel
+def _follow(
+    kelvin: Floats,
+    cells: tuple[Floats, Floats, Floats],
+    tables: tuple[Floats, Floats],
+    ambient: float,
+    cooled: bool,
+    time: float,
+    power: float,
+) -> None:
+    """Let a time go by; `kelvin` (n,) goes from its start to its end.
+
+    Parameters
+    ----------
+    cells
+        Height, section, and surface that radiates times its emissivity, (n,) each, from the table up.
+    tables
+        Heat capacity, J/mm^3 K, and conductivity, W/mm K, at every kelvin.
+    power
+        Heat that the uppermost cell takes up, W.
+    """
+    for step in range(STEPS):
+        share = (2 * step + 1) / STEPS**2
+        middle = kelvin.copy()
+        _step(middle, kelvin, cells, tables, ambient, cooled, share * time, power)
+        middle = 0.5 * (middle + kelvin)
+        _step(kelvin, middle, cells, tables, ambient, cooled, share * time, power)
+
+
+@kernel
+def _step(
+    kelvin: Floats,
+    data_at: Floats,
+    cells: tuple[Floats, Floats, Floats],
+    tables: tuple[Floats, Floats],
+    ambient: float,
+    cooled: bool,
+    time: float,
+    power: float,
+) -> None:
+    """One implicit step with the data of the material at given temperatures (n,)."""
+    height, area, shining = cells
+    capacity, conductivity = tables
+    count = kelvin.size
+    pivot, right, link = np.empty(count), np.empty(count), np.empty(count)
+    below = 0.0
+    for i in range(count):
+        k = min(max(int(data_at[i]), 0), capacity.size - 1)
+        half = 0.5 * height[i] / (conductivity[k] * area[i])
+        held = capacity[k] * height[i] * area[i] / time
+        glow = shining[i] * (data_at[i] ** 2 + ambient**2) * (data_at[i] + ambient)
+        pivot[i], right[i] = held + glow, held * kelvin[i] + glow * ambient
+        if i > 0:
+            link[i] = 1.0 / (below + half)
+            pivot[i - 1] += link[i]
+            # The row before is whole now, and can be taken out of this one.
+            factor = link[i] / pivot[i - 1]
+            pivot[i] += link[i] - factor * link[i]
+            right[i] += factor * right[i - 1]
+        elif cooled:
+            pivot[0] += 1.0 / half
+            right[0] += ambient / half
+        below = half
+    right[count - 1] += power
+    kelvin[count - 1] = right[count - 1] / pivot[count - 1]
+    for i in range(count - 2, -1, -1):
+        kelvin[i] = (right[i] + link[i + 1] * kelvin[i + 1]) / pivot[i]
+
+
+def _shining_mm2(laid: Sequence[_Shape]) -> Floats:
+    """Surface (n,) by which each layer sees the chamber: its sides, its top as far as none lies on it, and what overhangs.
+
+    The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
+    """
+    height, area, outer, inner, holes = np.array(
+        [(s.height, s.area, s.outer, s.inner, s.holes) for s in laid]
+    ).T
+    filled = area + holes
+    seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)
+    seen[1:] += np.maximum(filled[1:] - filled[:-1], 0.0)
+    below = int(np.flatnonzero(holes <= 0.0).max(initial=-1)) + 1
+    if below < holes.size:
+        depth = np.cumsum(height[::-1])[::-1][below:] - 0.5 * height[below:]
+        wall = inner[below:] * height[below:]
+        nearer = wall * np.exp(-0.5 * depth * inner[below:] / holes[below:])
+        opening = min(float(holes[-1]), float(wall.sum()))
+        seen[below:] += opening * nearer / max(float(nearer.sum()), 1e-12)
+    return np.asarray(seen, np.float64)

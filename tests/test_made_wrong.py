@@ -1,0 +1,407 @@
+"""Mistakes in the code that makes programs, planted one by one: each leaves a program that agrees with its own plan, and a gate shuts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from parts import box, join
+from prism_program import CONFIG, Made
+
+from ebamcheck import save
+from ebamcheck.heat import melting
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.layers import heights as layer_heights_of
+from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.mesh import part as mesh_part
+from ebamcheck.mesh import placing
+from ebamcheck.metal import target
+from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
+from ebamcheck.pipeline.part_file import file_check
+from ebamcheck.pipeline.placement import placed_part
+from ebamcheck.plugins.model import models
+from ebamcheck.program import verify_program
+from ebamcheck.program.checking import marked
+from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
+from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
+from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.window_checks import window_check
+from ebamcheck.program.language import files
+from ebamcheck.program.reading.roles import by_height
+from ebamcheck.program.toolpath import inputs, tracks, wire
+from ebamcheck.scan.heat import interpass
+from ebamcheck.settings import process, wire_speed
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.units import UNITS_MM
+from ebamcheck.slicers.slicing import slice_part
+
+FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
+
+
+# -- metal -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.2])
+def test_a_wrong_section_of_the_wire_is_found(factor, monkeypatch, tmp_path):
+    right = wire_speed.wire_mm2
+    monkeypatch.setattr(wire_speed, "wire_mm2", lambda config: factor * right(config))
+    assert "metal" in Made(tmp_path, FRAME).failed()
+
+
+def test_cells_with_too_little_of_the_section_are_found(monkeypatch, tmp_path):
+    right = target.cell_shares
+    monkeypatch.setattr(target, "cell_shares", lambda *given: 0.965 * right(*given))
+    assert "metal" in Made(tmp_path, FRAME).failed()
+
+
+def test_an_allowance_that_is_left_out_is_found(monkeypatch, tmp_path):
+    config, right = CONFIG.changed(process={"machining_allowance_mm": 2.0}), wire.metal_region
+    assert not Made(tmp_path / "sound", FRAME, config).failed()
+    half = config.changed(process={"machining_allowance_mm": 1.0})
+    monkeypatch.setattr(wire, "metal_region", lambda section, _: right(section, half))
+    assert "metal" in Made(tmp_path / "wrong", FRAME, config).failed()
+
+
+@pytest.mark.parametrize("factor", [0.3, 2.5])
+def test_layers_far_from_the_height_of_a_bead_are_found(factor, monkeypatch, tmp_path):
+    right = process.bead_height_mm
+    monkeypatch.setattr(process, "bead_height_mm", lambda *given: factor * right(*given))
+    config = CONFIG.changed(process={"wire_speed_min_mm_s": 0.1, "wire_speed_max_mm_s": 1000.0})
+    assert config.process.bead_height_mm == pytest.approx(factor * 1.6755, rel=1e-4)
+    check = window_check(by_height((made := Made(tmp_path, FRAME, config, layers=2)).read(), made.z), config)
+    assert "of a bead's height a layer" in check.text
+
+
+# -- heat --------------------------------------------------------------------------------------------
+
+WARM = CONFIG.changed(process={"interpass": "both"})
+
+
+def heat_of(made):
+    nc = by_height(made.read(), made.z)
+    return {check.name: check for check in heat_checks(nc, made.config, list(made.plan.sections))}
+
+
+def test_a_sound_program_passes_both_balances(tmp_path):
+    checks = heat_of(Made(tmp_path, FRAME, WARM))
+    assert all(checks[name].passed for name in (INTERPASS, MELTING, AGAIN))
+
+
+@pytest.mark.parametrize("share", [0.5, 0.7])
+def test_heat_that_is_lost_in_the_model_is_found(share, monkeypatch, tmp_path):
+    advance, drive = HeatColumn.advance, HeatColumn.drive
+
+    def drive_less(self, beads, *given):
+        return drive(self, (*beads[:2], share * beads[2]), *given)
+
+    monkeypatch.setattr(HeatColumn, "advance", lambda self, s, j=0.0: advance(self, s, share * j))
+    monkeypatch.setattr(HeatColumn, "drive", drive_less)
+    made = Made(tmp_path, FRAME, WARM)
+    checks = heat_of(made)
+    assert checks[INTERPASS].passed
+    assert not checks[AGAIN].passed
+    gate = heat_gate(checks.values(), made.plan.metrics, made.config)
+    assert not gate.passed
+    assert "second balance" in gate.text
+
+
+def test_layers_that_the_model_takes_for_wider_are_found(monkeypatch, tmp_path):
+    right = LayerShape.of
+
+    def wider(section, thickness_mm):
+        shape = right(section, thickness_mm)
+        return replace(shape, area_mm2=2.0 * shape.area_mm2)
+
+    monkeypatch.setattr(LayerShape, "of", wider)
+    assert not heat_of(Made(tmp_path, FRAME, WARM))[AGAIN].passed
+
+
+def test_a_limit_that_the_plan_takes_too_high_is_found(monkeypatch, tmp_path):
+    right = melting.entry_limit_k
+    monkeypatch.setattr(interpass, "entry_limit_k", lambda config: right(config) + 300.0)
+    assert not heat_of(Made(tmp_path, FRAME, WARM))[INTERPASS].passed
+
+
+def test_a_power_that_does_not_melt_the_wire_is_found(monkeypatch, tmp_path):
+    right = melting.least_power_share
+    monkeypatch.setattr(interpass, "least_power_share", lambda *given: 0.6 * right(*given))
+    assert not heat_of(Made(tmp_path, FRAME, WARM))[MELTING].passed
+
+
+SETTINGS = (
+    {},
+    {"process": {"interpass": "off"}},
+    {"process": {"interpass_limit_k": 500.0}},
+    {"process": {"interpass_limit_k": 5000.0}},
+    {"process": {"interpass": "off", "interpass_limit_k": 700.0}},
+    {"process": {"dilution": 0.0, "current_ma": 20.0}},
+    {"material": {"name": "Inconel 718"}},
+    {"material": {"interpass_limit_k": 5000.0}},
+)
+
+
+@pytest.mark.parametrize("changes", SETTINGS)
+def test_limits_of_plan_and_gate_are_the_same(changes):
+    config = Config().changed(**changes)
+    assert highest_entry_k(config) == melting.entry_limit_k(config)
+    for thickness_mm in (0.5, 1.6755, 3.0):
+        share = melting_power_w(config, thickness_mm) / config.process.power_w
+        assert share == pytest.approx(melting.least_power_share(config, thickness_mm), rel=1e-3)
+
+
+HEAT_PARTS = {
+    "frame": [FRAME] * 6,
+    "tower": [shapely.box(0, 0, 18, 14)] * 24,
+    "cone": [shapely.Point(0, 0).buffer(28 - 2 * k) for k in range(9)],
+    "spread": [shapely.Point(0, 0).buffer(14 + 2 * k) for k in range(6)],
+}
+
+
+@pytest.mark.parametrize("base", ["cooled", "insulated"])
+@pytest.mark.parametrize("name", HEAT_PARTS)
+def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
+    config = WARM.changed(process={"base": base})
+    sections = HEAT_PARTS[name]
+    made = Made(tmp_path, sections, config, layers=len(sections))
+    nc = by_height(made.read(), made.z)
+    beads, shapes = text_beads(nc, config), text_shapes(nc, config, sections)
+    column_k, _ = text_bed_k(beads, config, shapes)
+    heat = BeadHeat(
+        beads.layer,
+        beads.move_s + beads.wait_s,
+        beads.time_s,
+        beads.energy_j * config.material.absorptivity,
+    )
+    again_k = entries_k(heat, sections, np.array([shape.thickness_mm for shape in shapes]), config)
+    # Half of what the gate lets two balances differ by.
+    assert again_k == pytest.approx(column_k, abs=0.05 * (873.0 - 293.0))
+
+
+def test_after_a_time_without_end_no_temperature_is_known():
+    config, section = Config(), shapely.box(0, 0, 20, 20)
+    times_s, heat_j = np.array([5.0, np.inf, 5.0, 5.0]), np.array([1e4, np.nan, 1e4, 1e4])
+    heat = BeadHeat(np.array([0, 0, 1, 1]), np.zeros(4), times_s, heat_j)
+    found = entries_k(heat, [section, section], np.array([1.6, 1.6]), config)
+    assert np.isfinite(found).tolist() == [True, True, False, False]
+
+
+# -- sections ----------------------------------------------------------------------------------------
+
+
+def cut(part, config=None):
+    return slice_part(part, cut_heights(part, config or Config()))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["blade", "helical-channel", "torus", "two-spheres", "menger-1", "case-touching-board", "case-prusa-4245", "tilted-plate"],
+)  # fmt: skip
+@pytest.mark.parametrize("height_mm", [0.9, 1.6755])
+def test_sections_of_sound_slicers_are_those_of_the_mesh(name, height_mm):
+    config = Config().changed(layers={"layer_height_mm": height_mm})
+    part = models()[name].tessellate(0.1)
+    layers = cut(part, config)
+    assert sections_check(part, layers, config).passed
+    assert heights_check(part, layers.heights, config).passed
+
+
+def test_holes_that_polygons_forget_are_found(monkeypatch):
+    part = models()["prism"].tessellate(0.1)
+    layers, right = cut(part), Layers.polygons
+    monkeypatch.setattr(
+        Layers, "polygons", lambda self, k: [shapely.Polygon(p.exterior) for p in right(self, k)]
+    )
+    check = sections_check(part, layers, Config())
+    assert not check.passed
+    assert check.value > Config().process.bead_width_mm / 4
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: shapely.affinity.translate(p, 0.4, 0.0),
+        lambda p: shapely.affinity.translate(p, 0.0, -0.4),
+        lambda p: shapely.affinity.scale(p, -1.0, 1.0),
+        lambda p: shapely.affinity.rotate(p, 90.0),
+        lambda p: p.buffer(0.4),
+        lambda p: p.buffer(-0.4),
+        lambda p: shapely.Polygon(p.exterior, list(p.interiors)[:-1]),
+        lambda _: shapely.Polygon(),
+    ],
+)
+def test_other_sections_are_found(change):
+    part = models()["prism"].tessellate(0.1)
+    layers = cut(part)
+    polygons = [[change(p) if k == 7 else p for p in layers.polygons(k)] for k in range(len(layers))]
+    check = sections_check(part, from_polygons(layers.heights, polygons), Config())
+    assert not check.passed
+    assert check.layer == 7
+
+
+def test_a_body_that_is_lost_is_found_among_those_that_overlap():
+    part = join(box((0, 0, 0), (30, 30, 10)), box((20, 20, 0), (50, 50, 10)), box((70, 0, 0), (80, 9, 10)))
+    layers = cut(part)
+    assert sections_check(part, layers, Config()).passed
+    fewer = [sorted(layers.polygons(k), key=lambda p: p.area)[1:] for k in range(len(layers))]
+    assert not sections_check(part, from_polygons(layers.heights, fewer), Config()).passed
+
+
+# -- heights -----------------------------------------------------------------------------------------
+
+TOWER = box((0, 0, 3), (20, 12, 3 + 70 * 1.6))
+SIXTEENTHS = Config().changed(layers={"layer_height_mm": 1.6})
+
+
+def test_layers_that_are_left_out_are_found():
+    cuts = cut_heights(TOWER, SIXTEENTHS)
+    assert heights_check(TOWER, cuts, SIXTEENTHS).passed
+    for wrong in (cuts[:-1], cuts[1:], np.delete(cuts, 30), cuts[::2], cuts + 0.4, 1.1 * (cuts - 3) + 3):
+        assert not heights_check(TOWER, wrong, SIXTEENTHS).passed
+
+
+@pytest.mark.parametrize("top_mm", [0.3, 1.0, 1.6, 2.3, 2.5, 4.0, 47.21])
+def test_any_height_of_a_part_has_its_layers(top_mm):
+    part = box((0, 0, 0), (20, 20, top_mm))
+    assert heights_check(part, cut_heights(part, SIXTEENTHS), SIXTEENTHS).passed
+
+
+def test_heights_that_the_user_lists_are_his():
+    config = SIXTEENTHS.changed(layers={"heights_mm": [5.0, 7.0, 8.0]})
+    assert heights_check(TOWER, cut_heights(TOWER, config), config).passed
+
+
+def test_a_mistake_in_the_heights_of_cuts_shuts_the_gate(monkeypatch):
+    monkeypatch.setattr(layer_heights_of.math, "ceil", lambda number: int(np.ceil(number)) - 1)
+    cuts = layer_heights_of.layer_heights(TOWER, 1.6)
+    monkeypatch.undo()
+    assert not heights_check(TOWER, cuts, SIXTEENTHS).passed
+    assert replace(heights_check(TOWER, cuts, SIXTEENTHS), passed=True).value == pytest.approx(0.8)
+
+
+# -- the part of the file ----------------------------------------------------------------------------
+
+
+CORNERED = join(box((0, 0, 0), (30, 20, 10)), box((0, 0, 10), (8, 6, 25)))
+"""A part that is alike in no two directions."""
+
+
+def read(folder, settings, form="binary"):
+    config = Config().changed(part=settings)
+    part, path = CORNERED, folder / "prism.stl"
+    if form != "ascii":
+        save(part, path)
+        path.write_bytes(path.read_bytes() + (b"?" if form == "trailing" else b""))
+    else:
+        lines = [
+            "facet normal 0 0 0",
+            "outer loop",
+            *["vertex {:.9g} {:.9g} {:.9g}"] * 3,
+            "endloop",
+            "endfacet",
+        ]
+        every = (chr(10).join(lines).format(*facet.ravel()) for facet in part.triangles)
+        path.write_text(chr(10).join(["solid prism", *every, "endsolid prism", ""]))
+    return placed_part(path, config)[0], config
+
+
+@pytest.mark.parametrize("form", ["binary", "trailing", "ascii"])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"units": "in"},
+        {"units": "cm", "direction": [0.0, -1.0, 0.0]},
+        {"direction": [0.6, 0.0, 0.8], "rotate_deg": 30.0, "place_at_mm": [100.0, 50.0, 3.0]},
+        {"direction": [0.0, 0.0, -1.0]},
+    ],
+)
+def test_a_part_is_the_one_in_its_file(settings, form, tmp_path):
+    assert file_check(*read(tmp_path, settings, form)).passed
+
+
+def test_a_wrong_unit_is_found(monkeypatch, tmp_path):
+    monkeypatch.setitem(UNITS_MM, "in", 25.0)
+    check = file_check(*read(tmp_path, {"units": "in"}))
+    assert not check.passed
+    assert check.value > 0.01
+
+
+@pytest.mark.parametrize("direction", [[0.0, 1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 0.0, -1.0]])
+def test_a_part_that_is_turned_the_wrong_way_is_found(direction, monkeypatch, tmp_path):
+    right = mesh_part.rotation_to_z
+    wrong = (lambda _: np.eye(3)) if direction[2] < 0 else (lambda way: right(way).T)
+    monkeypatch.setattr(mesh_part, "rotation_to_z", wrong)
+    part, config = read(tmp_path, {"direction": direction})
+    assert not file_check(part, config).passed
+
+
+def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
+    right = placing.Placing.moved
+    monkeypatch.setattr(
+        placing.Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
+    )
+    assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
+
+
+# -- what is taken of the plan -----------------------------------------------------------------------
+
+
+def against_plan(made):
+    nc = made.read()
+    found = verify_program(nc, config=made.config, curves=made.beads, plan=made.plan, layers=made.layers)
+    return {check.name for check in found if not check.passed}
+
+
+def test_a_line_that_the_writer_does_not_take_is_found(monkeypatch, tmp_path):
+    assert "hatch vectors" not in against_plan(Made(tmp_path / "sound", FRAME))
+    right = tracks.hatch_columns
+    monkeypatch.setattr(tracks, "hatch_columns", lambda plan: tuple(column[:-1] for column in right(plan)))
+    assert "hatch vectors" in against_plan(Made(tmp_path / "wrong", FRAME))
+
+
+def test_a_power_that_the_writer_does_not_take_from_the_plan_is_found(monkeypatch, tmp_path):
+    assert "power" not in against_plan(Made(tmp_path / "sound", FRAME, WARM))
+    right = inputs.Interpass
+    monkeypatch.setattr(
+        inputs, "Interpass", lambda **given: right(**{**given, "power_share": 0.8 * given["power_share"]})
+    )
+    assert "power" in against_plan(Made(tmp_path / "wrong", FRAME, WARM))
+
+
+# -- after the checks --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data, name: data[:-40],
+        lambda data, name: data + b"G1 X0 Y0\n",
+        lambda data, name: data.replace(b" F600", b" F900", 1) if "L0002" in name else data,
+        lambda data, name: data.replace(b"VALIDATED", b"NOT VALIDATED", 1) if "L0002" in name else data,
+        lambda data, name: data.replace(b"; VALIDATED\n", b"", 1),
+    ],
+)
+def test_what_changes_when_a_program_is_marked_is_found(spoil, monkeypatch, tmp_path):
+    right = files.mark_validated
+    made = Made(tmp_path, FRAME, layers=2)
+
+    def mark(given):
+        found = right(given)
+        for name in found.names:
+            path = found.folder / name
+            path.write_bytes(spoil(path.read_bytes(), name))
+        return found
+
+    monkeypatch.setattr(marked, "mark_validated", mark)
+    with pytest.raises(RuntimeError, match="more than its status"):
+        marked.marked_validated(made.files)
+
+
+@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode", "fanuc"])
+def test_a_sound_program_of_any_control_is_marked(control, tmp_path):
+    made = Made(tmp_path, FRAME, CONFIG.changed(machine={"control": control}), layers=2)
+    assert marked.marked_validated(made.files).validated
