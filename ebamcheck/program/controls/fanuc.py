@@ -1,8 +1,9 @@
 """Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
 
-A number without a decimal point may be read in thousandths (parameter 3401), so values of beam, wire and waits carry one.
-Beam and wire values are arguments of G codes that call custom macros (parameters 6050 to 6059); like all such codes they
-are the machine maker's. Source: Fanuc 30i operator's manual B-64484EN, preparatory functions and custom macros.
+A number without a decimal point may be read in thousandths (parameter 3401; 1403 of a feed), so places, values of beam and wire,
+feeds and waits carry one, and a program in which one does not is refused. Beam and wire values are arguments of G codes that call
+custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Source: Fanuc 30i operator's manual
+B-64484EN, preparatory functions, decimal point programming and custom macros.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Literal
 
 from ebamcheck.program.controls.gcode import groups
 from ebamcheck.program.controls.gcode.reading import GcodeReader
-from ebamcheck.program.controls.gcode.words import ENDS, MODES, MOTIONS
+from ebamcheck.program.controls.gcode.words import ENDS, MODES, MOTIONS, without_comments
 from ebamcheck.program.controls.gcode.writing import one_file
 from ebamcheck.program.language.control import Control, Group
 from ebamcheck.program.language.files import ProgramFiles, write_files
@@ -59,6 +60,9 @@ GROUPS = (
 SCALES_OFF = "G50 G69"
 LOOK_AHEAD_OFF = "G5.1 Q0"
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
+_FEED = re.compile(r" F(\d+)(?![\d.])")
+_NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
+"""An address that may have a decimal point, with a number that has none."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
@@ -119,9 +123,10 @@ def write_program(
 
 
 def _in_parentheses(line: str) -> str:
-    """Turn what stands behind a semicolon into a comment in parentheses."""
+    """Turn what stands behind a semicolon into a comment in parentheses, and give the feed its decimal point."""
     code, mark, note = line.partition(";")
-    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else line
+    code = _FEED.sub(r" F\1.0", code)
+    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else code
 
 
 # -- reading -------------------------------------------------------------------------------------------
@@ -138,10 +143,10 @@ class FanucReader(GcodeReader):
     """State of a Fanuc-like control while it runs a program from top to bottom."""
 
     known = (MOTIONS | MODES | ENDS | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
-    _numbered = False
+    _in_blocks = False
 
     def _run_plain(self, text: str) -> bool:
-        return ";" not in text and super()._run_plain(text)
+        return ";" not in text and _NO_POINT.search(text) is None and super()._run_plain(text)
 
     def _run_line(self, text: str) -> str | None:
         """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
@@ -149,11 +154,21 @@ class FanucReader(GcodeReader):
             raise WordError(
                 "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
             )
-        number = None if self._numbered else _PROGRAM_NUMBER.match(text)
-        self._numbered = self._numbered or number is not None
-        return super()._run_line(text[number.end() :] if number else text)
+        code = without_comments(text)[0]
+        small = re.search("[a-z]", code)
+        if small:
+            raise WordError(f"{small[0]!r}: this control takes capitals alone", small.start())
+        # Anywhere else a number begins another program, and this one is what stands before it.
+        number = None if self._in_blocks else _PROGRAM_NUMBER.match(text)
+        self._in_blocks = self._in_blocks or code.strip() not in ("", "%")
+        return super()._run_line(" " * number.end() + text[number.end() :] if number else text)
 
     def _run_block(self, code: str) -> str:
+        bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
+        if bare is not None:
+            raise WordError(
+                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)", bare.start()
+            )
         if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
             self.out.event("G5.1")
             return ""
