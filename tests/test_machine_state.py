@@ -304,3 +304,44 @@ def test_the_feed_stands_before_a_comment(control, tmp_path):
     for name in files.names:
         for line in (files.folder / name).read_text().split("\n"):
             assert "F600" not in line.partition(";")[2]
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_of_a_program_that_leads_kilometres_away_nothing_else_is_judged(control, tmp_path):
+    """To sample and simulate its path would take hours and all memory."""
+    text = ProgramText(control, tmp_path / "p")
+    # One of a hatch: behind it there is no arc, which would not fit.
+    name, line = text.in_bead(nth=0)
+    line = text.find(name, "; TURN", begin=line)
+    place = text.edit(name, r"G1 X(-?\d+)\.(\d+)", r"G1 X\1\2", begin=line - 1)
+    found = text.failed_by_text()
+    assert set(found) == {"travel"}
+    assert near(found["travel"].where, place, 0)
+    assert "nothing else is judged" in found["travel"].text
+
+
+NUMBERS = {SINUMERIK: ("H3=", "F"), LINUXCNC: ("M68 E2 Q", "F"), PLAIN: ("M42 P1 S", "F")}
+
+
+@pytest.mark.parametrize("digits", ["9" * 400, "999999999", "0." + "0" * 20 + "1"])
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_number_that_no_control_takes_is_told_in_one_line(control, which, digits, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    name, begin = text.layer(2)
+    address = NUMBERS[control][which]
+    place = text.edit(name, rf"{address}[\d.]+", f"{address}{digits}", begin=begin)
+    found = text.failed_by_text()
+    assert found
+    assert all("\n" not in check.text for check in found.values())
+    if float(digits) > 1.0:
+        assert near(found["readable"].where, place, 1)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_place_that_no_control_takes_is_refused_where_it_stands(control, tmp_path):
+    for axis in "XYZ":
+        text = ProgramText(control, tmp_path / "p")
+        name, begin = text.layer(2)
+        place = text.edit(name, rf"G0(.*){axis}[-\d.]+", rf"G0\g<1>{axis}-{'9' * 400}", begin=begin)
+        assert near(text.failed_by_text()["readable"].where, place, 0)

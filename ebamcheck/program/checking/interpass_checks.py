@@ -122,7 +122,7 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
     allowed_k = ROOM * (entry_limit_k(config) - config.process.ambient_temperature_k)
     # What lies below does not get hotter with the layer's own power: all of it counts as if it did.
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         could_have_more = hottest_k * (shares + PERCENT) / shares < allowed_k
     return np.where(could_have_more, 1.0, shares)
 
