@@ -166,9 +166,9 @@ def test_a_beam_that_stands_is_found(control, tmp_path):
 
 
 ENTRY = {
-    SINUMERIK: ("G17 G710 G90 G94", "G40 D0", "TRANS", "G54", "SOFT FFWON G642", "H2=120"),
+    SINUMERIK: ("G17 G710 G90 G94", "G40 D0", "TRAFOOF", "TRANS", "G54", "SOFT FFWON G642", "H2=120"),
     LINUXCNC: ("G40 G49 G80", "G54", "G64 P0.05", "G92.1", "M68 E1 Q120"),
-    PLAIN: ("G54",),
+    PLAIN: ("G40 G49 G80", "G92.1", "G54"),
 }
 
 
@@ -281,7 +281,7 @@ def test_the_tool_is_parked_within_the_travel_and_over_clamps(tmp_path):
     machine = {"park_mm": (-2000.0, 50.0)}
     text = ProgramText(SINUMERIK, tmp_path / "p", machine, {"keep_out": (clamp,)})
     found = read_program(text.files.main, text.config)
-    assert found.end[-1].tolist() == [-1000.0, 50.0, 80.0]
+    assert found.end[-1].tolist() == [-1000.0, 50.0, 85.0]
     assert "safe end" not in text.failed()
 
 
@@ -345,3 +345,13 @@ def test_a_place_that_no_control_takes_is_refused_where_it_stands(control, tmp_p
         name, begin = text.layer(2)
         place = text.edit(name, rf"G0(.*){axis}[-\d.]+", rf"G0\g<1>{axis}-{'9' * 400}", begin=begin)
         assert near(text.failed_by_text()["readable"].where, place, 0)
+
+
+def test_a_work_offset_that_goes_with_a_transformation_is_to_be_chosen_again(tmp_path):
+    text = ProgramText(SINUMERIK, tmp_path / "p")
+    name, begin = text.layer(2)
+    off, offset = (text.find(name, word, begin=begin) for word in ("TRAFOOF", "G54"))
+    place = text.swap(name, off, offset)
+    found = text.failed_by_text()["modes"]
+    assert near(found.where, place)
+    assert "TRAFOOF takes G54 back" in found.text

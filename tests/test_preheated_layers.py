@@ -100,7 +100,7 @@ def test_a_published_layer_verifies_from_its_text(made, tmp_path):
 
 
 def wire_on(text):
-    text.edit(SUB, "M60 ; beam on", "M60 ; beam on\nN151 H3=33 ; wire speed, mm/s\nN152 M62 ; wire on")
+    text.edit(SUB, "M60 ; beam on", "M60 ; beam on\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on")
 
 
 def into_focus(text):

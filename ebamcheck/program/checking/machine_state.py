@@ -23,6 +23,9 @@ from ebamcheck.settings.config import Config
 FLOW = "program flow"
 """Group whose words have checks of their own: ends of programs, stops."""
 
+TRANSFORMATION_OFF = "TRAFOOF"
+"""Word of a SINUMERIK."""
+
 FEWEST_ENTRIES = 3
 """First blocks of a program and of two layers: of fewer there is none that the others could be held against."""
 
@@ -40,6 +43,7 @@ Faults = list[tuple[str, str]]
 def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check modes and smoothing at every motion, start state, order of events, and safe end."""
     modes, paths = _broken_groups(nc, config)
+    modes += _offset_lost(nc, config)
     modes += _uneven_entries(nc, list(wanted_words(nc.dialect, config.machine).values()))
     return [
         _modes(nc, config, modes),
@@ -81,6 +85,20 @@ def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
         state[group.name] = name
         places.setdefault(group.name, event_place(nc, i))
     return faults[False], faults[True]
+
+
+def _offset_lost(nc: NCProgram, config: Config) -> Faults:
+    """Motions whose work offset went with a transformation that was switched off, and was not chosen again behind it.
+
+    Source: Siemens, Job Planning, constraints when selecting a transformation: the control deselects the frame in force.
+    """
+    offset, lost, faults = wanted_words(nc.dialect, config.machine).get("work offset"), -1, []
+    for i, name in enumerate([*nc.events.name, ""]):
+        moved = lost >= 0 and (nc.events.row[i] if name else len(nc)) > nc.events.row[lost]
+        if moved:
+            faults.append((event_place(nc, lost), f"TRAFOOF takes {offset} back, which no block behind it chooses again"))
+        lost = i if name == TRANSFORMATION_OFF else -1 if moved or name == offset else lost
+    return faults
 
 
 def _missing(

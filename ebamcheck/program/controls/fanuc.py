@@ -59,15 +59,18 @@ GROUPS = (
 
 SCALES_OFF = "G50 G69"
 LOOK_AHEAD_OFF = "G5.1 Q0"
+SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
+"""Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system)."""
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
 _FEED = re.compile(r" F(\d+)(?![\d.])")
+_SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
 _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
 """An address that may have a decimal point, with a number that has none."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G64", "G5.1"
+    return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G92.1", "G64", "G5.1"
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
@@ -114,7 +117,7 @@ def write_program(
     """
     machine = config.machine
     form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
-    modes = ["G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, "G64", LOOK_AHEAD_OFF]
+    modes = ["G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, SHIFTS_OFF, "G64", LOOK_AHEAD_OFF]
     lines = one_file(curves, plan, config, CONTROL, form, modes, validated, header or {})
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
@@ -171,5 +174,8 @@ class FanucReader(GcodeReader):
             )
         if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
             self.out.event("G5.1")
+            return ""
+        if _SHIFTS_OFF.fullmatch(code):
+            self.out.event("G92.1")
             return ""
         return super()._run_block(code)

@@ -22,8 +22,8 @@ _WORD = re.compile(
 G_CODES = frozenset(
     {
         "G0", "G1", "G2", "G3", "POLY", "BSPLINE",
-        "G17", "G71", "G710", "G90", "G94", "G40", "D0", "TRANS", "G54", "G55", "G56", "G57",
-        "SOFT", "BRISK", "FFWON", "FFWOF", "G60", "G64", "G641", "G642", "G643", "G644", "G645", "M1",
+        "G17", "G71", "G710", "G90", "G94", "G40", "D0", "TRAFOOF", "TRANS", "G54", "G55", "G56", "G57",
+        "COMPOF", "RTLION", "SOFT", "BRISK", "FFWON", "FFWOF", "G60", "G64", "G641", "G642", "G643", "G644", "G645", "M1",
     }
 )  # fmt: skip
 """Words that are read. Those that would bend the path (G18, G70, G91, G95 and others) are refused: a program has none."""
