@@ -2,7 +2,8 @@
 
 A number without a decimal point may be read in thousandths (parameter 3401; 1403 of a feed), so places, values of beam and wire,
 feeds and waits carry one, and a program in which one does not is refused. Beam and wire values are arguments of G codes that call
-custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Source: Fanuc 30i operator's manual
+custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Each axis of a rapid goes at its own speed
+(non-linear positioning, parameter 1401, as a control is delivered), so that its way is a dog-leg. Source: Fanuc 30i operator's manual
 B-64484EN, preparatory functions, decimal point programming and custom macros.
 """
 
@@ -95,6 +96,7 @@ CONTROL = Control(
     form_lines=form_lines,
     splines="arcs",
     parentheses=True,
+    rapids_apart=True,
 )
 
 
