@@ -71,7 +71,18 @@ def test_a_fanuc_program_has_its_number_parentheses_and_decimal_points(program):
 
 
 @pytest.mark.parametrize(
-    "text", ["G1 X5. Y5. ; G0 Z-5.", "G5.1 Q1", "G68 X0. Y0. R5.", "G51 X2.", "M98 P100", "#1=5"]
+    "text",
+    [
+        "G1 X5. Y5. ; G0 Z-5.",
+        "G5.1 Q1",
+        "G1.0 X5. Y5.",
+        "G92.1 X1.0 Y0 Z0",
+        "G92.1 X0",
+        "G68 X0. Y0. R5.",
+        "G51 X2.",
+        "M98 P100",
+        "#1=5",
+    ],
 )
 def test_what_would_change_a_fanuc_unseen_is_refused(program, text):
     files, config = program

@@ -355,3 +355,18 @@ def test_a_work_offset_that_goes_with_a_transformation_is_to_be_chosen_again(tmp
     found = text.failed_by_text()["modes"]
     assert near(found.where, place)
     assert "TRAFOOF takes G54 back" in found.text
+
+
+def test_a_value_of_linuxcnc_that_stops_the_tool_along_a_bead_is_found(tmp_path):
+    """M68 sets at once, and breaks blending: the tool stands under the beam. M67 comes with the motion behind it."""
+    text = ProgramText(LINUXCNC, tmp_path / "p")
+    name, line = text.in_bead()
+    for code in ("M68 E2 Q33.5", "M68 E1 Q120", "M68 E0 Q60"):
+        text = ProgramText(LINUXCNC, tmp_path / code)
+        place = text.insert(name, line, code)
+        found = text.failed_by_text()["order of events"]
+        assert near(found.where, place, 0)
+        assert "the tool stands for it under the beam" in found.text
+    text = ProgramText(LINUXCNC, tmp_path / "q")
+    text.insert(name, line, "M67 E1 Q120")
+    assert "order of events" not in text.failed_by_text()

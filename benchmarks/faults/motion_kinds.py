@@ -237,7 +237,8 @@ def point_lost(ground: Ground) -> list[Place]:
     """Take the decimal point out of a place, so that the way leads kilometres away."""
     text = ground.text
     bead = ground.bead({"contour": True, "hatch": False}.get(ground.variant))
-    i = ground.pick(bead.motions if ground.variant != "rapid" else (bead.travel,))
+    ways = [i for i in range(max(bead.travel, 0), bead.on) if text.code(bead.file, i).startswith("G0 X")]
+    i = ground.pick(ways if ground.variant == "rapid" else bead.motions)
     code = text.code(bead.file, i)
     found = re.search(r"(?<=[XY])-?\d+\.\d{3,}", code)
     if found is None:

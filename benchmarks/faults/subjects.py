@@ -116,9 +116,7 @@ ROUND = Subject(
     "round", prism("round", "the circle about the twelve sides", circle(0, 0, RADIUS_MM), TALL_MM)
 )
 
-RETRACTING = replace(
-    SUBJECTS["cube"], name="cube-retracting", settings={"process": {"wire_retract_mm": 5.0}}
-)
+RETRACTING = replace(SUBJECTS["cube"], name="cube-retracting", settings={"process": {"wire_retract_mm": 5.0}})
 """The cube, whose wire is drawn back after every bead."""
 
 EVERY = {**SUBJECTS, TWELVE.name: TWELVE, ROUND.name: ROUND, RETRACTING.name: RETRACTING}

@@ -31,6 +31,9 @@ FEWEST_ENTRIES = 3
 
 WAITS = ("layer_pause_s", DWELL)
 
+NOT_ALONG = "not along a bead "
+"""Begin of an event, behind which the block stands."""
+
 PLACE_MM = 1e-3
 """Places nearer than this are one: three decimals are the fewest of a program."""
 
@@ -96,7 +99,12 @@ def _offset_lost(nc: NCProgram, config: Config) -> Faults:
     for i, name in enumerate([*nc.events.name, ""]):
         moved = lost >= 0 and (nc.events.row[i] if name else len(nc)) > nc.events.row[lost]
         if moved:
-            faults.append((event_place(nc, lost), f"TRAFOOF takes {offset} back, which no block behind it chooses again"))
+            faults.append(
+                (
+                    event_place(nc, lost),
+                    f"TRAFOOF takes {offset} back, which no block behind it chooses again",
+                )
+            )
         lost = i if name == TRANSFORMATION_OFF else -1 if moved or name == offset else lost
     return faults
 
@@ -312,6 +320,9 @@ def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
             what = "the wire is drawn back while it runs" if wire else ""
         elif name.startswith("lacks "):
             what = f"its template asks for {name.removeprefix('lacks ')!r} before this block"
+        elif name.startswith(NOT_ALONG):
+            block = name.removeprefix(NOT_ALONG)
+            what = f"{block!r} sets a value at once, and the tool stands for it under the beam: along a bead the profile has another block"
         elif name == "M1":
             stop = (
                 ""

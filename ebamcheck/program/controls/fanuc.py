@@ -65,13 +65,28 @@ SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
 _FEED = re.compile(r" F(\d+)(?![\d.])")
 _SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
+_POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
 _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
 """An address that may have a decimal point, with a number that has none."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G92.1", "G64", "G5.1"
+    return (
+        "G17",
+        "G21",
+        "G90",
+        "G94",
+        "G40",
+        "G49",
+        "G80",
+        "G50",
+        "G69",
+        machine.work_offset,
+        "G92.1",
+        "G64",
+        "G5.1",
+    )
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
@@ -119,7 +134,15 @@ def write_program(
     """
     machine = config.machine
     form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
-    modes = ["G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, SHIFTS_OFF, "G64", LOOK_AHEAD_OFF]
+    modes = [
+        "G17 G21 G90 G94",
+        "G40 G49 G80",
+        SCALES_OFF,
+        machine.work_offset,
+        SHIFTS_OFF,
+        "G64",
+        LOOK_AHEAD_OFF,
+    ]
     lines = one_file(curves, plan, config, CONTROL, form, modes, validated, header or {})
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
@@ -172,8 +195,12 @@ class FanucReader(GcodeReader):
         bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
         if bare is not None:
             raise WordError(
-                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)", bare.start()
+                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)",
+                bare.start(),
             )
+        pointed = _POINTED_CODE.search(code)
+        if pointed is not None:
+            raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())
         if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
             self.out.event("G5.1")
             return ""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.language.codes import DWELL, SWITCHES
+from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.program.reading.motions import ARC, RAPID, Events, NCProgram, SourceFile
 from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
@@ -116,6 +116,9 @@ class Recorder:
                 else:
                     self._wire = name == "wire_start"
             elif name != DWELL:
+                runs = (name in BEAM_VALUES and self._beam) or (name == "wire_mm_s" and self._wire)
+                if runs and not change.running:
+                    self.event(f"not along a bead {change.block}")
                 self._set[name] = value
             self.event(name, value)
 

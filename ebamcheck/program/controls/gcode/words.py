@@ -15,7 +15,8 @@ from ebamcheck.program.language.words import (
 
 _WORD = re.compile(rf"\s*(?:(?P<letter>[A-Z])\s*(?P<number>{NUMBER})|(?P<bad>\S.*))")
 _RUN = re.compile(
-    r"\s*(?:PY(?:RUN)?|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PYRELOAD|\s*PROBEOPEN|\s*PROBECLOSE|\s*LOGCLOSE", re.IGNORECASE
+    r"\s*(?:PY(?:RUN)?|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PYRELOAD|\s*PROBEOPEN|\s*PROBECLOSE|\s*LOGCLOSE",
+    re.IGNORECASE,
 )
 """Comments that LinuxCNC runs, beside those that only show something (interp_convert.cc, ``convert_comment``)."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
