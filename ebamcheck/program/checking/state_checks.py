@@ -141,7 +141,7 @@ def _over(nc: NCProgram, config: Config) -> Floats:
     low, high = extremes(nc)
     machine = config.machine
     over = np.fmax(np.array(machine.travel_min_mm) - low, high - np.array(machine.travel_max_mm))
-    return np.nan_to_num(over, nan=-np.inf, posinf=np.inf)
+    return np.asarray(np.nan_to_num(over, nan=-np.inf, posinf=np.inf), np.float64)
 
 
 def _travel(nc: NCProgram, config: Config) -> Check:
