@@ -140,7 +140,13 @@ def after_beads(text):
     lines[-2:-2] = scan
 
 
+def another_offset(text):
+    """It holds for the beads behind the scan, too."""
+    text.edit(SUB, "M60 ; beam on", "G55\nN171 M60 ; beam on")
+
+
 FAULTS = {
+    "another work offset": (another_offset, "preheat state"),
     "the wire runs while it preheats": (wire_on, "preheat state"),
     "half out of focus": (into_focus, "preheat state"),
     "beads in the place of a scan": (never_out_of_focus, "wire"),

@@ -245,4 +245,5 @@ def point_lost(ground: Ground) -> list[Place]:
         raise NotHereError
     text.set(bead.file, i, f"{code[: found.start()]}{found[0].replace('.', '')}{code[found.end() :]}")
     ground.what = f"{found[0]} lost its point"
-    return ground.line(bead.file, i, i + 2)
+    # An arc behind it has no circle any more, and is refused before the place is judged.
+    return ground.line(bead.file, i, max(bead.first, i + 1) + 1)

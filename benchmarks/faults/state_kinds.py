@@ -6,6 +6,7 @@ import re
 
 from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
 from benchmarks.faults.program_text import ProgramText
+from benchmarks.faults.subjects import PREHEATED
 
 MODES = r"G17 .*|G5[4-7]|G64.*|CTOL=.*|G40.*|TRANS"
 
@@ -79,6 +80,20 @@ ALONG_A_BEAD = {
 def along_a_bead(ground: Ground) -> list[Place]:
     """Change a mode with the beam on."""
     return _insert_in_bead(ground, ground.variant)
+
+
+IN_A_SCAN = {SINUMERIK: ("G55", "G641 ADIS=5", "BRISK", "CTOL=0.5", "TRAFOOF", "M1")}
+
+
+@kind("mode while it preheats", "state", IN_A_SCAN, subjects=(PREHEATED.name,))
+def while_it_preheats(ground: Ground) -> list[Place]:
+    """Change a mode in the subprogram that preheats."""
+    text = ground.text
+    scan = next(file for file in text.files if "_P0" in file)
+    i = ground.pick(text.find(ground.text.codes.beam_on, scan))
+    text.insert(scan, i, ground.variant)
+    ground.what = f"{ground.variant} while it preheats"
+    return ground.line(scan, i)
 
 
 AT_THE_START = {

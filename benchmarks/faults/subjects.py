@@ -119,5 +119,15 @@ ROUND = Subject(
 RETRACTING = replace(SUBJECTS["cube"], name="cube-retracting", settings={"process": {"wire_retract_mm": 5.0}})
 """The cube, whose wire is drawn back after every bead."""
 
-EVERY = {**SUBJECTS, TWELVE.name: TWELVE, ROUND.name: ROUND, RETRACTING.name: RETRACTING}
+PREHEATED = replace(
+    SUBJECTS["cube"],
+    name="cube-preheated",
+    settings={
+        "machine": {"set_focus": ("H5={defocus} ; focus",)},
+        "preheat": {"when": "plate", "defocus": 20.0},
+    },
+)
+"""The cube on a plate that is preheated, which takes a control with subprograms."""
+
+EVERY = {**SUBJECTS, **{s.name: s for s in (TWELVE, ROUND, RETRACTING, PREHEATED)}}
 """All parts; those of :data:`SUBJECTS` serve for every kind of fault."""

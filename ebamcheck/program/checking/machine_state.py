@@ -31,6 +31,8 @@ FEWEST_ENTRIES = 3
 
 WAITS = ("layer_pause_s", DWELL)
 
+STOPS = ("M0", "M1")
+
 NOT_ALONG = "not along a bead "
 """Begin of an event, behind which the block stands."""
 
@@ -107,6 +109,25 @@ def _offset_lost(nc: NCProgram, config: Config) -> Faults:
             )
         lost = i if name == TRANSFORMATION_OFF else -1 if moved or name == offset else lost
     return faults
+
+
+def modes_of_scans(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
+    """Words in preheating scans that are other than those that hold at every motion of the program, and stops.
+
+    A scan may leave a word out, since the program around it has set it. In another work offset it would heat beside the part, and so
+    would be what comes after it.
+    """
+    wanted, limit = wanted_words(scans.dialect, config.machine), config.machine.smoothing_tolerance_mm
+    yield from _offset_lost(scans, config)
+    for i, name in enumerate(scans.events.name):
+        group = group_of(scans.dialect, name)
+        if name in STOPS:
+            yield event_place(scans, i), f"{name} stops while it preheats"
+        elif name in ("CTOL", "ADIS") and not abs(scans.events.value[i] - limit) <= PRINTED_SHARE * limit:
+            yield event_place(scans, i), f"{name} {scans.events.value[i]:g} mm in place of {limit:g} mm"
+        elif group is not None and group.name != FLOW and wanted.get(group.name) != name:
+            held = wanted.get(group.name, "as the control has it")
+            yield event_place(scans, i), f"{name}: {group.name} is to be {held} at every motion"
 
 
 def _missing(
