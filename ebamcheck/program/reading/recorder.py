@@ -252,7 +252,8 @@ class Recorder:
         """
         feeds = states[2]
         bad_feed = (feeds > LARGEST) | ((feeds > 0.0) & (feeds < LEAST_FEED))
-        of_motion = np.asarray((np.abs(rows[3:]) > LARGEST).any(axis=0), np.bool_)
+        # The centre of an arc that is nearly straight may lie farther away.
+        of_motion = np.asarray((np.abs(rows[3:11]) > LARGEST).any(axis=0), np.bool_)
         wrong = np.flatnonzero(of_motion | bad_feed[rows[1].astype(np.int64)])
         if wrong.size:
             row = rows[:, wrong[0]]
