@@ -140,13 +140,17 @@ def after_beads(text):
     lines[-2:-2] = scan
 
 
-def another_offset(text):
-    """It holds for the beads behind the scan, too."""
-    text.edit(SUB, "M60 ; beam on", "G55\nN171 M60 ; beam on")
+def said(word):
+    """A word before a way under the beam; it holds for the beads behind the scan, too."""
+    return lambda text: text.edit(SUB, "M60 ; beam on", f"{word}\nN171 M60 ; beam on")
 
 
 FAULTS = {
-    "another work offset": (another_offset, "preheat state"),
+    "another work offset": (said("G55"), "preheat state"),
+    "another acceleration": (said("BRISK"), "preheat state"),
+    "a wide tolerance": (said("CTOL=5"), "preheat state"),
+    "a stop": (said("M1"), "preheat state"),
+    "a transformation switched off, and the offset with it": (said("TRAFOOF"), "preheat state"),
     "the wire runs while it preheats": (wire_on, "preheat state"),
     "half out of focus": (into_focus, "preheat state"),
     "beads in the place of a scan": (never_out_of_focus, "wire"),

@@ -280,17 +280,7 @@ def wire_in_a_comment_free_scan(text):
     text.edit(SCAN, "M63 ; wire off", "M62 ; wire off")
 
 
-def said(word):
-    """A word before a way under the beam."""
-    return lambda text: text.edit(SCAN, "M60 ; beam on", f"{word}\nN171 M60 ; beam on")
-
-
 FAULTS = {
-    "another work offset": (said("G55"), "preheat state"),
-    "another acceleration": (said("BRISK"), "preheat state"),
-    "a wide tolerance": (said("CTOL=5"), "preheat state"),
-    "a stop": (said("M1"), "preheat state"),
-    "a transformation switched off, and the offset with it": (said("TRAFOOF"), "preheat state"),
     "the wire runs while it preheats": (wire_on, "preheat state"),
     "the power of melting": (power_of_melting, "preheat state"),
     "twice the voltage": (voltage_up, "preheat state"),
