@@ -219,6 +219,8 @@ def changed(files, config, old, new, name="MAIN_L0002.SPF", count=1):
         ("H2=57", "H2=120", "power"),
         ("H4=1.5 ; wire drawn back, mm", "H4=1 ; wire drawn back, mm", "wire retract"),
         ("H4=1.5 ; wire drawn back, mm\n", "H2=120\n", "wire retract"),
+        ("H4=1.5 ; wire drawn back, mm\n", "H4=1.5\nH4=1.5\n", "wire retract"),
+        ("G0 X", "H4=1.5\nG0 X", "wire retract"),
     ],
 )
 def test_a_fault_at_the_end_of_a_bead_is_found(tmp_path, old, new, name):

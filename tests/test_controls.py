@@ -66,12 +66,23 @@ def test_a_fanuc_program_has_its_number_parentheses_and_decimal_points(program):
     assert not any(";" in line for line in lines)
     for line in lines:
         code = re.sub(r"\([^)]*\)", "", line)
-        values = re.findall(r"[XYZIJRA](-?[\d.]+)", code)
+        values = re.findall(r"[XYZIJRAF](-?[\d.]+)", code)
         assert all("." in value for value in values), line
 
 
 @pytest.mark.parametrize(
-    "text", ["G1 X5. Y5. ; G0 Z-5.", "G5.1 Q1", "G68 X0. Y0. R5.", "G51 X2.", "M98 P100", "#1=5"]
+    "text",
+    [
+        "G1 X5. Y5. ; G0 Z-5.",
+        "G5.1 Q1",
+        "G1.0 X5. Y5.",
+        "G92.1 X1.0 Y0 Z0",
+        "G92.1 X0",
+        "G68 X0. Y0. R5.",
+        "G51 X2.",
+        "M98 P100",
+        "#1=5",
+    ],
 )
 def test_what_would_change_a_fanuc_unseen_is_refused(program, text):
     files, config = program
@@ -79,6 +90,34 @@ def test_what_would_change_a_fanuc_unseen_is_refused(program, text):
     at = next(i for i, line in enumerate(lines) if line.startswith("G1 X"))
     files.main.write_text("\n".join([*lines[:at], text, *lines[at:]]) + "\n")
     with pytest.raises(InputError, match=rf":{at + 1}:"):
+        read_program(files.main, config)
+
+
+@pytest.mark.parametrize("address", list("XYZFA"))
+def test_a_number_that_lost_its_point_is_refused(program, address):
+    """It may be thousandths on the control, and the reader would take it for millimetres."""
+    files, config = program
+    text = files.main.read_text()
+    pointed = next(m for m in re.finditer(rf" {address}(-?[1-9]\d*)\.\d+", text) if float(m[1]))
+    files.main.write_text(text[: pointed.start()] + f" {address}{pointed[1]}" + text[pointed.end() :])
+    with pytest.raises(InputError, match=f"{address}{pointed[1]} has no decimal point"):
+        read_program(files.main, config)
+
+
+def test_a_fanuc_number_of_a_program_behind_blocks_is_refused(program):
+    """What stands before it would be a program of its own, without an end."""
+    files, config = program
+    lines = files.main.read_text().splitlines()
+    at = next(i for i, line in enumerate(lines) if line.startswith("G1 X"))
+    files.main.write_text("\n".join([lines[0], *lines[2:at], lines[1], *lines[at:]]) + "\n")
+    with pytest.raises(InputError, match=rf":{at}:1: unknown word 'O0042'"):
+        read_program(files.main, config)
+
+
+def test_small_letters_of_a_fanuc_program_are_refused(program):
+    files, config = program
+    files.main.write_text(files.main.read_text().replace("G1 X", "g1 X", 1))
+    with pytest.raises(InputError, match="'g': this control takes capitals alone"):
         read_program(files.main, config)
 
 

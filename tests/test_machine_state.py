@@ -27,7 +27,7 @@ IN_A_BEAD = {
     LINUXCNC: (
         "G55", "G59.3", "G10 L2 P1 X5", "G92 X5", "G52 X5", "G18", "G20", "G91", "G90.1", "G93", "G95", "G61", "G61.1",
         "G64", "G64 P0.5", "G41 D1", "G43 H1", "G81", "M0", "M1", "M50 P0", "M3 S100", "M8", "T1 M6", "O100 CALL", "%",
-        "G4 P2", "G28", "M60", "(py, x)", ";py, x", "G64 P0.001",
+        "G4 P2", "G28", "M60", "(py, x)", ";py, x", "( PyRun, x)", ";pyreload", "G64 P0.001",
     ),
     PLAIN: (
         "G55", "G92 X5", "G18", "G20", "G91", "G93", "G95", "G41", "G43", "M0", "M1", "M220 S50", "T1", "%", "G28",
@@ -166,9 +166,9 @@ def test_a_beam_that_stands_is_found(control, tmp_path):
 
 
 ENTRY = {
-    SINUMERIK: ("G17 G710 G90 G94", "G40 D0", "TRANS", "G54", "SOFT FFWON G642", "H2=120"),
+    SINUMERIK: ("G17 G710 G90 G94", "G40 D0", "TRAFOOF", "TRANS", "G54", "SOFT FFWON G642", "H2=120"),
     LINUXCNC: ("G40 G49 G80", "G54", "G64 P0.05", "G92.1", "M68 E1 Q120"),
-    PLAIN: ("G54",),
+    PLAIN: ("G40 G49 G80", "G92.1", "G54"),
 }
 
 
@@ -281,7 +281,7 @@ def test_the_tool_is_parked_within_the_travel_and_over_clamps(tmp_path):
     machine = {"park_mm": (-2000.0, 50.0)}
     text = ProgramText(SINUMERIK, tmp_path / "p", machine, {"keep_out": (clamp,)})
     found = read_program(text.files.main, text.config)
-    assert found.end[-1].tolist() == [-1000.0, 50.0, 80.0]
+    assert found.end[-1].tolist() == [-1000.0, 50.0, 85.0]
     assert "safe end" not in text.failed()
 
 
@@ -304,3 +304,69 @@ def test_the_feed_stands_before_a_comment(control, tmp_path):
     for name in files.names:
         for line in (files.folder / name).read_text().split("\n"):
             assert "F600" not in line.partition(";")[2]
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_of_a_program_that_leads_kilometres_away_nothing_else_is_judged(control, tmp_path):
+    """To sample and simulate its path would take hours and all memory."""
+    text = ProgramText(control, tmp_path / "p")
+    # One of a hatch: behind it there is no arc, which would not fit.
+    name, line = text.in_bead(nth=0)
+    line = text.find(name, "; TURN", begin=line)
+    place = text.edit(name, r"G1 X(-?\d+)\.(\d+)", r"G1 X\1\2", begin=line - 1)
+    found = text.failed_by_text()
+    assert set(found) == {"travel"}
+    assert near(found["travel"].where, place, 0)
+    assert "nothing else is judged" in found["travel"].text
+
+
+NUMBERS = {SINUMERIK: ("H3=", "F"), LINUXCNC: ("M68 E2 Q", "F"), PLAIN: ("M42 P1 S", "F")}
+
+
+@pytest.mark.parametrize("digits", ["9" * 400, "999999999", "0." + "0" * 20 + "1"])
+@pytest.mark.parametrize("which", [0, 1])
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_number_that_no_control_takes_is_told_in_one_line(control, which, digits, tmp_path):
+    text = ProgramText(control, tmp_path / "p")
+    name, begin = text.layer(2)
+    address = NUMBERS[control][which]
+    place = text.edit(name, rf"{address}[\d.]+", f"{address}{digits}", begin=begin)
+    found = text.failed_by_text()
+    assert found
+    assert all("\n" not in check.text for check in found.values())
+    if float(digits) > 1.0:
+        assert near(found["readable"].where, place, 1)
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_a_place_that_no_control_takes_is_refused_where_it_stands(control, tmp_path):
+    for axis in "XYZ":
+        text = ProgramText(control, tmp_path / "p")
+        name, begin = text.layer(2)
+        place = text.edit(name, rf"G0(.*){axis}[-\d.]+", rf"G0\g<1>{axis}-{'9' * 400}", begin=begin)
+        assert near(text.failed_by_text()["readable"].where, place, 0)
+
+
+def test_a_work_offset_that_goes_with_a_transformation_is_to_be_chosen_again(tmp_path):
+    text = ProgramText(SINUMERIK, tmp_path / "p")
+    name, begin = text.layer(2)
+    off, offset = (text.find(name, word, begin=begin) for word in ("TRAFOOF", "G54"))
+    place = text.swap(name, off, offset)
+    found = text.failed_by_text()["modes"]
+    assert near(found.where, place)
+    assert "TRAFOOF takes G54 back" in found.text
+
+
+def test_a_value_of_linuxcnc_that_stops_the_tool_along_a_bead_is_found(tmp_path):
+    """M68 sets at once, and breaks blending: the tool stands under the beam. M67 comes with the motion behind it."""
+    text = ProgramText(LINUXCNC, tmp_path / "p")
+    name, line = text.in_bead()
+    for code in ("M68 E2 Q33.5", "M68 E1 Q120", "M68 E0 Q60"):
+        text = ProgramText(LINUXCNC, tmp_path / code)
+        place = text.insert(name, line, code)
+        found = text.failed_by_text()["order of events"]
+        assert near(found.where, place, 0)
+        assert "the tool stands for it under the beam" in found.text
+    text = ProgramText(LINUXCNC, tmp_path / "q")
+    text.insert(name, line, "M67 E1 Q120")
+    assert "order of events" not in text.failed_by_text()

@@ -184,6 +184,8 @@ def test_spelling_of_words_does_not_matter(tmp_path):
         ("M3 S100", 1, "unknown word 'M3'"),
         ("GOTOF END_OF", 1, "unknown word 'GOTOF'"),
         ("R1=5", 1, "unknown word 'R1=5'"),
+        ("TRANS G54", 1, "TRANS with other words"),
+        ("TRAFOOF G54", 1, "TRAFOOF with other words"),
         ("MAIN_L0009", 1, "unknown word 'MAIN_L0009'"),
         ("G1 X1 X2", 6, "X stands twice"),
         ("G1 X1 Y", 7, "unknown word 'Y'"),

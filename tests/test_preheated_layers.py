@@ -100,7 +100,7 @@ def test_a_published_layer_verifies_from_its_text(made, tmp_path):
 
 
 def wire_on(text):
-    text.edit(SUB, "M60 ; beam on", "M60 ; beam on\nN151 H3=33 ; wire speed, mm/s\nN152 M62 ; wire on")
+    text.edit(SUB, "M60 ; beam on", "M60 ; beam on\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on")
 
 
 def into_focus(text):
@@ -140,7 +140,17 @@ def after_beads(text):
     lines[-2:-2] = scan
 
 
+def said(word):
+    """A word before a way under the beam; it holds for the beads behind the scan, too."""
+    return lambda text: text.edit(SUB, "M60 ; beam on", f"{word}\nN171 M60 ; beam on")
+
+
 FAULTS = {
+    "another work offset": (said("G55"), "preheat state"),
+    "another acceleration": (said("BRISK"), "preheat state"),
+    "a wide tolerance": (said("CTOL=5"), "preheat state"),
+    "a stop": (said("M1"), "preheat state"),
+    "a transformation switched off, and the offset with it": (said("TRAFOOF"), "preheat state"),
     "the wire runs while it preheats": (wire_on, "preheat state"),
     "half out of focus": (into_focus, "preheat state"),
     "beads in the place of a scan": (never_out_of_focus, "wire"),

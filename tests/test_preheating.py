@@ -184,8 +184,8 @@ def test_the_report_shows_it(place):
 
 
 def wire_on(text):
-    text.edit(SCAN, "M60 ; beam on", "M60 ; beam on\nN151 H3=33 ; wire speed, mm/s\nN152 M62 ; wire on")
-    text.edit(SCAN, "M61 ; beam off", "M63 ; wire off\nN251 M61 ; beam off", 1)
+    text.edit(SCAN, "M60 ; beam on", "M60 ; beam on\nN171 H3=33 ; wire speed, mm/s\nN172 M62 ; wire on")
+    text.edit(SCAN, "M61 ; beam off", "M63 ; wire off\nN271 M61 ; beam off", 1)
 
 
 def power_of_melting(text):
@@ -209,7 +209,7 @@ def focus_not_taken_back(text):
 
 
 def focus_lost_before_a_bead(text):
-    text.edit("MAIN_L0002.SPF", r"M60 ; beam on", "H5=20 ; focus\nN131 M60 ; beam on")
+    text.edit("MAIN_L0002.SPF", r"M60 ; beam on", "H5=20 ; focus\nN151 M60 ; beam on")
 
 
 def beside_the_plate(text):
@@ -244,12 +244,12 @@ def never_called(text):
 
 
 def called_twice(text):
-    text.edit(MAIN, "MAIN_P0001", "MAIN_P0001\nN111 MAIN_P0001")
+    text.edit(MAIN, "MAIN_P0001", "MAIN_P0001\nN131 MAIN_P0001")
 
 
 def called_late(text):
     text.drop(MAIN, "MAIN_P0001")
-    text.edit(MAIN, "MAIN_L0001", "MAIN_L0001\nN121 MAIN_P0001")
+    text.edit(MAIN, "MAIN_L0001", "MAIN_L0001\nN141 MAIN_P0001")
 
 
 def beam_left_on(text):
@@ -262,7 +262,7 @@ def beam_on_in_a_rapid(text):
 
 
 def stands_under_the_beam(text):
-    text.edit(SCAN, "M61 ; beam off", "G4 F20\nN245 M61 ; beam off", 1)
+    text.edit(SCAN, "M61 ; beam off", "G4 F20\nN265 M61 ; beam off", 1)
 
 
 def soaked_away(text):

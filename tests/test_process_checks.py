@@ -9,7 +9,7 @@ import pytest
 from nc_stack import hatch, make_curves, make_plan
 
 from ebamcheck.layers.stack import from_rings
-from ebamcheck.program import read_program, verify_program, write_program
+from ebamcheck.program import read_program, verify_file, verify_program, write_program
 from ebamcheck.program.checking.process_checks import outside_sectors
 from ebamcheck.settings.config import Config
 
@@ -173,3 +173,45 @@ def test_a_bare_half_fails_the_coverage_with_its_place(tmp_path):
     assert check.value < 0.8
     assert check.where.startswith("MAIN_L0001.SPF:")
     assert "mm2 at (" in check.text
+
+
+# -- rapids whose axes arrive one after the other --------------------------------------------------
+
+
+CORNER = {"name": "corner", "outline_mm": ((70, 0), (100, 0), (100, 30), (70, 30)), "z_mm": (0.0, 80.0)}
+"""28 mm beside the straight way from (0, 0) to (100, 100), and on that of axes that arrive one after the other."""
+
+
+def rapid_checks(tmp_path, control, way, clamp=CORNER):
+    suffix = {"fanuc": "cnc", "linuxcnc": "ngc"}[control]
+    path = tmp_path / f"WAY.{suffix}"
+    path.write_text("\n".join(["G17 G21 G90 G94", "G0 Z90.0", "G0 X0.0 Y0.0", "G0 Z60.0", *way, "M30", ""]))
+    config = Config().changed(machine={"control": control}, process={"keep_out": (clamp,)})
+    return {c.name: c for c in verify_file(path, config=config)}
+
+
+BESIDE = ("keep-out zones", "collision", "clearance")
+
+
+def test_a_rapid_of_a_fanuc_may_lead_anywhere_within_its_box(tmp_path):
+    """Each of its axes goes at its own speed, so that its way is a dog-leg."""
+    there, back = "G0 X100.0 Y100.0", "G0 X0.0 Y0.0"
+    found = rapid_checks(tmp_path, "fanuc", [there, back])
+    for name in BESIDE:
+        assert not found[name].passed, name
+        assert found[name].where in ("WAY.cnc:5", "WAY.cnc:6")
+    assert found["collision"].value == pytest.approx(20.0)
+    assert found["clearance"].value == pytest.approx(25.0)
+    straight = rapid_checks(tmp_path, "linuxcnc", [there, back])
+    assert all(straight[name].passed for name in BESIDE)
+
+
+def test_rapids_of_one_axis_lead_straight_on_a_fanuc(tmp_path):
+    found = rapid_checks(tmp_path, "fanuc", ["G0 Y100.0", "G0 X100.0", "G0 X0.0", "G0 Y0.0"])
+    assert all(found[name].passed for name in BESIDE)
+
+
+def test_a_rapid_of_a_fanuc_over_a_clamp_needs_no_box(tmp_path):
+    low = {**CORNER, "z_mm": (0.0, 55.0)}
+    found = rapid_checks(tmp_path, "fanuc", ["G0 X100.0 Y100.0", "G0 X0.0 Y0.0"], low)
+    assert all(found[name].passed for name in BESIDE)

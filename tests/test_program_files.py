@@ -27,8 +27,10 @@ SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10), (0, 0)], float)
 SQUARE_AND_ISLAND = [
     "G17 G710 G90 G94",
     "G40 D0",
+    "TRAFOOF",
     "TRANS",
     "G54",
+    "COMPOF RTLION",
     "SOFT FFWON G642",
     "CTOL=0.05",
     'MSG("LAYER 1 OF 2")',
@@ -65,8 +67,10 @@ SQUARE_AND_ISLAND = [
 MAIN_OF_TWO_LAYERS = [
     "G17 G710 G90 G94",
     "G40 D0",
+    "TRAFOOF",
     "TRANS",
     "G54",
+    "COMPOF RTLION",
     "SOFT FFWON G642",
     "CTOL=0.05",
     "M63 ; wire off",
@@ -109,7 +113,7 @@ def test_the_text_of_a_square_and_an_island(tmp_path):
     assert numbers == list(range(10, 10 * len(numbers) + 1, 10))
     assert [re.sub(r"^N\d+ ", "", line) for line in lines[4:]] == SQUARE_AND_ISLAND
     empty = (files.folder / "MAIN_L0002.SPF").read_text().splitlines()
-    assert empty[13:] == ["N100 G0 Z23.200", "N110 G0 Z23.200", "N120 M17"]
+    assert empty[15:] == ["N120 G0 Z23.200", "N130 G0 Z23.200", "N140 M17"]
     main = (files.folder / "MAIN.MPF").read_text().splitlines()
     assert main[0] == "%_N_MAIN_MPF"
     assert [line.split(" ", 1)[1] for line in main if line.startswith("N")] == MAIN_OF_TWO_LAYERS
@@ -223,7 +227,7 @@ def test_templates_carry_the_values_of_their_layer(tmp_path):
     config = Config().changed(machine=machine)
     curves, plan = stack(count=2)
     files = write_program(curves, plan, config, tmp_path / "program")
-    assert "N90 H9=2 H8=3.00 ; layer" in (files.folder / "MAIN_L0002.SPF").read_text()
+    assert "N110 H9=2 H8=3.00 ; layer" in (files.folder / "MAIN_L0002.SPF").read_text()
     nc = read_program(files.main, config)
     assert set(nc.power_w[nc.deposit]) == {7200.0}
     assert failed(verify_program(nc, config=config, curves=curves, plan=plan)) == []

@@ -252,6 +252,24 @@ def test_an_axis_that_one_block_of_a_bead_lacks_is_found(made, tmp_path, control
     assert f"names no {axis}" in found.text
 
 
+@pytest.mark.parametrize("control", CONTROLS)
+@pytest.mark.parametrize("axis", ["X", "Y"])
+def test_an_axis_that_a_way_lacks_is_found(made, tmp_path, control, axis):
+    """The bead behind it begins elsewhere, and lays over others what is no more than a share of their layer."""
+    places = []
+
+    def change(texts):
+        name, text = next((n, t) for n, t in reversed(texts.items()) if "G0 X" in t and "G1 X" in t)
+        # Behind the first one the whole place would be unknown.
+        m = list(re.finditer(r"(?:N\d+ )?G0 X\S+ Y\S+", text))[1]
+        places.append(f"{name}:{text.count(chr(10), 0, m.start()) + 1}")
+        return {name: text[: m.start()] + re.sub(rf" {axis}\S+", "", m[0]) + text[m.end() :]}
+
+    found = spoiled(made, tmp_path, control, change)["words of motions"]
+    assert found.where == places[0]
+    assert f"a rapid names no {axis}" in found.text
+
+
 def test_a_way_to_a_bead_that_is_missing_is_found(made, tmp_path):
     change = edited(r"^G0 X.*\n(?=G0 Z.*\n(?:M42|M3|S))", "", nth=2)
     assert (

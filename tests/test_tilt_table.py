@@ -206,8 +206,8 @@ FAULTS = {
     "two axes at once": (lambda t: (t.edit("G0 C1=0.0", "G0 C1=5.0"), t.edit("G0 B90.000000", "G0 B90 C1=5.0")), "table turns"),
     "the tool moves while it turns": (lambda t: t.edit("G0 B90.000000", "G0 B90.000000 X5"), "table turns"),
     "turned at feed": (lambda t: t.edit("G0 B90.000000", "G1 B90.000000 F600"), "table turns"),
-    "turned under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N241 B80"), "table turns"),
-    "a frame under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N241 ATRANS X0.5"), "frame"),
+    "turned under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N261 B80"), "table turns"),
+    "a frame under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N261 ATRANS X0.5"), "frame"),
 }  # fmt: skip
 
 

@@ -230,3 +230,20 @@ def low_retracts(ground: Ground) -> list[Place]:
         raise NotHereError
     ground.what = "retracts of 0.1 mm"
     return places
+
+
+@kind("place kilometres away", "motion", ("contour", "hatch", "rapid"))
+def point_lost(ground: Ground) -> list[Place]:
+    """Take the decimal point out of a place, so that the way leads kilometres away."""
+    text = ground.text
+    bead = ground.bead({"contour": True, "hatch": False}.get(ground.variant))
+    ways = [i for i in range(max(bead.travel, 0), bead.on) if text.code(bead.file, i).startswith("G0 X")]
+    i = ground.pick(ways if ground.variant == "rapid" else bead.motions)
+    code = text.code(bead.file, i)
+    found = re.search(r"(?<=[XY])-?\d+\.\d{3,}", code)
+    if found is None:
+        raise NotHereError
+    text.set(bead.file, i, f"{code[: found.start()]}{found[0].replace('.', '')}{code[found.end() :]}")
+    ground.what = f"{found[0]} lost its point"
+    # An arc behind it has no circle any more, and is refused before the place is judged.
+    return ground.line(bead.file, i, max(bead.first, i + 1) + 1)

@@ -177,6 +177,17 @@ def word_deleted(ground: Ground) -> list[Place]:
     raise NotHereError
 
 
+@kind("coordinate of a way deleted", "metal", ("X", "Y"))
+def way_word_deleted(ground: Ground) -> list[Place]:
+    """Take out X or Y of the way to a bead."""
+    text, bead = ground.text, ground.bead()
+    ways = [i for i in range(max(bead.travel, 0), bead.on) if text.code(bead.file, i).startswith("G0 X")]
+    i = ground.pick(ways)
+    text.set(bead.file, i, re.sub(rf" {ground.variant}-?[\d.]+", "", text.code(bead.file, i)))
+    ground.what = f"{ground.variant} is missing in the way to a bead"
+    return ground.line(bead.file, i, bead.first + 1)
+
+
 # -- arcs and polynomials -----------------------------------------------------------------------------
 
 

@@ -7,6 +7,7 @@ import re
 
 from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
 from benchmarks.faults.program_text import NUMBER, Bead
+from benchmarks.faults.subjects import RETRACTING
 
 
 def _numbers(ground: Ground, pattern: str) -> list[tuple[str, int, float]]:
@@ -132,6 +133,21 @@ def wire_of_bead(ground: Ground) -> list[Place]:
 def wire_of_bead_a_little(ground: Ground) -> list[Place]:
     """Change the wire speed of one bead by less than what the text's metal shows."""
     return wire_of_bead(ground)
+
+
+RETRACT = {SINUMERIK: rf"H4=({NUMBER})", LINUXCNC: rf"M68 E3 Q({NUMBER})", PLAIN: rf"M42 P2 S({NUMBER})"}
+
+
+@kind("wire drawn back twice", "metal", ("at once", "before the next bead"), subjects=(RETRACTING.name,))
+def drawn_back_twice(ground: Ground) -> list[Place]:
+    """Draw the wire back once more: the next bead begins without it."""
+    text = ground.text
+    bead, after = ground.pick([(a, b) for a, b in itertools.pairwise(text.beads()) if a.file == b.file])
+    found = text.find(RETRACT[text.control], bead.file, bead.last, bead.off + 1)
+    at = found[0] + 1 if ground.variant == "at once" else after.on
+    text.insert(bead.file, at, text.code(bead.file, found[0]))
+    ground.what = f"wire drawn back twice, {ground.variant}"
+    return ground.line(bead.file, at)
 
 
 @kind("wire speed everywhere", "metal", (0.9, 1.1))

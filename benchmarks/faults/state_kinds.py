@@ -6,6 +6,7 @@ import re
 
 from benchmarks.faults.kinds import LINUXCNC, PLAIN, SINUMERIK, Ground, NotHereError, Place, kind
 from benchmarks.faults.program_text import ProgramText
+from benchmarks.faults.subjects import PREHEATED
 
 MODES = r"G17 .*|G5[4-7]|G64.*|CTOL=.*|G40.*|TRANS"
 
@@ -81,6 +82,20 @@ def along_a_bead(ground: Ground) -> list[Place]:
     return _insert_in_bead(ground, ground.variant)
 
 
+IN_A_SCAN = {SINUMERIK: ("G55", "G641 ADIS=5", "BRISK", "CTOL=0.5", "TRAFOOF", "M1")}
+
+
+@kind("mode while it preheats", "state", IN_A_SCAN, subjects=(PREHEATED.name,))
+def while_it_preheats(ground: Ground) -> list[Place]:
+    """Change a mode in the subprogram that preheats."""
+    text = ground.text
+    scan = next(file for file in text.files if "_P0" in file)
+    i = ground.pick(text.find(ground.text.codes.beam_on, scan))
+    text.insert(scan, i, ground.variant)
+    ground.what = f"{ground.variant} while it preheats"
+    return ground.line(scan, i)
+
+
 AT_THE_START = {
     SINUMERIK: ("G55", "G500", "G641 ADIS=5", "BRISK", "FFWOF", "G91", "TRANS X1", "G53"),
     LINUXCNC: ("G55", "G64 P5", "G91", "G92 X1", "G61", "G90.1", "G41.1 D1"),
@@ -112,10 +127,13 @@ MISSING = {
         "CTOL=0.05",
         "G40",
         "D0",
+        "TRAFOOF",
         "TRANS",
+        "COMPOF",
+        "RTLION",
     ),
-    LINUXCNC: ("G17", "G21", "G90", "G91.1", "G94", "G40", "G49", "G80", "G54", "G64 P0.05"),
-    PLAIN: ("G17", "G21", "G90", "G94", "G54"),
+    LINUXCNC: ("G17", "G21", "G90", "G91.1", "G94", "G40", "G49", "G80", "G92.1", "G54", "G64 P0.05"),
+    PLAIN: ("G17", "G21", "G90", "G94", "G40", "G49", "G80", "G92.1", "G54"),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -116,5 +116,18 @@ ROUND = Subject(
     "round", prism("round", "the circle about the twelve sides", circle(0, 0, RADIUS_MM), TALL_MM)
 )
 
-EVERY = {**SUBJECTS, TWELVE.name: TWELVE, ROUND.name: ROUND}
+RETRACTING = replace(SUBJECTS["cube"], name="cube-retracting", settings={"process": {"wire_retract_mm": 5.0}})
+"""The cube, whose wire is drawn back after every bead."""
+
+PREHEATED = replace(
+    SUBJECTS["cube"],
+    name="cube-preheated",
+    settings={
+        "machine": {"set_focus": ("H5={defocus} ; focus",)},
+        "preheat": {"when": "plate", "defocus": 20.0},
+    },
+)
+"""The cube on a plate that is preheated, which takes a control with subprograms."""
+
+EVERY = {**SUBJECTS, **{s.name: s for s in (TWELVE, ROUND, RETRACTING, PREHEATED)}}
 """All parts; those of :data:`SUBJECTS` serve for every kind of fault."""

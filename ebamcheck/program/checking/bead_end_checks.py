@@ -127,7 +127,10 @@ def _parts_of_lines(nc: NCProgram) -> Check:
 
 
 def _retract(nc: NCProgram, config: Config) -> Check:
-    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again."""
+    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again, and by no other.
+
+    A wire that is drawn back twice, or where it did not run, begins the next bead without metal.
+    """
     wanted = config.process.wire_retract_mm
     faults = []
     waiting, running = -1, False
@@ -139,6 +142,9 @@ def _retract(nc: NCProgram, config: Config) -> Check:
                     (event_place(nc, i), f"wire drawn back by {value:g} mm in place of {wanted:g} mm")
                 )
             waiting = -1
+        elif name == "wire_retract_mm" and float(nc.events.value[i]) != 0.0:
+            what = f"wire drawn back by {nc.events.value[i]:g} mm, which no stop of the running wire asks for"
+            faults.append((event_place(nc, i), what))
         elif name in ("wire_start", "beam_off", "end") and waiting >= 0:
             faults.append(
                 (event_place(nc, waiting), f"the wire stops and is not drawn back by {wanted:g} mm")

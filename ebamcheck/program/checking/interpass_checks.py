@@ -141,7 +141,7 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     # may be as much hotter as it is smaller.
     hottest_k *= [_concentration(section, config) for section in known]
     # What lies below does not get hotter with the layer's own power: all of it counts as if it did.
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         could_have_more = hottest_k * (shares + PERCENT) / shares < allowed_k
     return np.where(could_have_more, 1.0, shares)
 

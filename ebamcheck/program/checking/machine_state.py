@@ -23,10 +23,18 @@ from ebamcheck.settings.config import Config
 FLOW = "program flow"
 """Group whose words have checks of their own: ends of programs, stops."""
 
+TRANSFORMATION_OFF = "TRAFOOF"
+"""Word of a SINUMERIK."""
+
 FEWEST_ENTRIES = 3
 """First blocks of a program and of two layers: of fewer there is none that the others could be held against."""
 
 WAITS = ("layer_pause_s", DWELL)
+
+STOPS = ("M0", "M1")
+
+NOT_ALONG = "not along a bead "
+"""Begin of an event, behind which the block stands."""
 
 PLACE_MM = 1e-3
 """Places nearer than this are one: three decimals are the fewest of a program."""
@@ -40,6 +48,7 @@ Faults = list[tuple[str, str]]
 def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check modes and smoothing at every motion, start state, order of events, and safe end."""
     modes, paths = _broken_groups(nc, config)
+    modes += _offset_lost(nc, config)
     modes += _uneven_entries(nc, list(wanted_words(nc.dialect, config.machine).values()))
     return [
         _modes(nc, config, modes),
@@ -81,6 +90,44 @@ def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
         state[group.name] = name
         places.setdefault(group.name, event_place(nc, i))
     return faults[False], faults[True]
+
+
+def _offset_lost(nc: NCProgram, config: Config) -> Faults:
+    """Motions whose work offset went with a transformation that was switched off, and was not chosen again behind it.
+
+    Source: Siemens, Job Planning, constraints when selecting a transformation: the control deselects the frame in force.
+    """
+    offset, lost, faults = wanted_words(nc.dialect, config.machine).get("work offset"), -1, []
+    for i, name in enumerate([*nc.events.name, ""]):
+        moved = lost >= 0 and (nc.events.row[i] if name else len(nc)) > nc.events.row[lost]
+        if moved:
+            faults.append(
+                (
+                    event_place(nc, lost),
+                    f"TRAFOOF takes {offset} back, which no block behind it chooses again",
+                )
+            )
+        lost = i if name == TRANSFORMATION_OFF else -1 if moved or name == offset else lost
+    return faults
+
+
+def modes_of_scans(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
+    """Words in preheating scans that are other than those that hold at every motion of the program, and stops.
+
+    A scan may leave a word out, since the program around it has set it. In another work offset it would heat beside the part, and so
+    would be what comes after it.
+    """
+    wanted, limit = wanted_words(scans.dialect, config.machine), config.machine.smoothing_tolerance_mm
+    yield from _offset_lost(scans, config)
+    for i, name in enumerate(scans.events.name):
+        group = group_of(scans.dialect, name)
+        if name in STOPS:
+            yield event_place(scans, i), f"{name} stops while it preheats"
+        elif name in ("CTOL", "ADIS") and not abs(scans.events.value[i] - limit) <= PRINTED_SHARE * limit:
+            yield event_place(scans, i), f"{name} {scans.events.value[i]:g} mm in place of {limit:g} mm"
+        elif group is not None and group.name != FLOW and wanted.get(group.name) != name:
+            held = wanted.get(group.name, "as the control has it")
+            yield event_place(scans, i), f"{name}: {group.name} is to be {held} at every motion"
 
 
 def _missing(
@@ -294,6 +341,9 @@ def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
             what = "the wire is drawn back while it runs" if wire else ""
         elif name.startswith("lacks "):
             what = f"its template asks for {name.removeprefix('lacks ')!r} before this block"
+        elif name.startswith(NOT_ALONG):
+            block = name.removeprefix(NOT_ALONG)
+            what = f"{block!r} sets a value at once, and the tool stands for it under the beam: along a bead the profile has another block"
         elif name == "M1":
             stop = (
                 ""

@@ -11,6 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.numeric.rings import Bools
 from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.machine_state import modes_of_scans
 from ebamcheck.program.checking.preheat_heat import (
     Known,
     bottoms_of,
@@ -143,6 +144,7 @@ def _states(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     scans = nc.preheating
     if scans is None:
         return
+    yield from modes_of_scans(scans, config)
     rows = np.flatnonzero(scans.wire)
     if rows.size:
         yield scans.where(int(rows[0])), "the wire runs while it preheats"

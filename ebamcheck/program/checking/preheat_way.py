@@ -16,6 +16,9 @@ from ebamcheck.settings.config import Config
 
 WAITS = ("layer_pause_s", DWELL)
 
+LONGEST_S = 86400.0
+"""A motion or a wait of a scan is simulated for a day at most; one by a feed or of a time that is negative, not at all."""
+
 
 def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
     """Way of the beam before each layer that is preheated, by its index, with waits as pieces that stand still."""
@@ -26,6 +29,7 @@ def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
     length = np.nan_to_num(scans.lengths)
     with np.errstate(divide="ignore", invalid="ignore"):
         time_s = np.nan_to_num(np.where(length > 0.0, length / speed, 0.0), posinf=0.0)
+    time_s = np.clip(time_s, 0.0, LONGEST_S)
     power_w = np.where(scans.beam, np.nan_to_num(scans.power_w), 0.0)
     start, end = np.nan_to_num(scans.start[:, :2]), np.nan_to_num(scans.end[:, :2])
     waits = [i for i, name in enumerate(scans.events.name) if name in WAITS]
@@ -36,7 +40,7 @@ def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
         own = [i for i in waits if layer_of_file.get(int(scans.events.file[i])) == layer]
         at = np.searchsorted(rows, scans.events.row[own])
         here = end[rows[np.maximum(at - 1, 0)]]
-        pause_s = scans.events.value[own]
+        pause_s = np.clip(scans.events.value[own], 0.0, LONGEST_S)
         found[int(layer)] = BeamWay(
             np.insert(start[rows], at, here, axis=0),
             np.insert(end[rows], at, here, axis=0),

@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, worst_check
 from ebamcheck.program.checking.near_sides import side_distances, sides_of
+from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
@@ -83,9 +84,13 @@ def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float
 
 
 def _keep_out(nc: NCProgram, config: Config) -> Check:
-    """Depth to which the edge of a bead enters a zone, and length of a rapid within one."""
+    """Depth to which the edge of a bead enters a zone, and length of a rapid within one; or of the box, where it may go anywhere in that."""
     rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
     lines = motion_lines(nc, rows)
+    if control(nc.dialect).rapids_apart:
+        apart = (nc.kind[rows] == RAPID) & (nc.start[rows, :2] != nc.end[rows, :2]).all(axis=1)
+        ends = np.hstack([nc.start[rows[apart], :2], nc.end[rows[apart], :2]])
+        lines[apart] = shapely.box(*ends.T)
     # Half a bead melts on either side of its line; a rapid has no width.
     reach = np.where(nc.kind[rows] == RAPID, 0.0, 0.5 * config.process.bead_width_mm)
     depth = np.zeros(rows.size)

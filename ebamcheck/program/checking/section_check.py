@@ -241,5 +241,6 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
     lines = []
     for ring in np.unique(nc.ring[rows]):
         first = rows[nc.ring[rows] == ring][0]
-        lines.append(shapely.LineString(np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])))
+        way = np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])
+        lines.append(shapely.LineString(way[np.isfinite(way).all(axis=1)]))
     return shapely.MultiLineString(lines)

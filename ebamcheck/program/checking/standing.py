@@ -17,7 +17,8 @@ import shapely
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.program.language.control import control
+from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.roles import Beads
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
@@ -90,7 +91,8 @@ def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_
     out = np.zeros((8, len(nc)))
     tall = float(fixed.max())
     tool = _Tool(
-        0.5 * bead_mm / cell, machine.head_radius_mm / cell, machine.head_above_tip_mm, machine.clearance_mm, hop_mm
+        0.5 * bead_mm / cell, machine.head_radius_mm / cell, machine.head_above_tip_mm, machine.clearance_mm, hop_mm,
+        float(control(nc.dialect).rapids_apart),
     )  # fmt: skip
     ground = _Ground(np.full(shape, config.base_mm), fixed, around, origin, cell, tall)
     _run(columns_of(nc), _Beads(beads.first, beads.last, floor, below_mm), ground, tool, out)
@@ -192,6 +194,8 @@ class _Tool(NamedTuple):
     above: float
     clearance: float
     hop: float
+    apart: float
+    """1 where the axes of a rapid may arrive one after the other, else 0."""
 
 
 @kernel
@@ -293,6 +297,26 @@ def _meet(
 
 
 @kernel
+def _meet_in_box(
+    path: Columns, m: int, z: float, ground: _Ground, tool: _Tool, highest: float, out: Floats
+) -> float:
+    """Look at what a rapid may meet within the box around its ends; the most that it lacks of the clearance there, mm."""
+    start, end = path.start[m], path.end[m]
+    columns = max(1, math.ceil(abs(end[0] - start[0]) / ground.cell))
+    rows = max(1, math.ceil(abs(end[1] - start[1]) / ground.cell))
+    worst = 0.0
+    for j in range(rows + 1):
+        for i in range(columns + 1):
+            x = (start[0] + (end[0] - start[0]) * i / columns - ground.origin[0]) / ground.cell
+            y = (start[1] + (end[1] - start[1]) * j / rows - ground.origin[1]) / ground.cell
+            _touch(ground, tool, x, y, z, highest, m, out)
+            worst = max(
+                worst, _highest(ground.top, ground.fixed, x, y, tool.bead, np.inf) + tool.clearance - z
+            )
+    return float(worst)
+
+
+@kernel
 def _travel(
     path: Columns,
     m: int,
@@ -316,6 +340,12 @@ def _travel(
     if z < floor - TOUCH_MM:
         out[2, m] = floor - z
     way = math.hypot(end[0] - start[0], end[1] - start[1])
+    if tool.apart > 0.0 and path.kind[m] == RAPID and start[0] != end[0] and start[1] != end[1]:
+        lacks = _meet_in_box(path, m, z, ground, tool, highest, out)
+        low_mm = low_mm + way if lacks > TOUCH_MM else 0.0
+        if low_mm > tool.hop + TOUCH_MM:
+            out[3, m] = max(out[3, m], lacks)
+        return low_mm
     if path.kind[m] > STRAIGHT:
         way = path.length[m]
     parts = max(1, math.ceil(way / ground.cell))

@@ -117,12 +117,35 @@ def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
     return low, high
 
 
-def _travel(nc: NCProgram, config: Config) -> Check:
+def far_away(nc: NCProgram, config: Config) -> Check | None:
+    """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other.
+
+    A number that lost its point leads kilometres away. Nothing else can be said of such a program, and what follows its path
+    would take hours and all memory.
+    """
+    machine = config.machine
+    longest = float(np.subtract(machine.travel_max_mm, machine.travel_min_mm).max())
+    for each in (nc if nc.machine is None else nc.machine, nc.preheating):
+        if each is None or not len(each):
+            continue
+        worst = _over(each, config).max(axis=1)
+        row = int(np.argmax(worst))
+        if worst[row] > longest:
+            text = f"{worst[row]:g} mm beyond the limits: that is over the machine's travel of {longest:g} mm, and nothing else is judged"
+            return Check("travel", False, float(worst[row]), 0.0, "mm", each.where(row), text)
+    return None
+
+
+def _over(nc: NCProgram, config: Config) -> Floats:
+    """How far each motion goes beyond the limits of each axis (B, 3), mm; negative within them."""
     low, high = extremes(nc)
-    over = np.fmax(
-        np.array(config.machine.travel_min_mm) - low, high - np.array(config.machine.travel_max_mm)
-    )
-    over = np.nan_to_num(over, nan=-np.inf)
+    machine = config.machine
+    over = np.fmax(np.array(machine.travel_min_mm) - low, high - np.array(machine.travel_max_mm))
+    return np.asarray(np.nan_to_num(over, nan=-np.inf, posinf=np.inf), np.float64)
+
+
+def _travel(nc: NCProgram, config: Config) -> Check:
+    over = _over(nc, config)
     rows = np.arange(len(nc))
     worst = over.max(axis=1)
     found = worst_check("travel", nc, rows, worst, LIMIT_ROUNDING_MM, "mm", "beyond the travel limits")

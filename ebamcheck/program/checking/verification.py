@@ -43,7 +43,7 @@ from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.program.checking.process_checks import process_checks
 from ebamcheck.program.checking.ramp_check import ramp_check
 from ebamcheck.program.checking.section_check import Evidence, section_check
-from ebamcheck.program.checking.state_checks import state_checks
+from ebamcheck.program.checking.state_checks import far_away, state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.checking.text_heat import known_sections
 from ebamcheck.program.checking.tilt_checks import tilt_checks
@@ -295,12 +295,14 @@ def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Ch
 
 
 def read_checked(path: str | Path, config: Config) -> tuple[NCProgram | None, Check]:
-    """Read a program, with the check ``readable``; None, and a check that has failed, where it cannot be read."""
+    """Read a program, with the check ``readable``; None, and a check that has failed, where it cannot be read or leads out of all bounds."""
     try:
         nc = read_program(path, config)
     except InputError as error:
         where, _, text = str(error).partition(": ")
         return None, Check("readable", False, 1.0, 0.0, "faults", where, text)
+    if (far := far_away(nc, config)) is not None:
+        return None, far
     return nc, Check("readable", True, 0.0, 0.0, "faults", "", f"{len(nc)} motions in {len(nc.files)} files")
 
 

@@ -87,7 +87,8 @@ def _bead_power_w(nc: NCProgram, rows: Ints) -> Floats:
     power = nc.power_w[rows]
     bead = nc.tracks(rows)
     greatest = np.full(int(bead.max(initial=-1)) + 1, -np.inf)
-    np.maximum.at(greatest, bead, power)
+    with np.errstate(invalid="ignore"):  # A power that is not known makes that of its bead one, too.
+        np.maximum.at(greatest, bead, power)
     return np.asarray(greatest[bead])
 
 

@@ -1,4 +1,4 @@
-"""Check of the words of the motions that lay metal: a program that names X and Y in every block names them in each.
+"""Check of the words of motions: a program that names X and Y in every block of metal, or in every rapid across, names them in each.
 
 An axis that is left out stays where it was: a word that was lost leaves a motion that every control drives, to a wrong place;
 and a way that was lost leaves the tool over the last bead. Programs of another form, in which blocks name what changes, show no such loss and are left out.
@@ -25,6 +25,9 @@ _PLAIN = re.compile(rb"[^(;XY]*X[^(;XY]*Y")
 MOST_WHOLE = 0.9
 """Share of the blocks with metal that name both axes from which on it is the form of the program to do so."""
 
+LEAST_WHOLE = 4
+"""Rapids across for each that names one axis alone, from which on it is the form of the program to name both."""
+
 FEW = 2
 """So many beads without a way are a loss in a program of any size."""
 
@@ -33,7 +36,8 @@ def words_check(nc: NCProgram) -> Check:
     """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place."""
     lines = [file.data.split(b"\n") for file in nc.files]
     text = f"{len(nc)} motions name X and Y as the others do"
-    return count_check(NAME, [*_blocks(nc, lines), *_ways(nc, lines)], text)
+    faults = [*_blocks(nc, lines), *_half_ways(nc, lines), *_ways(nc, lines)]
+    return count_check(NAME, faults, text)
 
 
 def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
@@ -54,6 +58,23 @@ def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
             f"names no {' and no '.join(absent)}, as {whole} other blocks of beads do",
         )
         for file, line, absent in lacking
+    ]
+
+
+def _half_ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+    """Rapids that name one axis of the plane, where nearly all others name both: the bead behind one begins elsewhere."""
+    rows = np.flatnonzero((nc.kind == RAPID) & (nc.layer >= 0))
+    absent = [(place, _absent(lines[place[0]][place[1] - 1])) for place in lines_of(nc, rows)]
+    across = [(place, axes) for place, axes in absent if axes != ["X", "Y"]]
+    half = [(place, axes) for place, axes in across if axes]
+    if len(half) > max(FEW, (1.0 - MOST_WHOLE) * len(across)) or len(across) < LEAST_WHOLE * len(half):
+        return []  # A program in which blocks name what changes.
+    return [
+        (
+            f"{nc.files[file].name}:{line}",
+            f"a rapid names no {axes[0]}, as {len(across) - len(half)} others do",
+        )
+        for (file, line), axes in half
     ]
 
 

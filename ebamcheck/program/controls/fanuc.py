@@ -1,8 +1,10 @@
 """Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
 
-A number without a decimal point may be read in thousandths (parameter 3401), so values of beam, wire and waits carry one.
-Beam and wire values are arguments of G codes that call custom macros (parameters 6050 to 6059); like all such codes they
-are the machine maker's. Source: Fanuc 30i operator's manual B-64484EN, preparatory functions and custom macros.
+A number without a decimal point may be read in thousandths (parameter 3401; 1403 of a feed), so places, values of beam and wire,
+feeds and waits carry one, and a program in which one does not is refused. Beam and wire values are arguments of G codes that call
+custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Each axis of a rapid goes at its own speed
+(non-linear positioning, parameter 1401, as a control is delivered), so that its way is a dog-leg. Source: Fanuc 30i operator's manual
+B-64484EN, preparatory functions, decimal point programming and custom macros.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from typing import Literal
 
 from ebamcheck.program.controls.gcode import groups
 from ebamcheck.program.controls.gcode.reading import GcodeReader
-from ebamcheck.program.controls.gcode.words import ENDS, MODES, MOTIONS
+from ebamcheck.program.controls.gcode.words import ENDS, MODES, MOTIONS, without_comments
 from ebamcheck.program.controls.gcode.writing import one_file
 from ebamcheck.program.language.control import Control, Group
 from ebamcheck.program.language.files import ProgramFiles, write_files
@@ -58,12 +60,33 @@ GROUPS = (
 
 SCALES_OFF = "G50 G69"
 LOOK_AHEAD_OFF = "G5.1 Q0"
+SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
+"""Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system)."""
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
+_FEED = re.compile(r" F(\d+)(?![\d.])")
+_SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
+_POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
+_NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
+"""An address that may have a decimal point, with a number that has none."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G64", "G5.1"
+    return (
+        "G17",
+        "G21",
+        "G90",
+        "G94",
+        "G40",
+        "G49",
+        "G80",
+        "G50",
+        "G69",
+        machine.work_offset,
+        "G92.1",
+        "G64",
+        "G5.1",
+    )
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
@@ -88,6 +111,7 @@ CONTROL = Control(
     form_lines=form_lines,
     splines="arcs",
     parentheses=True,
+    rapids_apart=True,
 )
 
 
@@ -110,7 +134,15 @@ def write_program(
     """
     machine = config.machine
     form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
-    modes = ["G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, "G64", LOOK_AHEAD_OFF]
+    modes = [
+        "G17 G21 G90 G94",
+        "G40 G49 G80",
+        SCALES_OFF,
+        machine.work_offset,
+        SHIFTS_OFF,
+        "G64",
+        LOOK_AHEAD_OFF,
+    ]
     lines = one_file(curves, plan, config, CONTROL, form, modes, validated, header or {})
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
@@ -119,9 +151,10 @@ def write_program(
 
 
 def _in_parentheses(line: str) -> str:
-    """Turn what stands behind a semicolon into a comment in parentheses."""
+    """Turn what stands behind a semicolon into a comment in parentheses, and give the feed its decimal point."""
     code, mark, note = line.partition(";")
-    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else line
+    code = _FEED.sub(r" F\1.0", code)
+    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else code
 
 
 # -- reading -------------------------------------------------------------------------------------------
@@ -138,10 +171,10 @@ class FanucReader(GcodeReader):
     """State of a Fanuc-like control while it runs a program from top to bottom."""
 
     known = (MOTIONS | MODES | ENDS | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
-    _numbered = False
+    _in_blocks = False
 
     def _run_plain(self, text: str) -> bool:
-        return ";" not in text and super()._run_plain(text)
+        return ";" not in text and _NO_POINT.search(text) is None and super()._run_plain(text)
 
     def _run_line(self, text: str) -> str | None:
         """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
@@ -149,12 +182,29 @@ class FanucReader(GcodeReader):
             raise WordError(
                 "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
             )
-        number = None if self._numbered else _PROGRAM_NUMBER.match(text)
-        self._numbered = self._numbered or number is not None
-        return super()._run_line(text[number.end() :] if number else text)
+        code = without_comments(text)[0]
+        small = re.search("[a-z]", code)
+        if small:
+            raise WordError(f"{small[0]!r}: this control takes capitals alone", small.start())
+        # Anywhere else a number begins another program, and this one is what stands before it.
+        number = None if self._in_blocks else _PROGRAM_NUMBER.match(text)
+        self._in_blocks = self._in_blocks or code.strip() not in ("", "%")
+        return super()._run_line(" " * number.end() + text[number.end() :] if number else text)
 
     def _run_block(self, code: str) -> str:
+        bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
+        if bare is not None:
+            raise WordError(
+                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)",
+                bare.start(),
+            )
+        pointed = _POINTED_CODE.search(code)
+        if pointed is not None:
+            raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())
         if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
             self.out.event("G5.1")
+            return ""
+        if _SHIFTS_OFF.fullmatch(code):
+            self.out.event("G92.1")
             return ""
         return super()._run_block(code)

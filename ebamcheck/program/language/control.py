@@ -95,6 +95,8 @@ class Control:
     handshake: str = ""
     """``module:function`` that judges its text: (text, name of the file, settings, Z of the part's top) in,
     :class:`~ebamcheck.program.checking.checks.Check` out."""
+    rapids_apart: bool = False
+    """Whether the axes of a rapid may arrive one after the other: its way may lead anywhere within the box around both of its ends."""
     frames: bool = False
     """Whether its programs turn a tilt table (``machine.rotary``) for a layer, and set the frame of the turned part."""
     file_faults: str = ""

@@ -11,6 +11,9 @@ from ebamcheck.program.language.codes import AUXILIARY, DWELL, SWITCHES, Action
 from ebamcheck.program.language.template_rules import Programmed
 from ebamcheck.program.language.words import NUMBER
 
+RUNNING = ("set_power", "set_wire")
+"""Templates that set values along a bead."""
+
 
 @dataclass(frozen=True)
 class StateChange:
@@ -22,6 +25,8 @@ class StateChange:
     """Switches (NaN) and values that it sets, in the order of its codes."""
     before: tuple[str, ...] = ()
     """Blocks of the same template that come before one that switches."""
+    running: bool = True
+    """Whether the profile has the block in a template for values that change while beam and wire run."""
 
 
 class Templates:
@@ -31,18 +36,19 @@ class Templates:
         self._literal: dict[str, StateChange] = {}
         self._patterns: list[tuple[re.Pattern[str], StateChange]] = []
         self._memory: dict[str, StateChange | None] = {}
+        running = {block for name in RUNNING for block, _ in templates[name]}
         for name, blocks in templates.items():
             for i, (block, actions) in enumerate(blocks):
                 switches = any(action.meaning in SWITCHES for action in actions)
                 before = tuple(text for text, _ in blocks[:i]) if name in SWITCHES and switches else ()
-                self._add(block, actions, before)
+                self._add(block, actions, before, block in running or not any(map(templates.get, RUNNING)))
         # A block that switches is looked for before one that fits the same text and does not.
         self._patterns.sort(key=lambda entry: not any(name in SWITCHES for name, _ in entry[1].actions))
 
-    def _add(self, block: str, actions: tuple[Action, ...], before: tuple[str, ...]) -> None:
+    def _add(self, block: str, actions: tuple[Action, ...], before: tuple[str, ...], running: bool) -> None:
         done = tuple((_event(action), action.number) for action in actions if action.meaning != AUXILIARY)
         known = tuple((name, float("nan") if number is None else number) for name, number in done)
-        change = StateChange(block, known, before)
+        change = StateChange(block, known, before, running)
         if "{" not in block:
             self._literal.setdefault(block, change)
             return
@@ -62,7 +68,7 @@ class Templates:
             if found:
                 filled = {group.rsplit("__", 1)[0]: float(text) for group, text in found.groupdict().items()}
                 actions = [(name, filled.pop(name, value)) for name, value in change.actions]
-                return StateChange(change.block, (*actions, *filled.items()), change.before)
+                return StateChange(change.block, (*actions, *filled.items()), change.before, change.running)
         return None
 
 

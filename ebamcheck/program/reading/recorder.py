@@ -8,7 +8,7 @@ import numpy as np
 
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.language.codes import DWELL, SWITCHES
+from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.program.reading.motions import ARC, RAPID, Events, NCProgram, SourceFile
 from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
@@ -21,6 +21,10 @@ LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
 NO_CENTRE = (NAN, NAN, NAN)
 MOST_DIGITS = 8
 """Digits of a block number: a SINUMERIK takes eight, and no control here takes more."""
+LARGEST = 1e8
+"""No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis."""
+LEAST_FEED = 1e-6
+"""A feed that is less and not 0 is under the steps of any control, and a motion by it has no end."""
 
 
 class Recorder:
@@ -112,6 +116,9 @@ class Recorder:
                 else:
                     self._wire = name == "wire_start"
             elif name != DWELL:
+                runs = (name in BEAM_VALUES and self._beam) or (name == "wire_mm_s" and self._wire)
+                if runs and not change.running:
+                    self.event(f"not along a bead {change.block}")
                 self._set[name] = value
             self.event(name, value)
 
@@ -148,6 +155,9 @@ class Recorder:
         line: int = 0,
     ) -> None:
         """Note a motion to x, y, z; `line` where it is not the present one."""
+        # Here and not behind all motions: an arc from such a place would be refused in the place of it.
+        if x > LARGEST or y > LARGEST or z > LARGEST or x < -LARGEST or y < -LARGEST or z < -LARGEST:
+            raise self.error(f"a place over {LARGEST:g}, which no control takes", 0)
         if self._state < 0 or self.table.changed:
             self._keep_state()
         self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre))
@@ -175,10 +185,18 @@ class Recorder:
     # -- result ------------------------------------------------------------------------------------
 
     def program(self) -> NCProgram:
-        """Gather all that was read into columns."""
+        """Gather all that was read into columns.
+
+        Raises
+        ------
+        InputError
+            For a number that no control takes.
+        """
         rows = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 14).T
+        kept = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10).T
+        self._refuse_numbers(rows, kept)
         line, state, kind = rows[:3].astype(np.int64)
-        states = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10)[state].T
+        states = kept[:, state]
         file, layer = states[:2].astype(np.int64)
         beam = states[3] > 0
         end = np.ascontiguousarray(rows[3:6].T)
@@ -223,6 +241,30 @@ class Recorder:
             table=table,
         )
         return by_shape(without_preheating(made, self._scans_in_layers))
+
+    def _refuse_numbers(self, rows: Floats, states: Floats) -> None:
+        """Refuse a program with a number that no control takes: what follows its path would not end.
+
+        Parameters
+        ----------
+        rows, states
+            (14, B) motions and (10, S) states, as columns.
+        """
+        feeds = states[2]
+        bad_feed = (feeds > LARGEST) | ((feeds > 0.0) & (feeds < LEAST_FEED))
+        # The centre of an arc that is nearly straight may lie farther away.
+        of_motion = np.asarray((np.abs(rows[3:11]) > LARGEST).any(axis=0), np.bool_)
+        wrong = np.flatnonzero(of_motion | bad_feed[rows[1].astype(np.int64)])
+        if wrong.size:
+            row = rows[:, wrong[0]]
+            state = states[:, int(row[1])]
+            self.file, self.line = int(state[0]), int(row[0])
+            what = f"a number over {LARGEST:g}" if of_motion[wrong[0]] else f"a feed of {state[2]:g} mm/min"
+            raise self.error(f"{what}, which no control takes", 0)
+        for file, line, _, name, value in self._events:
+            if abs(value) > LARGEST:
+                self.file, self.line = file, line
+                raise self.error(f"{name} is over {LARGEST:g}, which no control takes", 0)
 
     def _layers(self, layer: Ints, z: Floats, deposit: Bools) -> tuple[Ints, tuple[str, ...]]:
         """Layers as subprograms are called for them; in a program without calls, by the levels of Z of its deposits."""

@@ -28,7 +28,7 @@ CODES = {
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    return "G17", "G21", "G90", "G94", machine.work_offset
+    return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G92.1", machine.work_offset
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:

@@ -14,8 +14,11 @@ from ebamcheck.program.language.words import (
 )
 
 _WORD = re.compile(rf"\s*(?:(?P<letter>[A-Z])\s*(?P<number>{NUMBER})|(?P<bad>\S.*))")
-_RUN = re.compile(r"\s*(?:PY|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PROBECLOSE|\s*LOGCLOSE", re.IGNORECASE)
-"""Comments that LinuxCNC runs, beside those that only show something."""
+_RUN = re.compile(
+    r"\s*(?:PY(?:RUN)?|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PYRELOAD|\s*PROBEOPEN|\s*PROBECLOSE|\s*LOGCLOSE",
+    re.IGNORECASE,
+)
+"""Comments that LinuxCNC runs, beside those that only show something (interp_convert.cc, ``convert_comment``)."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
 
 MOTIONS = frozenset(("G0", "G1", "G2", "G3"))

@@ -68,7 +68,7 @@ def write_plain_gcode(
     """
     machine = config.machine
     form: Form = "chords" if machine.curve_form == "lines" else "arcs"
-    modes = ["G17 G21 G90 G94", machine.work_offset]
+    modes = ["G17 G21 G90 G94", "G40 G49 G80", "G92.1", machine.work_offset]
     return _write(
         curves, plan, config, Path(folder), plain_gcode.CONTROL, form, modes, validated, header, path
     )

@@ -21,6 +21,7 @@ GROUPS = (
     Group("acceleration", ("BRISK", "SOFT", "DRIVE", "BRISKA", "SOFTA", "DRIVEA"), path=True),
     Group("feed forward", ("FFWON", "FFWOF"), path=True),
     Group("compressor", ("COMPOF", "COMPON", "COMPCURV", "COMPCAD", "COMPSURF", "CYCLE832"), path=True),
+    Group("rapids", ("RTLION", "RTLIOF")),
     Group("feed profile", ("FNORM", "FLIN", "FCUB", "FPO", "CFC", "CFTCP", "CFIN", "FB", "FGROUP", "FGREF", "FL"), path=True),
     Group("path override", ("OVR", "OVRRAP", "OVRA", "ACC", "ACCLIMA", "VELOLIM", "JERKLIM"), path=True),
     Group("transformation", ("TRAORI", "TRANSMIT", "TRACYL", "TRAANG", "TRAFOOF", "DIAMON", "DIAM90", "KONT", "NORM")),
@@ -37,6 +38,9 @@ CODES = {
 }  # fmt: skip
 
 
+AS_WRITTEN = ("COMPOF", "RTLION")
+"""The path is driven as it is written: blocks are not joined by a compressor, and rapids go straight."""
+
 KEEPS_TOLERANCE = ("G60", "G642", "G643", "G645")
 """Exact stop, and rounding within the tolerances of the axes, which CTOL sets. G641 goes by ADIS, G644 by the dynamics of the axes, and
 G64 by neither."""
@@ -44,8 +48,10 @@ G64 by neither."""
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    offsets_off = ("G40", "D0", "TRANS")
-    return "G17", machine.length_unit, "G90", "G94", *offsets_off, machine.work_offset, *machine.smoothing
+    offsets_off = ("G40", "D0", "TRAFOOF", "TRANS")
+    return (
+        "G17", machine.length_unit, "G90", "G94", *offsets_off, machine.work_offset, *AS_WRITTEN, *machine.smoothing
+    )  # fmt: skip
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:

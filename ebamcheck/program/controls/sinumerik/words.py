@@ -22,8 +22,8 @@ _WORD = re.compile(
 G_CODES = frozenset(
     {
         "G0", "G1", "G2", "G3", "POLY", "BSPLINE",
-        "G17", "G71", "G710", "G90", "G94", "G40", "D0", "TRANS", "G54", "G55", "G56", "G57",
-        "SOFT", "BRISK", "FFWON", "FFWOF", "G60", "G64", "G641", "G642", "G643", "G644", "G645", "M1",
+        "G17", "G71", "G710", "G90", "G94", "G40", "D0", "TRAFOOF", "TRANS", "G54", "G55", "G56", "G57",
+        "COMPOF", "RTLION", "SOFT", "BRISK", "FFWON", "FFWOF", "G60", "G64", "G641", "G642", "G643", "G644", "G645", "M1",
     }
 )  # fmt: skip
 """Words that are read. Those that would bend the path (G18, G70, G91, G95 and others) are refused: a program has none."""
@@ -31,8 +31,11 @@ G_CODES = frozenset(
 MOTIONS = frozenset({"G0", "G1", "G2", "G3", "POLY", "BSPLINE"})
 """The modal group of motions."""
 
-ALONE = ("TRANS",)
-"""Words that stand by themselves in their block: without an axis, TRANS takes back every programmable frame."""
+ALONE = {
+    "TRANS": "by itself it takes back every frame, else it sets one",
+    "TRAFOOF": "it takes the work offset with it, and stands in a block of its own before that",
+}
+"""Words that stand by themselves in their block, and why."""
 
 END_CODES = ("M30", "M17", "RET", "M2")
 AXES = ("X", "Y", "Z")
@@ -73,9 +76,7 @@ def read_block(code: str, rotary: tuple[str, ...] = ()) -> Block:
     if len(block.codes) + len(block.values) + len(block.lists) > 1:
         for word in block.codes:
             if word in ALONE:
-                raise WordError(
-                    f"{word} with other words: by itself it takes back every frame, else it sets one", 0
-                )
+                raise WordError(f"{word} with other words: {ALONE[word]}", 0)
     return block
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.program.controls.sinumerik.control import CONTROL, NAME
+from ebamcheck.program.controls.sinumerik.control import AS_WRITTEN, CONTROL, NAME
 from ebamcheck.program.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.files import (
@@ -253,8 +253,11 @@ def modes(machine: MachineSettings) -> list[str]:
     return [
         f"G17 {machine.length_unit} G90 G94",
         "G40 D0",
+        # It takes the work offset with it, which is why that comes after it.
+        "TRAFOOF",
         "TRANS",
         machine.work_offset,
+        " ".join(AS_WRITTEN),
         *([" ".join(machine.smoothing)] if machine.smoothing else []),
         f"CTOL={plain(machine.smoothing_tolerance_mm)}",
     ]
