@@ -167,3 +167,24 @@ def test_beads_of_walls_with_uneven_points_bend_one_way(seed, thick):
         middle = bend[away[1:-1] > 1.5 * thick]
         assert len(middle) > 3 or line.length < 3.0 * thick
         assert abs(np.sign(middle).sum()) == len(middle)
+
+
+def bend(radius, angle_deg, thick, leg=25.0):
+    """A wall of even width around a bend of its middle."""
+    turn = np.radians(np.linspace(0.0, angle_deg, 12))
+    arc = radius * np.column_stack([np.sin(turn), 1.0 - np.cos(turn)])
+    way = np.array([np.cos(turn[-1]), np.sin(turn[-1])])
+    middle = shapely.LineString(np.vstack([[-leg, 0.0], arc, arc[-1] + leg * way]))
+    return middle.buffer(0.5 * thick, cap_style="flat", quad_segs=6)
+
+
+@pytest.mark.parametrize(("radius", "angle_deg", "thick"), [(3, 90, 11), (4, 120, 12), (4, 120, 13)])
+def test_no_bead_turns_back_on_itself_within_a_bend(radius, angle_deg, thick):
+    # The bead inside of the bend lies beside a middle that bends tighter than it is far from it.
+    lines = wall_lines(bend(radius, angle_deg, thick), WIDTH, SPACING)
+    assert len(lines) >= 2
+    for line in lines:
+        steps = np.diff(line, axis=0)
+        cosines = (steps[1:] * steps[:-1]).sum(axis=1)
+        cosines /= np.hypot(*steps[1:].T) * np.hypot(*steps[:-1].T)
+        assert cosines.min(initial=1.0) > -0.5

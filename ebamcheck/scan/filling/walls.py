@@ -50,7 +50,7 @@ LEAST_APART = 0.5
 """No bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both."""
 
 LEAST_BEAD = 0.5
-"""No bead is shorter than this times the bead width, unless the wall has no longer one."""
+"""No bead reaches less far than this times the bead width, unless the wall has no longer one."""
 
 LEAST_RUN = 1.0
 """Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions
@@ -66,6 +66,9 @@ STEP = 0.25
 
 STRAIGHT_ON_DEG = 60.0
 """Turn at a fork up to which one bead goes on through it."""
+
+HOOK, HOOK_COS = 0.25, -0.5
+"""Length, over the bead width, of a piece of a bead that goes back on the one before, and cosine of the turn: no bead is wanted there."""
 
 STRAIGHTNESS = 0.02
 """Deviation of the centre line from its samples, over the wall's width, by which it is simplified."""
@@ -270,13 +273,30 @@ def _side_by_side(
         ]
     done += [(line, [begun, True]) for line, begun in growing]
     lines = [
-        shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())) for line, _ in done
+        _without_hooks(
+            shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())), bead_width_mm
+        )
+        for line, _ in done
     ]
     beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())
     return [
         _extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm)
         for line, (_, at) in zip(lines, done, strict=True)
     ]
+
+
+def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> shapely.LineString:
+    """Leave out corners at which a line turns back on itself for a moment: inside a bend, lines beside its middle cross themselves."""
+    points = shapely.get_coordinates(line)
+    while len(points) > 2:
+        steps = np.diff(points, axis=0)
+        length = np.maximum(np.hypot(*steps.T), np.finfo(float).tiny)
+        straight = (steps[1:] * steps[:-1]).sum(axis=1) / (length[1:] * length[:-1])
+        hooks = (straight < HOOK_COS) & (np.minimum(length[1:], length[:-1]) < HOOK * bead_width_mm)
+        if not hooks.any():
+            break
+        points = points[np.concatenate([[True], ~hooks, [True]])]
+    return shapely.LineString(points)
 
 
 def _end_of_taper(local_mm: Floats, steps_mm: Floats, least_mm: float) -> int:
@@ -345,11 +365,17 @@ def _apart(pieces: list[shapely.LineString], apart_mm: float, least_mm: float) -
     taken: BaseGeometry = shapely.Polygon()
     for n in sorted(range(len(pieces)), key=lambda n: (-round(float(pieces[n].length), 6), n)):
         left = shapely.get_parts(shapely.difference(pieces[n], taken))
-        here = [part for part in left if part.length >= least_mm or not kept]
+        here = [part for part in left if _reach_mm(part) >= least_mm or not kept]
         kept += [(n, part) for part in here]
         around = shapely.buffer(here, apart_mm / CHORD, quad_segs=ARC_SEGMENTS)
         taken = shapely.union_all([taken, *around])
     return [part for _, part in sorted(kept, key=lambda item: item[0])]
+
+
+def _reach_mm(line: shapely.LineString) -> float:
+    """Diagonal of the box around a line: beside a narrow bend a line goes to and fro, and is longer than what it covers."""
+    x0, y0, x1, y1 = shapely.bounds(line).tolist()
+    return math.hypot(x1 - x0, y1 - y0)
 
 
 def _extended(line: shapely.LineString, free: list[bool], width_mm: float) -> shapely.LineString:
