@@ -6,39 +6,30 @@ import ast
 import json
 import re
 import shutil
-from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
-import pandas as pd
 import pytest
 from command_line import WIDE, frame, write_stl
 from hypothesis import given
 from hypothesis import strategies as st
-from nc_stack import make_curves, make_plan
-from parts import box, moved
 from slicers_here import slicers_here
 
 from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import CODES, SEVERITIES, Finding, from_record, has_fault, ordered, records
-from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import (
     plain,
     write_json,
 )
-from ebamcheck.mesh.inspection import inspect
-from ebamcheck.pipeline import noticed, noticed_in_program, run_job
+from ebamcheck.pipeline import noticed, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
 from ebamcheck.pipeline.noticed_in_program import of_checks
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
-from ebamcheck.program import Check, read_program, write_program
-from ebamcheck.program.checking.interpass_checks import INTERPASS
+from ebamcheck.program import Check
 from ebamcheck.program.checking.remedies import REMEDIES
-from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
 
@@ -105,138 +96,6 @@ def test_nothing_that_is_shown_says_that_a_program_may_be_used():
     )
     places = [*(ROOT / "ebamcheck").rglob("*.py"), *(ROOT / "reports" / "ebamcheck_reports").rglob("*.py")]
     assert [(p.name, told.search(p.read_text())[0]) for p in places if told.search(p.read_text())] == []
-
-
-# -- what is noticed ---------------------------------------------------------------------------------
-
-
-def codes_of_part(part, **sections):
-    return [f.code for f in noticed.of_part(inspect(part), Config().changed(**sections))]
-
-
-def test_sizes_that_no_unit_explains_are_told():
-    assert codes_of_part(box((0, 0, 0), (100, 60, 40))) == []
-    assert codes_of_part(box((0, 0, 0), (4, 2.36, 1.57))) == ["part-under-beads"]
-    assert codes_of_part(box((0, 0, 0), (76.2, 50.8, 25.4))) == ["part-round-in-inches"]
-    assert codes_of_part(box((0, 0, 0), (79.375, 50.8, 26.9875))) == ["part-round-in-inches"]
-    assert codes_of_part(box((0, 0, 0), (127, 254, 381))) == []  # round in both
-    assert codes_of_part(box((0, 0, 0), (100, 2400, 40))) == ["part-beyond-travel"]
-    assert codes_of_part(box((0, 0, 0), (17.9, 5, 5))) == ["part-under-beads"]
-    assert codes_of_part(box((0, 0, 0), (17.9, 5, 5)), process={"bead_width_mm": 5.0}) == []
-
-
-def test_the_axis_that_is_too_short_is_named():
-    (found,) = noticed.of_part(inspect(moved(box((0, 0, 0), (100, 60, 1600)), shift=(9, 9, 9))), Config())
-    assert (found.place, found.figure, found.limit) == ("machine.travel_max_mm Z", 1600.0, 1500.0)
-
-
-@pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode"])
-def test_placeholders_of_every_control_are_named_until_they_are_set(control):
-    config = Config().changed(machine={"control": control}, process={"interpass": "off"})
-    names = noticed.placeholder_codes(config)
-    assert {"beam_on", "beam_off", "wire_start", "wire_stop"} <= set(names)
-    assert "set_power" not in names
-    assert "wire_retract" not in names
-    assert "set_power" in noticed.placeholder_codes(config.changed(process={"interpass": "power"}))
-    ramped = config.changed(process={"ramp_up_mm": 4.0, "wire_retract_mm": 3.0})
-    assert {"set_power", "wire_retract"} <= set(noticed.placeholder_codes(ramped))
-    own = config.changed(machine=dict.fromkeys(names, ("M70",)))
-    own = own.changed(machine={"set_beam": ("S{current_ma}",)})
-    assert noticed.placeholder_codes(own) == []
-    assert not list(noticed.of_profile(own))
-    one = own.changed(machine={"wire_stop": Config().machine.wire_stop})
-    (found,) = noticed.of_profile(one)
-    assert (found.place, found.figure) == ("machine.wire_stop", 1.0)
-
-
-@pytest.mark.parametrize(("rise_k", "figure"), [(1000.0, None), (2000.0, 2293.15), (9000.0, 3533.0)])
-def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
-    plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"entry_max_k": [np.nan, rise_k]}))
-    found = list(noticed_in_program.of_heat(plan, Config()))
-    assert [(f.figure, f.place) for f in found] == [
-        (figure, "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm")
-    ] * (figure is not None)
-    assert all(("over the boiling point" in f.text) == (figure == 3533.0) for f in found)
-    assert all(f.text.startswith("1 of 2 layers") for f in found)
-
-
-def test_waits_and_power_are_told_with_their_figures():
-    summary = pd.DataFrame(
-        {"pause_s": [1800.0, 0.0], "deposit_s": [3000.0, 600.0], "travel_s": [900.0, 900.0]}
-    )
-    plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"power_share": [1.0, 0.4]}))
-    wait, power = noticed_in_program.of_interpass(summary, plan, Config())
-    assert wait.text == "the program waits 0.5 of 2 hours for the part to cool"
-    assert (power.figure, power.limit, power.place) == (
-        2880.0,
-        7200.0,
-        "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm",
-    )
-    full = replace(plan, metrics=pd.DataFrame({"power_share": [1.0, 1.0]}))
-    assert not list(noticed_in_program.of_interpass(summary.assign(pause_s=0.0), full, Config()))
-
-
-@pytest.mark.parametrize(
-    ("process", "figure", "remedy"),
-    [
-        ({}, 903.15, "no wait is long enough"),
-        ({"base": "insulated"}, 903.15, "cool the table"),
-        ({"interpass": "power"}, 903.15, "wait as well"),
-        ({"interpass_at": "layer"}, 880.0, "no wait is long enough"),
-        ({"interpass": "off"}, None, ""),
-        ({"interpass": "off", "interpass_limit_k": 700.0}, 903.15, "wait and lower the power"),
-    ],
-)
-def test_a_limit_that_the_plan_does_not_keep_is_a_fault(process, figure, remedy):
-    config = Config().changed(process=process)
-    metrics = pd.DataFrame({"entry_max_k": [np.nan, 610.0], "enter_k": [300.0, 880.0]})
-    plan = replace(make_plan([0.75, 2.25], []), metrics=metrics)
-    found = list(noticed_in_program.of_limit([], plan, config))
-    assert [(f.severity, f.code, f.place) for f in found] == [
-        ("fault", "interpass-limit", "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm")
-    ] * (figure is not None)
-    for fault in found:
-        assert (fault.figure, fault.limit) == (pytest.approx(figure), entry_limit_k(config))
-        assert remedy in fault.remedy
-        assert "in 1 of 2 layers" in fault.text
-
-
-def test_a_limit_that_the_text_alone_does_not_keep_is_a_fault():
-    metrics = pd.DataFrame({"entry_max_k": [500.0, 570.0]})
-    plan = replace(make_plan([0.75, 2.25], []), metrics=metrics)
-    hot = Check(INTERPASS, False, 1139.3, 873.0, "K", "MAIN_L0024.SPF:13", "surface at 1139 K")
-    (fault,) = noticed_in_program.of_limit([hot], plan, Config())
-    assert (fault.place, fault.figure, fault.limit) == ("MAIN_L0024.SPF:13", 1139.3, 873.0)
-    assert not list(noticed_in_program.of_limit([replace(hot, passed=True)], plan, Config()))
-
-
-SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
-BESIDE = np.array([(20, 0), (40, 0), (40, 40), (0, 40), (0, 0), (20, 0)], float)
-OPEN = np.array([(60, 0), (80, 0), (80, 40)], float)
-
-
-def test_seams_at_corners_are_found_with_their_place(tmp_path):
-    config, heights = Config(), [0.75, 2.25]
-    curves = make_curves(
-        heights, [[[(BESIDE, None)]], [[(SQUARE + 5, None)], [(OPEN, None)]]], [True, True, False]
-    )
-    nc = read_program(write_program(curves, make_plan(heights, []), config, tmp_path / "p").main, config)
-    row, turn_deg = seam_turns(nc)
-    assert turn_deg == pytest.approx([0.0, 90.0], abs=1e-6)
-    (found,) = noticed_in_program.of_seams(nc, np.array(heights), config)
-    assert found.place == "layer 1, z = 2.250 mm, (5.000, 5.000); layer 2 of the program, Z 3.000 mm"
-    assert found.text.startswith("1 of 2 closed contours")
-    assert nc.layer[row].tolist() == [0, 1]
-
-
-def test_a_round_contour_has_no_corner(tmp_path):
-    angle = np.linspace(0.0, 2.0 * np.pi, 65)
-    ring = 20.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    ring[-1] = ring[0]
-    curves = make_curves([0.75], [[[(ring, None)]]], [True])
-    nc = read_program(write_program(curves, make_plan([0.75], []), Config(), tmp_path / "p").main, Config())
-    assert seam_turns(nc)[1] == pytest.approx([360.0 / 64.0], abs=1e-3)
-    assert not list(noticed_in_program.of_seams(nc, np.array([0.75]), Config()))
 
 
 # -- what is shown -----------------------------------------------------------------------------------

@@ -7,23 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from parts import box, join
 from prism_program import CONFIG, Made
 
-from ebamcheck import save
 from ebamcheck.heat import melting
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.layers import heights as layer_heights_of
-from ebamcheck.layers.cuts import cut_heights
-from ebamcheck.layers.stack import Layers, from_polygons
-from ebamcheck.mesh import part as mesh_part
-from ebamcheck.mesh import placing
 from ebamcheck.metal import target
 from ebamcheck.pipeline.gates import heat_gate
-from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
-from ebamcheck.pipeline.part_file import file_check
-from ebamcheck.pipeline.placement import placed_part
-from ebamcheck.plugins.model import models
 from ebamcheck.program import verify_program
 from ebamcheck.program.checking import marked
 from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
@@ -36,8 +25,6 @@ from ebamcheck.program.toolpath import inputs, tracks, wire
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import process, wire_speed
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.units import UNITS_MM
-from ebamcheck.slicers.slicing import slice_part
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
@@ -187,164 +174,6 @@ def test_after_a_time_without_end_no_temperature_is_known():
     heat = BeadHeat(np.array([0, 0, 1, 1]), np.zeros(4), times_s, heat_j)
     found = entries_k(heat, [section, section], np.array([1.6, 1.6]), config)
     assert np.isfinite(found).tolist() == [True, True, False, False]
-
-
-# -- sections ----------------------------------------------------------------------------------------
-
-
-def cut(part, config=None):
-    return slice_part(part, cut_heights(part, config or Config()))
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["blade", "helical-channel", "torus", "two-spheres", "menger-1", "case-touching-board", "case-prusa-4245", "tilted-plate"],
-)  # fmt: skip
-@pytest.mark.parametrize("height_mm", [0.9, 1.6755])
-def test_sections_of_sound_slicers_are_those_of_the_mesh(name, height_mm):
-    config = Config().changed(layers={"layer_height_mm": height_mm})
-    part = models()[name].tessellate(0.1)
-    layers = cut(part, config)
-    assert sections_check(part, layers, config).passed
-    assert heights_check(part, layers.heights, config).passed
-
-
-def test_holes_that_polygons_forget_are_found(monkeypatch):
-    part = models()["prism"].tessellate(0.1)
-    layers, right = cut(part), Layers.polygons
-    monkeypatch.setattr(
-        Layers, "polygons", lambda self, k: [shapely.Polygon(p.exterior) for p in right(self, k)]
-    )
-    check = sections_check(part, layers, Config())
-    assert not check.passed
-    assert check.value > Config().process.bead_width_mm / 4
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda p: shapely.affinity.translate(p, 0.4, 0.0),
-        lambda p: shapely.affinity.translate(p, 0.0, -0.4),
-        lambda p: shapely.affinity.scale(p, -1.0, 1.0),
-        lambda p: shapely.affinity.rotate(p, 90.0),
-        lambda p: p.buffer(0.4),
-        lambda p: p.buffer(-0.4),
-        lambda p: shapely.Polygon(p.exterior, list(p.interiors)[:-1]),
-        lambda _: shapely.Polygon(),
-    ],
-)
-def test_other_sections_are_found(change):
-    part = models()["prism"].tessellate(0.1)
-    layers = cut(part)
-    polygons = [[change(p) if k == 7 else p for p in layers.polygons(k)] for k in range(len(layers))]
-    check = sections_check(part, from_polygons(layers.heights, polygons), Config())
-    assert not check.passed
-    assert check.layer == 7
-
-
-def test_a_body_that_is_lost_is_found_among_those_that_overlap():
-    part = join(box((0, 0, 0), (30, 30, 10)), box((20, 20, 0), (50, 50, 10)), box((70, 0, 0), (80, 9, 10)))
-    layers = cut(part)
-    assert sections_check(part, layers, Config()).passed
-    fewer = [sorted(layers.polygons(k), key=lambda p: p.area)[1:] for k in range(len(layers))]
-    assert not sections_check(part, from_polygons(layers.heights, fewer), Config()).passed
-
-
-# -- heights -----------------------------------------------------------------------------------------
-
-TOWER = box((0, 0, 3), (20, 12, 3 + 70 * 1.6))
-SIXTEENTHS = Config().changed(layers={"layer_height_mm": 1.6})
-
-
-def test_layers_that_are_left_out_are_found():
-    cuts = cut_heights(TOWER, SIXTEENTHS)
-    assert heights_check(TOWER, cuts, SIXTEENTHS).passed
-    for wrong in (cuts[:-1], cuts[1:], np.delete(cuts, 30), cuts[::2], cuts + 0.4, 1.1 * (cuts - 3) + 3):
-        assert not heights_check(TOWER, wrong, SIXTEENTHS).passed
-
-
-@pytest.mark.parametrize("top_mm", [0.3, 1.0, 1.6, 2.3, 2.5, 4.0, 47.21])
-def test_any_height_of_a_part_has_its_layers(top_mm):
-    part = box((0, 0, 0), (20, 20, top_mm))
-    assert heights_check(part, cut_heights(part, SIXTEENTHS), SIXTEENTHS).passed
-
-
-def test_heights_that_the_user_lists_are_his():
-    config = SIXTEENTHS.changed(layers={"heights_mm": [5.0, 7.0, 8.0]})
-    assert heights_check(TOWER, cut_heights(TOWER, config), config).passed
-
-
-def test_a_mistake_in_the_heights_of_cuts_shuts_the_gate(monkeypatch):
-    monkeypatch.setattr(layer_heights_of.math, "ceil", lambda number: int(np.ceil(number)) - 1)
-    cuts = layer_heights_of.layer_heights(TOWER, 1.6)
-    monkeypatch.undo()
-    assert not heights_check(TOWER, cuts, SIXTEENTHS).passed
-    assert replace(heights_check(TOWER, cuts, SIXTEENTHS), passed=True).value == pytest.approx(0.8)
-
-
-# -- the part of the file ----------------------------------------------------------------------------
-
-
-CORNERED = join(box((0, 0, 0), (30, 20, 10)), box((0, 0, 10), (8, 6, 25)))
-"""A part that is alike in no two directions."""
-
-
-def read(folder, settings, form="binary"):
-    config = Config().changed(part=settings)
-    part, path = CORNERED, folder / "prism.stl"
-    if form != "ascii":
-        save(part, path)
-        path.write_bytes(path.read_bytes() + (b"?" if form == "trailing" else b""))
-    else:
-        lines = [
-            "facet normal 0 0 0",
-            "outer loop",
-            *["vertex {:.9g} {:.9g} {:.9g}"] * 3,
-            "endloop",
-            "endfacet",
-        ]
-        every = (chr(10).join(lines).format(*facet.ravel()) for facet in part.triangles)
-        path.write_text(chr(10).join(["solid prism", *every, "endsolid prism", ""]))
-    return placed_part(path, config)[0], config
-
-
-@pytest.mark.parametrize("form", ["binary", "trailing", "ascii"])
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {},
-        {"units": "in"},
-        {"units": "cm", "direction": [0.0, -1.0, 0.0]},
-        {"direction": [0.6, 0.0, 0.8], "rotate_deg": 30.0, "place_at_mm": [100.0, 50.0, 3.0]},
-        {"direction": [0.0, 0.0, -1.0]},
-    ],
-)
-def test_a_part_is_the_one_in_its_file(settings, form, tmp_path):
-    assert file_check(*read(tmp_path, settings, form)).passed
-
-
-def test_a_wrong_unit_is_found(monkeypatch, tmp_path):
-    monkeypatch.setitem(UNITS_MM, "in", 25.0)
-    check = file_check(*read(tmp_path, {"units": "in"}))
-    assert not check.passed
-    assert check.value > 0.01
-
-
-@pytest.mark.parametrize("direction", [[0.0, 1.0, 0.0], [0.6, 0.0, 0.8], [0.0, 0.0, -1.0]])
-def test_a_part_that_is_turned_the_wrong_way_is_found(direction, monkeypatch, tmp_path):
-    right = mesh_part.rotation_to_z
-    wrong = (lambda _: np.eye(3)) if direction[2] < 0 else (lambda way: right(way).T)
-    monkeypatch.setattr(mesh_part, "rotation_to_z", wrong)
-    part, config = read(tmp_path, {"direction": direction})
-    assert not file_check(part, config).passed
-
-
-def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
-    right = placing.Placing.moved
-    monkeypatch.setattr(
-        placing.Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
-    )
-    assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
 
 
 # -- what is taken of the plan -----------------------------------------------------------------------

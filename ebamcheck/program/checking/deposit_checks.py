@@ -52,6 +52,9 @@ LAYER_OUTSIDE = 3.0
 OF_LAYER = "of the layer's metal"
 """Unit of a figure that is a share of the metal of a single layer."""
 
+ROUNDING = 1e-9
+"""Shares that differ by less are the same."""
+
 SMALL_KG = 0.1
 """A part under this is weighed in milligrams, a heavier one in grams."""
 
@@ -150,7 +153,7 @@ def _outside(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config
     )
     # The figure is that of the whole or of the layer, whichever comes nearer to its own limit.
     layer_limit = limit * LAYER_OUTSIDE
-    of_whole = not alone and whole * LAYER_OUTSIDE >= share[k]
+    of_whole = not alone and whole * LAYER_OUTSIDE >= share[k] - ROUNDING
     worst, limit, unit = (
         (whole, limit, "of the metal") if of_whole else (float(share[k]), layer_limit, OF_LAYER)
     )
