@@ -408,8 +408,10 @@ def test_what_changes_when_a_program_is_marked_is_found(spoil, monkeypatch, tmp_
         return found
 
     monkeypatch.setattr(marked, "mark_validated", mark)
+    checked = {name: (made.files.folder / name).read_bytes() for name in made.files.names}
     with pytest.raises(RuntimeError, match="more than its status"):
         marked.marked_validated(made.files)
+    assert all((made.files.folder / name).read_bytes() == data for name, data in checked.items())
 
 
 @pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode", "fanuc"])

@@ -53,7 +53,11 @@ def file_check(part: Part, config: Config) -> Check:
     }
     what = max(off, key=lambda name: off[name])
     good = f"{path.name} in {config.part.units}, {found[0]:.6g} mm high"
-    text = good if off[what] <= SAME_SIZE else f"the part {what} in {path.name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
+    text = (
+        good
+        if off[what] <= SAME_SIZE
+        else f"the part {what} in {path.name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
+    )
     return Check(PART_FILE, off[what] <= SAME_SIZE, off[what], SAME_SIZE, "of its size", "", text)
 
 
