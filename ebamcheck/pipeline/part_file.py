@@ -93,4 +93,4 @@ def _facets_of(path: Path) -> Iterator[Floats]:
         found = FACET_TEXT.finditer(head + file.read())
     # A part has the 32-bit numbers of a binary file, whatever digits the text prints.
     while some := [facet.groups() for facet in islice(found, AT_ONCE)]:
-        yield np.array(some, np.float64).astype(np.float32).reshape(-1, 3, 3)
+        yield np.array(some, np.float64).astype(np.float32).astype(np.float64).reshape(-1, 3, 3)
