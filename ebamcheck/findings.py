@@ -29,7 +29,7 @@ CODES: Mapping[str, str] = {
     "declared-doubt": "Slicers agree on layers only because one of them declares its answer doubtful there.",
     "facets-turned-over": "Facets were turned over because the settings ask for it (part.fix_orientation).",
     "heat-above-solidus": "The heat model finds islands above the solidus when the beam enters them.",
-    "height-off-part": "The layers end beside the top of the part by more of its height than the metal may be off.",
+    "height-off-part": "The layers end beside the top of the part by more of its height than the metal may be off, or are not those of the settings.",
     "hole-closed": "A hole is so narrow that beads close it.",
     "interpass-limit": "A layer is entered above the interpass limit, or its limit cannot be reached by waiting.",
     "interpass-wait": "The waits between layers, and what they do to the time of the build.",

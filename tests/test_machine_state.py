@@ -370,3 +370,10 @@ def test_a_value_of_linuxcnc_that_stops_the_tool_along_a_bead_is_found(tmp_path)
     text = ProgramText(LINUXCNC, tmp_path / "q")
     text.insert(name, line, "M67 E1 Q120")
     assert "order of events" not in text.failed_by_text()
+
+
+@pytest.mark.parametrize(
+    "ends", [{"beam_off": ["M68 E1 Q0", "M65 P0"]}, {"wire_stop": ["M68 E2 Q0", "M65 P1"]}]
+)
+def test_a_profile_may_set_a_value_to_nothing_before_it_switches_off(ends, tmp_path):
+    assert not ProgramText(LINUXCNC, tmp_path / "p", machine=ends).failed_by_text()

@@ -168,6 +168,20 @@ def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
     assert again_k == pytest.approx(column_k, abs=0.05 * (873.0 - 293.0))
 
 
+@pytest.mark.parametrize("limit_k", [423.0, 873.0])
+@pytest.mark.parametrize("material", ["Ti-6Al-4V", "Al 2319", "316L"])
+def test_sound_plans_pass_the_second_balance(material, limit_k, tmp_path):
+    """On a cooled plate a slim column on a wide foot, and slabs on a slim column, cool the fastest from the heat of a bead."""
+    config = WARM.changed(
+        material={"name": material}, process={"base": "cooled", "interpass_limit_k": limit_k}
+    )
+    column, foot = shapely.box(-6, -6, 6, 6), shapely.box(-40, -40, 40, 40)
+    slab = shapely.box(-20, -20, 20, 20)
+    for name, sections in (("foot", [foot] * 3 + [column] * 8), ("slab", [column] * 6 + [slab] * 4)):
+        checks = heat_of(Made(tmp_path / name, sections, config, layers=len(sections)))
+        assert checks[AGAIN].passed, checks[AGAIN].text
+
+
 def test_after_a_time_without_end_no_temperature_is_known():
     config, section = Config(), shapely.box(0, 0, 20, 20)
     times_s, heat_j = np.array([5.0, np.inf, 5.0, 5.0]), np.array([1e4, np.nan, 1e4, 1e4])
@@ -226,8 +240,10 @@ def test_what_changes_when_a_program_is_marked_is_found(spoil, monkeypatch, tmp_
         return found
 
     monkeypatch.setattr(marked, "mark_validated", mark)
+    checked = {name: (made.files.folder / name).read_bytes() for name in made.files.names}
     with pytest.raises(RuntimeError, match="more than its status"):
         marked.marked_validated(made.files)
+    assert all((made.files.folder / name).read_bytes() == data for name, data in checked.items())
 
 
 @pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode", "fanuc"])

@@ -131,7 +131,7 @@ def read(folder, settings, form="binary"):
     part, path = CORNERED, folder / "prism.stl"
     if form != "ascii":
         save(part, path)
-        path.write_bytes(path.read_bytes() + (b"?" if form == "trailing" else b""))
+        path.write_bytes(path.read_bytes() + {"trailing": b"?", "padded": bytes(512)}.get(form, b""))
     else:
         lines = [
             "facet normal 0 0 0",
@@ -141,11 +141,12 @@ def read(folder, settings, form="binary"):
             "endfacet",
         ]
         every = (chr(10).join(lines).format(*facet.ravel()) for facet in part.triangles)
-        path.write_text(chr(10).join(["solid prism", *every, "endsolid prism", ""]))
+        # A name that ends in a word of the format.
+        path.write_text(chr(10).join(["solid one_vertex", *every, "endsolid one_vertex", ""]))
     return placed_part(path, config)[0], config
 
 
-@pytest.mark.parametrize("form", ["binary", "trailing", "ascii"])
+@pytest.mark.parametrize("form", ["binary", "trailing", "padded", "ascii"])
 @pytest.mark.parametrize(
     "settings",
     [
@@ -158,6 +159,16 @@ def read(folder, settings, form="binary"):
 )
 def test_a_part_is_the_one_in_its_file(settings, form, tmp_path):
     assert file_check(*read(tmp_path, settings, form)).passed
+
+
+def test_a_text_file_has_the_numbers_of_a_binary_one(tmp_path):
+    """A small part far from the origin: its file prints more digits than a part has."""
+    config, path = Config(), tmp_path / "far.stl"
+    corners = (0.513 * CORNERED.triangles + 123456.789).tolist()
+    text = "facet normal 0 0 0 outer loop vertex {} {} {} vertex {} {} {} vertex {} {} {} endloop endfacet"
+    every = (text.format(*(x for corner in facet for x in corner)) for facet in corners)
+    path.write_text("\n".join(["solid far", *every, "endsolid far", ""]))
+    assert file_check(placed_part(path, config)[0], config).passed
 
 
 def test_a_wrong_unit_is_found(monkeypatch, tmp_path):

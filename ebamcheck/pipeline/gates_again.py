@@ -78,10 +78,11 @@ OF_TEXT_ALONE = (
     CROSSINGS,
     HANDSHAKE,
     WIRE_OF_BEADS,
-    AGAIN,  # of runs of an earlier version
+    # Not by runs of an earlier version.
+    AGAIN,
     *OF_THE_MESH,
 )
-"""Checks that are made here and not by a run, which has its plan to compare with."""
+"""Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version."""
 
 
 @dataclass(frozen=True)

@@ -23,12 +23,13 @@ from ebamcheck.program.checking.deposit_checks import HEIGHTS, SECTIONS
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.short_text import counted
 
 LINES_PER_BEAD = 2.0
 """Lines over the width of a bead: two or more cross every hole and every wall that may be built."""
 
 MOST_LINES = 400
-"""Lines of one direction across a part at most."""
+"""Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that."""
 
 OFF_GRID = 0.381966
 """Share of their distance by which lines lie beside whole ones: sides of parts lie at round numbers."""
@@ -104,7 +105,7 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
         }
     what = max(off, key=lambda name: off[name])
     value = max(off[what], 0.0)
-    good = f"{len(cuts)} layers of {high:.4g} mm from the bottom of the part to its top"
+    good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
     text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
     return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,8 @@ HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("
 AT_ONCE = 500_000
 """Facets that are held at once."""
 
-VERTEX = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
-"""A corner in an ASCII STL file."""
+FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.IGNORECASE)
+"""Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid."""
 
 
 def file_check(part: Part, config: Config) -> Check:
@@ -46,13 +47,17 @@ def file_check(part: Part, config: Config) -> Check:
     found = _measured(blocks, (0.0, 0.0, 1.0), 1.0)
     size = max(float(np.linalg.norm(part.size)), 1e-9)
     off = {
-        "is longer or shorter along the slicing direction": abs(found[0] - wanted[0]) / size,
-        "has another surface": abs(found[1] - wanted[1]) / max(wanted[1], 1e-9),
-        "does not stand as the slicing direction says": abs(found[2] - wanted[2]) / size,
+        "is longer or shorter along the slicing direction than": abs(found[0] - wanted[0]) / size,
+        "has another surface than": abs(found[1] - wanted[1]) / max(wanted[1], 1e-9),
+        "does not stand as the slicing direction says for the one": abs(found[2] - wanted[2]) / size,
     }
     what = max(off, key=lambda name: off[name])
     good = f"{path.name} in {config.part.units}, {found[0]:.6g} mm high"
-    text = good if off[what] <= SAME_SIZE else f"the part {what} than in {path.name}: {found[0]:.6g} mm high"
+    text = (
+        good
+        if off[what] <= SAME_SIZE
+        else f"the part {what} in {path.name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
+    )
     return Check(PART_FILE, off[what] <= SAME_SIZE, off[what], SAME_SIZE, "of its size", "", text)
 
 
@@ -80,10 +85,12 @@ def _facets_of(path: Path) -> Iterator[Floats]:
     with path.open("rb") as file:
         head = file.read(HEAD)
         count = int.from_bytes(head[80:84], "little")
-        # The reader of parts leaves out bytes behind the last facet, too.
-        if len(head) == HEAD and 0 <= size - HEAD - count * FACET.itemsize < FACET.itemsize:
+        # The reader of parts leaves out padding behind the last facet, too; in text these bytes count more facets than a file holds.
+        if len(head) == HEAD and 0 < count * FACET.itemsize <= size - HEAD:
             for first in range(0, count, AT_ONCE):
                 yield np.fromfile(file, FACET, min(AT_ONCE, count - first))["corners"]
             return
-        corners = np.array(VERTEX.findall(head + file.read()), np.float64)
-    yield corners.reshape(-1, 3, 3)
+        found = FACET_TEXT.finditer(head + file.read())
+    # A part has the 32-bit numbers of a binary file, whatever digits the text prints.
+    while some := [facet.groups() for facet in islice(found, AT_ONCE)]:
+        yield np.array(some, np.float64).astype(np.float32).astype(np.float64).reshape(-1, 3, 3)

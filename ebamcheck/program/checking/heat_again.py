@@ -3,8 +3,8 @@
 Plan and check of the entries follow one heat column (:mod:`ebamcheck.heat.balance`): a mistake in it would give a plan too
 short waits, and then find its entries cool enough. Here the same heat is followed in the plainest way, from the data of
 the material and the text alone: cells as high as the layers, temperatures in place of heat contents, steps of first
-order, each with the data of its middle. It is coarser, so that it may find beads warmer by :data:`MODELS_SHARE`; what is wrong
-by more has a mistake behind it, here or there.
+order, each with the data of its middle. It is coarser, so that it may find beads warmer by :func:`may_differ_k`; what is wrong by
+more has a mistake behind it, here or there.
 """
 
 from __future__ import annotations
@@ -28,11 +28,15 @@ MODELS_SHARE = 0.1
 """Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and
 emissivity of an alloy are known no better."""
 
+MODELS_K = 60.0
+"""By so many kelvins they may differ in any case: how far metal cools from its melting point until the next bead is not a matter of
+the limit (49 K at most, of five shapes, four alloys and limits from 423 K up)."""
+
 PLATE_CELLS = 6
 """Cells of the base plate."""
 
-STEPS = 12
-"""Steps of every time, growing evenly: what is uneven evens out at first."""
+STEPS = 24
+"""Steps of every time, growing evenly: what is uneven evens out at first. With 12 a column on a wide foot is found 62 K too warm."""
 
 HOTTEST_K = 6000.0
 """End of the data; what is hotter has those of the end."""
@@ -55,6 +59,12 @@ def highest_entry_k(config: Config) -> float:
         if process.interpass == "off"
         else min(material.interpass_limit_k, material.solidus_k)
     )
+
+
+def may_differ_k(config: Config) -> float:
+    """By how much two balances of the same heat may differ near the limit, K."""
+    rise_k = highest_entry_k(config) - config.process.ambient_temperature_k
+    return max(MODELS_SHARE * rise_k, MODELS_K)
 
 
 def melting_power_w(config: Config, thickness_mm: float) -> float:

@@ -14,10 +14,10 @@ from ebamcheck.heat.melting import scheduled_share
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place
 from ebamcheck.program.checking.heat_again import (
-    MODELS_SHARE,
     BeadHeat,
     entries_k,
     highest_entry_k,
+    may_differ_k,
     melting_power_w,
 )
 from ebamcheck.program.checking.text_heat import (
@@ -264,7 +264,7 @@ def _again(
 ) -> Check:
     """The same temperature by a second balance, against the limit and what two of them may differ by."""
     ambient_k, limit_k = config.process.ambient_temperature_k, highest_entry_k(config)
-    most_k = limit_k + MODELS_SHARE * max(limit_k - ambient_k, 0.0)
+    most_k = limit_k + may_differ_k(config)
     heat = BeadHeat(
         beads.layer, beads.move_s + beads.wait_s, beads.time_s, beads.energy_j * config.material.absorptivity
     )

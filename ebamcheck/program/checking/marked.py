@@ -21,12 +21,14 @@ def marked_validated(files: ProgramFiles) -> ProgramFiles:
     Raises
     ------
     RuntimeError
-        If more has changed than its status: a mistake of this program, and no program to run.
+        If more has changed than its status: a mistake of this program. Its files are then again those that were checked.
     """
     checked = {name: (files.folder / name).read_bytes() for name in files.names}
     made = mark_validated(files)
     for name, data in checked.items():
         if made.folder != files.folder or not is_marked(data, (made.folder / name).read_bytes()):
+            for file, before in checked.items():
+                (files.folder / file).write_bytes(before)
             raise RuntimeError(f"{made.folder / name}: more than its status has changed since it was checked")
     return made
 

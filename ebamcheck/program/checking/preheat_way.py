@@ -17,7 +17,7 @@ from ebamcheck.settings.config import Config
 WAITS = ("layer_pause_s", DWELL)
 
 LONGEST_S = 86400.0
-"""A motion or a wait of a scan is simulated for a day at most; one by a feed or of a time that is negative, not at all."""
+"""A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative."""
 
 
 def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:

@@ -84,7 +84,11 @@ def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float
 
 
 def _keep_out(nc: NCProgram, config: Config) -> Check:
-    """Depth to which the edge of a bead enters a zone, and length of a rapid within one; or of the box, where it may go anywhere in that."""
+    """Depth to which the edge of a bead enters a zone, and length of a rapid within one.
+
+    Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
+    of what that has in common with the zone.
+    """
     rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
     lines = motion_lines(nc, rows)
     if control(nc.dialect).rapids_apart:

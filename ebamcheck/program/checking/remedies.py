@@ -35,7 +35,7 @@ LEVELS = (
     "that is too much, allow for machining (process.machining_allowance_mm)"
 )
 COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
-MISTAKE = "no setting mends it: slicing, layers or heat model have a mistake; report it with the part"
+MISTAKE = "no setting mends it: this program has a mistake in reading, slicing, layers or heat model; report it with the part"
 WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
 
 REMEDIES: Mapping[str, str] = {

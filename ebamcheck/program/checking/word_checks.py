@@ -33,7 +33,7 @@ FEW = 2
 
 
 def words_check(nc: NCProgram) -> Check:
-    """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place."""
+    """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place or half of it."""
     lines = [file.data.split(b"\n") for file in nc.files]
     text = f"{len(nc)} motions name X and Y as the others do"
     faults = [*_blocks(nc, lines), *_half_ways(nc, lines), *_ways(nc, lines)]

@@ -14,6 +14,9 @@ from ebamcheck.program.language.words import NUMBER
 RUNNING = ("set_power", "set_wire")
 """Templates that set values along a bead."""
 
+ENDING = ("beam_off", "wire_stop")
+"""Templates that may set a value to 0 at the end of a bead, before they switch off."""
+
 
 @dataclass(frozen=True)
 class StateChange:
@@ -26,7 +29,7 @@ class StateChange:
     before: tuple[str, ...] = ()
     """Blocks of the same template that come before one that switches."""
     running: bool = True
-    """Whether the profile has the block in a template for values that change while beam and wire run."""
+    """Whether the profile has the block in a template for values that change while beam and wire run, or as they end."""
 
 
 class Templates:
@@ -36,7 +39,7 @@ class Templates:
         self._literal: dict[str, StateChange] = {}
         self._patterns: list[tuple[re.Pattern[str], StateChange]] = []
         self._memory: dict[str, StateChange | None] = {}
-        running = {block for name in RUNNING for block, _ in templates[name]}
+        running = {block for name in (*RUNNING, *ENDING) for block, _ in templates[name]}
         for name, blocks in templates.items():
             for i, (block, actions) in enumerate(blocks):
                 switches = any(action.meaning in SWITCHES for action in actions)
