@@ -14,7 +14,7 @@ from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.metal import target
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
-from ebamcheck.program.checking import marked
+from ebamcheck.program.checking import heat_again, marked
 from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
@@ -180,6 +180,18 @@ def test_sound_plans_pass_the_second_balance(material, limit_k, tmp_path):
     for name, sections in (("foot", [foot] * 3 + [column] * 8), ("slab", [column] * 6 + [slab] * 4)):
         checks = heat_of(Made(tmp_path / name, sections, config, layers=len(sections)))
         assert checks[AGAIN].passed, checks[AGAIN].text
+
+
+def test_cells_that_are_joined_on_the_way_down_change_nothing(monkeypatch):
+    count = 200
+    layer = np.repeat(np.arange(count), 4)
+    off_s = np.where(np.arange(layer.size) % 4 == 0, 40.0, 2.0)
+    times = heat_again.BeadHeat(layer, off_s, np.full(layer.size, 6.0), np.full(layer.size, 1e4))
+    sections = [shapely.box(0, 0, 40 + 15 * np.sin(k / 9), 30) for k in range(count)]
+    joined_k = heat_again.entries_k(times, sections, np.full(count, 1.6755), Config())
+    monkeypatch.setattr(heat_again, "MOST_CELLS", 10**6)
+    single_k = heat_again.entries_k(times, sections, np.full(count, 1.6755), Config())
+    assert joined_k == pytest.approx(single_k, abs=1.0)
 
 
 def test_after_a_time_without_end_no_temperature_is_known():

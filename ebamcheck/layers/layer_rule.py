@@ -151,6 +151,12 @@ def level_faces(part: Part, least_mm2: float) -> list[LevelFace]:
     return found
 
 
+def moved_mm3(faces: list[LevelFace], cuts: Floats, borders: Floats) -> float:
+    """Metal that layers add at level faces, or leave out there, whichever is more; by the faces alone."""
+    moved = np.array([face.area_mm2 * face.added_mm for face in _judged(faces, cuts, borders)])
+    return float(max(moved[moved > 0.0].sum(), -moved[moved < 0.0].sum()))
+
+
 def _judged(faces: list[LevelFace], cuts: Floats, borders: Floats) -> list[LevelFace]:
     """Faces that lie within a layer, or over the last one, with what the layer makes of them."""
     found = []

@@ -12,10 +12,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.layers.heights import layer_heights
-from ebamcheck.layers.layer_rule import layer_rule, level_faces, section_areas
+from ebamcheck.layers.layer_rule import layer_rule, level_faces, moved_mm3, section_areas
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.mesh.volumes import volumes_between
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.preflight.checks import PreflightCheck
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
@@ -27,6 +28,9 @@ OTHER_HEIGHTS = 0.25
 
 HEIGHTS_TRIED = 40
 """Layer heights that are tried for a proposal, the nearest first."""
+
+SURELY_OFF = 2.0
+"""A layer height whose level faces move more than this times the tolerance is not looked at any further."""
 
 HEIGHT_DECIMALS = 4
 """Decimals of a layer height that is proposed, mm."""
@@ -91,21 +95,37 @@ def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
 
 def share_off(part: Part, config: Config) -> float:
     """Metal that uniform layers add or leave out, over the solid's: the greatest of all parts of a plate."""
-    height_mm, bottom = config.layer_height_mm, float(part.bounds[0, 2])
-    cuts = layer_heights(part, height_mm)
-    borders = bottom + height_mm * np.arange(len(cuts) + 1)
+    cuts, borders = _uniform(part, config.layer_height_mm)
     return max(_share_of(mesh, cuts, borders, config) for mesh in _meshes(part))
 
 
 def nearest_fitting(part: Part, config: Config) -> NearHeight | None:
     """Layer height nearest to that of the settings with which no part is off by more than `process.mass_tolerance`."""
     (bottom, top), spot_mm2 = part.bounds[:, 2].tolist(), config.process.bead_width_mm**2
-    levels = {round(face.z_mm - bottom, 6) for mesh in _meshes(part) for face in level_faces(mesh, spot_mm2)}
+    meshes, limit = _meshes(part), config.process.mass_tolerance
+    faces = [level_faces(mesh, spot_mm2) for mesh in meshes]
+    levels = {round(face.z_mm - bottom, 6) for some in faces for face in some}
     for height in _near_heights([*levels, top - bottom], config):
-        share = share_off(part, config.changed(layers={"layer_height_mm": height}))
-        if share <= config.process.mass_tolerance:
+        cuts, borders = _uniform(part, height)
+        # Most heights fail by their level faces alone, which takes no look at the mesh.
+        moved = max(
+            moved_mm3(some, cuts, borders) / max(mesh.volume, 1e-9)
+            for mesh, some in zip(meshes, faces, strict=True)
+        )
+        if moved > SURELY_OFF * limit:
+            continue
+        other = config.changed(layers={"layer_height_mm": height})
+        share = max(_share_of(mesh, cuts, borders, other) for mesh in meshes)
+        if share <= limit:
             return NearHeight(height, share)
     return None
+
+
+def _uniform(part: Part, height_mm: float) -> tuple[Floats, Floats]:
+    """Cuts (L,) and borders (L + 1,) of uniform layers of a part, mm."""
+    cuts = layer_heights(part, height_mm)
+    borders = np.asarray(float(part.bounds[0, 2]) + height_mm * np.arange(len(cuts) + 1), np.float64)
+    return cuts, borders
 
 
 def _kept(config: Config, text: str) -> ChosenHeight:
@@ -119,7 +139,7 @@ def _meshes(part: Part) -> Sequence[Part]:
     return [part.member(member) for member in part.members]
 
 
-def _share_of(mesh: Part, cuts: np.ndarray, borders: np.ndarray, config: Config) -> float:
+def _share_of(mesh: Part, cuts: Floats, borders: Floats, config: Config) -> float:
     process = config.process
     top = max(float(mesh.bounds[1, 2]), float(borders[-1])) + 1.0
     volumes = volumes_between(mesh, np.append(borders, top))

@@ -38,7 +38,7 @@ def line_energy_j_mm(config: Config) -> float:
 
 
 def least_window_share(config: Config) -> float:
-    """Share of the power under which its line energy or its current leaves the process window.
+    """Share of the power under which its line energy, its current, or its energy for the wire of hatch lines leaves the process window.
 
     Examples
     --------
@@ -46,9 +46,11 @@ def least_window_share(config: Config) -> float:
     0.25
     """
     process = config.process
+    metal_mm3_s = wire_area_mm2(config) * nominal_wire_speed_mm_s(config, config.layer_height_mm)
     return max(
         process.line_energy_j_mm[0] / line_energy_j_mm(config),
         process.current_window_ma[0] / process.current_ma,
+        process.metal_energy_j_mm3[0] * metal_mm3_s / process.power_w,
     )
 
 

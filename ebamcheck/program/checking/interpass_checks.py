@@ -147,10 +147,13 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
 
 
 def _concentration(section: BaseGeometry, config: Config) -> float:
-    """Area of a section over that of its least piece which is no mere spot; 1 without any."""
+    """Area of a section over that of its least piece which is no mere spot, and the number of these at most; 1 without any.
+
+    All heat goes into a piece while it is built, but no more than its share of the layer's.
+    """
     pieces = shapely.area(shapely.get_parts(section))
     pieces = pieces[pieces >= config.process.bead_width_mm**2]
-    return float(pieces.sum() / pieces.min()) if pieces.size else 1.0
+    return min(float(pieces.sum() / pieces.min()), float(pieces.size)) if pieces.size else 1.0
 
 
 def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | None) -> Check:

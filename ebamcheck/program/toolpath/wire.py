@@ -75,15 +75,22 @@ WIDTH_DIGITS = 4
 
 
 def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
-    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed and of the pool.
+    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed, of the pool, and of the
+    energy for the wire.
 
     Where the feed follows along the path, those of wire and feed together, at a share of the power.
     """
     process = config.process
     per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
     slow, fast = along_window(config, power_share)
-    most = min(process.wire_speed_max_mm_s / (per_mm * slow), MOST_SPACINGS * process.hatch_spacing_mm)
-    return process.wire_speed_min_mm_s / (per_mm * fast), most
+    melted_mm3_s = power_share * process.power_w / process.metal_energy_j_mm3[0]
+    most = min(
+        process.wire_speed_max_mm_s / (per_mm * slow),
+        MOST_SPACINGS * process.hatch_spacing_mm,
+        melted_mm3_s / (process.travel_speed_mm_s * thickness_mm),
+    )
+    least = process.wire_speed_min_mm_s / (per_mm * fast)
+    return least, max(least, most)
 
 
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:

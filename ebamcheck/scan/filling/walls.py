@@ -288,7 +288,7 @@ def _side_by_side(
 def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> shapely.LineString:
     """Leave out corners at which a line turns back on itself for a moment: inside a bend, lines beside its middle cross themselves."""
     points = shapely.get_coordinates(line)
-    while len(points) > 2:
+    while len(points) > 3:
         steps = np.diff(points, axis=0)
         length = np.maximum(np.hypot(*steps.T), np.finfo(float).tiny)
         straight = (steps[1:] * steps[:-1]).sum(axis=1) / (length[1:] * length[:-1])
