@@ -17,6 +17,10 @@ USUAL_OVER_BEAD = (0.75, 1.25)
 """Layer heights over that of one bead at which wire and beam need no trial of their own: as far as published parameters of
 one machine and wire vary from layer to layer; nominal."""
 
+MOST_SPACINGS = 1.6
+"""Greatest width of a bead over the spacing: it stands that much higher over the layer than its neighbours, which the
+next layer still melts."""
+
 ROUNDING = 1e-9
 """Of a ratio of floats."""
 
@@ -38,7 +42,7 @@ def line_energy_j_mm(config: Config) -> float:
 
 
 def least_window_share(config: Config) -> float:
-    """Share of the power under which its line energy, its current, or its energy for the wire of hatch lines leaves the process window.
+    """Share of the power under which its line energy, its current, or its energy for the wire of the widest beads leaves the process window.
 
     Examples
     --------
@@ -46,7 +50,9 @@ def least_window_share(config: Config) -> float:
     0.25
     """
     process = config.process
-    metal_mm3_s = wire_area_mm2(config) * nominal_wire_speed_mm_s(config, config.layer_height_mm)
+    metal_mm3_s = (
+        MOST_SPACINGS * wire_area_mm2(config) * nominal_wire_speed_mm_s(config, config.layer_height_mm)
+    )
     return max(
         process.line_energy_j_mm[0] / line_energy_j_mm(config),
         process.current_window_ma[0] / process.current_ma,

@@ -37,6 +37,7 @@ from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import along_window
+from ebamcheck.settings.process_window import MOST_SPACINGS
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 STRETCH_BEADS = 1.0
@@ -45,10 +46,6 @@ STRETCH_BEADS = 1.0
 ALIKE = 1.15
 """Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch
 lines beside it make as much of a difference, every change is a block, and a wall half as thick makes more."""
-
-MOST_SPACINGS = 1.6
-"""Greatest width over the bead spacing: a bead stands that much higher over the layer than its neighbours, which the
-next layer still melts."""
 
 ALIKE_MAPPED = 1.05
 """The same of all beads on a surface that was measured: what is known is followed more closely."""
