@@ -26,9 +26,11 @@ from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.run_folder import MANIFEST
+from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import write_program
 from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
@@ -147,6 +149,7 @@ def post_command(
         checked_window(config)
         check_entry(from_layer, config)
         placed = loaded(source, config)
+        config = chosen_height(placed, inspect(placed).passed, config).config
         layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
         smooth = smooth_layers(fit(layers, config.curves.method, config.curves, part=placed))
         plan = plan_stack(smooth, config)
