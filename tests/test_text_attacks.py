@@ -270,6 +270,14 @@ def test_an_axis_that_a_way_lacks_is_found(made, tmp_path, control, axis):
     assert f"a rapid names no {axis}" in found.text
 
 
+def test_a_way_may_name_one_axis_where_beads_do(made, tmp_path):
+    def change(texts):
+        each = {n: re.sub(r"^G1 (X\S+) (Y\S+)", r"G1 \1\nG1 \2", t, flags=re.M) for n, t in texts.items()}
+        return {n: re.sub(r"^(G0 Z.*\nG0 X\S+) Y\S+", r"\1", t, count=1, flags=re.M) for n, t in each.items()}
+
+    assert "words of motions" not in spoiled(made, tmp_path, "plain-gcode", change)
+
+
 def test_a_way_to_a_bead_that_is_missing_is_found(made, tmp_path):
     change = edited(r"^G0 X.*\n(?=G0 Z.*\n(?:M42|M3|S))", "", nth=2)
     assert (

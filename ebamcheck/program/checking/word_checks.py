@@ -36,12 +36,14 @@ def words_check(nc: NCProgram) -> Check:
     """Check that no block of a bead lacks an axis that nearly all others name, and no way to a bead lacks its place or half of it."""
     lines = [file.data.split(b"\n") for file in nc.files]
     text = f"{len(nc)} motions name X and Y as the others do"
-    faults = [*_blocks(nc, lines), *_half_ways(nc, lines), *_ways(nc, lines)]
+    blocks = _blocks(nc, lines)
+    # Where blocks of metal name what changes, rapids may, too.
+    faults = _ways(nc, lines) if blocks is None else [*blocks, *_half_ways(nc, lines), *_ways(nc, lines)]
     return count_check(NAME, faults, text)
 
 
-def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
-    """Blocks of metal that lack an axis."""
+def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]] | None:
+    """Blocks of metal that lack an axis; None of a program in which blocks name what changes."""
     metal = np.flatnonzero(nc.deposit & (nc.kind != RAPID))
     places = lines_of(nc, metal)
     lacking = [
@@ -51,7 +53,7 @@ def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
     ]
     whole = len(places) - len(lacking)
     if whole < MOST_WHOLE * len(places):
-        return []  # A program in which blocks name what changes.
+        return None
     return [
         (
             f"{nc.files[file].name}:{line}",
