@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
 from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.layer_rule import level_faces, moved_mm3
 from ebamcheck.pipeline.solid_metal import solid_check
 from ebamcheck.plugins.model import models
 from ebamcheck.preflight.layer_height import OTHER_HEIGHTS, chosen_height, nearest_fitting, share_off
@@ -53,6 +55,19 @@ def test_no_height_that_is_nearer_would_do():
     assert share_off(MUSHROOM, Config().changed(layers={"layer_height_mm": near.height_mm})) <= 0.02
     for between in (1.55, 1.6, 1.65, 1.7, 1.75, 1.8):
         assert not solid(MUSHROOM, Config().changed(layers={"layer_height_mm": between})).passed
+
+
+def test_metal_within_the_allowance_for_machining_moves_nothing():
+    # The foot ends 0.2 mm short at a bead's height; layers of 1.7 mm mend that, and go 0.7 mm beyond the smaller top.
+    config = Config().changed(process={"machining_allowance_mm": 1.0})
+    part = join(box((0, 0, 0), (30, 30, 3.4)), box((40, 0, 0), (70, 30, 4.4)))
+    near = nearest_fitting(part, config)
+    assert near is not None
+    assert solid(part, config.changed(layers={"layer_height_mm": near.height_mm})).passed
+    cuts = cut_heights(part, config.changed(layers={"layer_height_mm": 1.7}))
+    borders, faces = 1.7 * np.arange(len(cuts) + 1), level_faces(part, 36.0)
+    assert moved_mm3(faces, cuts, borders) == pytest.approx(0.7 * 900)
+    assert moved_mm3(faces, cuts, borders, 1.0) == 0.0
 
 
 def test_what_is_set_stays_as_it_is():

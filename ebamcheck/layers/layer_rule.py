@@ -151,9 +151,10 @@ def level_faces(part: Part, least_mm2: float) -> list[LevelFace]:
     return found
 
 
-def moved_mm3(faces: list[LevelFace], cuts: Floats, borders: Floats) -> float:
-    """Metal that layers add at level faces, or leave out there, whichever is more; by the faces alone."""
-    moved = np.array([face.area_mm2 * face.added_mm for face in _judged(faces, cuts, borders)])
+def moved_mm3(faces: list[LevelFace], cuts: Floats, borders: Floats, allowed_mm: float = 0.0) -> float:
+    """Metal that layers add at level faces beyond the allowance, or leave out there, whichever is more; by the faces alone."""
+    off = [face for face in _judged(faces, cuts, borders) if not 0.0 < face.added_mm <= allowed_mm]
+    moved = np.array([face.area_mm2 * face.added_mm for face in off])
     return float(max(moved[moved > 0.0].sum(), -moved[moved < 0.0].sum()))
 
 

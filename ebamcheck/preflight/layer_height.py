@@ -109,7 +109,7 @@ def nearest_fitting(part: Part, config: Config) -> NearHeight | None:
         cuts, borders = _uniform(part, height)
         # Most heights fail by their level faces alone, which takes no look at the mesh.
         moved = max(
-            moved_mm3(some, cuts, borders) / max(mesh.volume, 1e-9)
+            moved_mm3(some, cuts, borders, config.process.machining_allowance_mm) / max(mesh.volume, 1e-9)
             for mesh, some in zip(meshes, faces, strict=True)
         )
         if moved > SURELY_OFF * limit:
