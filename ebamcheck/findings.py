@@ -24,6 +24,7 @@ CODES: Mapping[str, str] = {
     "backend-unavailable": "A slicer or witness of this installation cannot run on this machine.",
     "bead-out-of-section": "Beads lay metal outside of the section: walls under a bead, closed holes.",
     "check-failed": "A check of the program's text failed.",
+    "consumable-change": "The wire of a spool or the life of a cathode does not last for the build: the operator has to put on a new one.",
     "curve-fell-back": "Rings were fitted by a more cautious method, because the mesh does not speak for the one asked for.",
     "curves-not-lifted": "The curves follow the contours: these do not lie on the edges of the part's mesh.",
     "declared-doubt": "Slicers agree on layers only because one of them declares its answer doubtful there.",

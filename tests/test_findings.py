@@ -171,7 +171,8 @@ def test_every_rendering_shows_every_finding(made, copy):
 def test_every_rendering_says_what_is_proved_and_what_is_left(copy):
     said = statement(copy.manifest())
     assert said.proved == tuple(PROVED[gate["name"]] for gate in copy.manifest()["gates"])
-    assert said.left[1:] == (CODES_OF_THE_MAKER, DRY_RUN, APPROVAL)
+    assert (said.left[1], *said.left[3:]) == (CODES_OF_THE_MAKER, DRY_RUN, APPROVAL)
+    assert re.fullmatch(r"\S+ kg of wire on the spool and a cathode for \S+ h of beam", said.left[2])
     assert re.fullmatch(r"a look at \d+ warnings", said.left[0])
     for name, text in rendered(copy).items():
         for clause in (*said.proved, *said.left):

@@ -13,6 +13,7 @@ from ebamcheck.findings import Finding, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.consumables import consumed
 from ebamcheck.program.checking.deposit_checks import HEIGHTS, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, MISTAKE, NARROWER
@@ -220,6 +221,22 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
             "contours",
             "spread the seams (process.seam_shift_mm), or leave metal for machining (process.machining_allowance_mm)",
         )
+
+
+def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
+    """Layers before which the operator has to put on a new spool, or put in a new cathode."""
+    for found in consumed(program, config):
+        if found.changes:
+            yield Finding(
+                "warning",
+                "consumable-change",
+                found.check().text,
+                f"layer {found.changes[0] + 1} of the program",
+                found.total,
+                found.holds,
+                found.unit,
+                f"have one at hand, and stop there (M1); {found.name} is a check of its own",
+            )
 
 
 def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Finding]:

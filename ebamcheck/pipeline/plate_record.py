@@ -15,15 +15,13 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program import Check
+from ebamcheck.program.checking.consumables import KG_MM3
 from ebamcheck.program.checking.text_heat import motion_seconds
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
 
 PLATE = "plate"
 """Field of the record and of the certificate: one entry a part."""
-
-KG_MM3 = 1e-9
-"""Cubic metres in a cubic millimetre, for densities in kg/m3."""
 
 SAME_MASS = 1e-9
 """Of the greater mass: sums in another order."""

@@ -239,6 +239,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
     config = job.config
     program, _ = matched(read_program(files.main, config), made.path)
     job.add_finding(*noticed_in_program.of_seams(program, made.contours.heights, config))
+    job.add_finding(*noticed_in_program.of_consumables(program, config))
     feeds = aside.submit(side_by_side, program, made.contours, config)
     metal = aside.submit(_laid, job, program, witness)
     times = aside.submit(build_times_s, program, config, known_sections(made.plan, witness))

@@ -57,8 +57,18 @@ def statement(manifest: Mapping[str, Any]) -> Statement:
     left += [_looked_at(found)] if found else []
     if manifest.get("program") and manifest["exit_code"] == 0:
         codes = any(finding["code"] == "placeholder-codes" for finding in found)
-        left += [*([CODES_OF_THE_MAKER] if codes else []), DRY_RUN, APPROVAL]
+        left += [*([CODES_OF_THE_MAKER] if codes else []), _consumables(manifest), DRY_RUN, APPROVAL]
     return Statement(unproved, proved, tuple(text for text in left if text))
+
+
+def _consumables(manifest: Mapping[str, Any]) -> str:
+    """What the build uses up, of which the profile does not say how much there is: no check knows whether it lasts."""
+    machine, totals = manifest["settings"]["machine"], manifest["program"]["totals"]
+    said = {
+        "spool_kg": f"{totals['wire_kg']:.3g} kg of wire on the spool",
+        "cathode_h": f"a cathode for {totals['deposit_s'] / 3600.0:.3g} h of beam",
+    }
+    return " and ".join(text for name, text in said.items() if machine.get(name) is None)
 
 
 def counted(findings: list[Mapping[str, Any]]) -> str:

@@ -19,6 +19,8 @@ from ebamcheck.preflight.room import room_checks
 from ebamcheck.preflight.sense import sense_checks
 from ebamcheck.preflight.suspicions import sizes, suspicions
 from ebamcheck.preflight.workload import Workload, work_checks, workload
+from ebamcheck.program.checking.consumables import KG_MM3, SPOOL
+from ebamcheck.program.checking.remedies import REMEDIES
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 
@@ -138,6 +140,8 @@ def _checks(
     yield _mesh(found)
     yield from _units(found, config)
     yield _thickness(found, config)
+    if config.machine.spool_kg is not None and found.passed:
+        yield _wire(part, config.machine.spool_kg, config)
     yield from of_layers
     step = float(heights[1] - heights[0]) if len(heights) > 1 else config.layer_height_mm
     layers_mm = float(heights[-1] - heights[0]) + step
@@ -170,3 +174,12 @@ def _thickness(found: Inspection, config: Config) -> PreflightCheck:
         return PreflightCheck("size against the bead", "pass", text, thin, bead, "mm")
     remedy = "use a narrower bead, allow for machining, or check the unit (--units)"
     return PreflightCheck("size against the bead", "warning", text, thin, bead, "mm", remedy)
+
+
+def _wire(part: Part, spool_kg: float, config: Config) -> PreflightCheck:
+    """What the part weighs is what its wire weighs: the program is held to the same, to the motion in which it ends."""
+    part_kg = part.volume * KG_MM3 * config.material.density_kg_m3
+    text = f"the part weighs {part_kg:.4g} kg, the spool holds {spool_kg:g} kg"
+    if part_kg <= spool_kg or config.machine.optional_stop:
+        return PreflightCheck(SPOOL, "pass", text, part_kg, spool_kg, "kg")
+    return PreflightCheck(SPOOL, "warning", text, part_kg, spool_kg, "kg", REMEDIES[SPOOL])

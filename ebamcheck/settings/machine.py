@@ -98,6 +98,12 @@ class MachineSettings(Section):
     """Write the comments that stand behind the codes of the templates."""
     program_limit_mb: Annotated[float, Between(1e-6, 1e6)] | None = None
     """Room for the program on the control, of 10^6 bytes; None: not known, and not checked."""
+    spool_kg: Annotated[float, Between(1e-3, 1e6)] | None = None
+    """Wire on the spool that can be fed, kg; None: not known, and not checked. With optional_stop a new spool of as much may
+    be put on before any layer."""
+    cathode_h: Annotated[float, Between(1e-3, 1e6)] | None = None
+    """Hours that the gun's cathode lasts with the beam on; None: not known, and not checked. With optional_stop a new one may
+    be put in before any layer."""
     rapid_mm_s: Speed = 100.0
     """Speed of rapid moves, for times only; G0 itself carries no feed."""
     feed_min_mm_s: Speed = 1.0

@@ -77,6 +77,8 @@ REMEDIES: Mapping[str, str] = {
     "preheat evenness": "a narrower preheat.spacing_mm, preheat.pattern 'crossed', a longer preheat.soak_s, or a greater evenness_k",
     "preheat melting": "a wider beam (preheat.spot_mm, preheat.defocus), less current (preheat.current_ma), or more speed (preheat.speed_mm_s)",
     "size on the control": "write fewer blocks (machine.curve_form, machine.line_tolerance_mm), or raise machine.program_limit_mb",
+    "wire on the spool": "begin with a fuller spool (machine.spool_kg), or stop before layers (machine.optional_stop) to put on another",
+    "life of the cathode": "begin with a new cathode (machine.cathode_h), or stop before layers (machine.optional_stop) to put in another",
     "feed": "set the feed within machine.feed_min_mm_s and machine.feed_max_mm_s (process.travel_speed_mm_s)",
     "travel": PLACE,
     "travel sectors": "turn the hatch (scan.first_angle_deg), or widen process.travel_sectors_deg",

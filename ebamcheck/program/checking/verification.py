@@ -18,6 +18,7 @@ from ebamcheck.program.checking.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.checking.bead_end_checks import bead_end_checks
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.clearance import clearance_checks
+from ebamcheck.program.checking.consumables import consumables_checks
 from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.checking.header_checks import Truth, header_checks
@@ -167,6 +168,7 @@ def verify_program(
         *_block_checks(nc, config),
         wait_check(nc, config, planned),
         wait_height_check(nc, config),
+        *consumables_checks(nc, config),
     ]
     if heat:
         checks += heat_checks(nc, config, sections, before, known_sections(None, layers))
