@@ -47,6 +47,7 @@ METAL: Mapping[str, tuple[str, str]] = {
     PART_FILE: ("part-off-file", MISTAKE),
     "surface": (
         "metal-excess",
+        "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance); else "
         f"turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
     ),
 }

@@ -39,13 +39,15 @@ LAYER_ROOM = 1.25
 and near the pole of a sphere beads lie where they fit."""
 
 LEVELLING, MOST_LEVELLED = 0.3, 0.2
-"""Share of what lies too high or too low that a layer levels, and share of its height that this may come to: what is asked for
-is what a layer needs on the surface that is there."""
+"""Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. A place asks
+for what a layer needs on the surface that is there, but all layers together have the metal of the part: where sections taper,
+what their rims lack heaps up inside of them, and no wire levels it. So what is between the layer's height and this is asked for;
+how far the surface may heap up is a check of its own (``surface``)."""
 
 MOST = MOST_LEVELLED
 """Wire that a bead may lack, over what it has, or have too much of, over what its place asks for: what the layer above levels.
-Of the beads of sound programs of a blade, a torus, a cube and five small parts none is off by more than 0.142; a bead with
-0.7 of its wire lacks 0.23 and more, one of 1.3 has 0.17 and more too much."""
+Of the beads of sound programs of a blade, a torus, a cube, five small parts and six that taper none is off by more than 0.142;
+on a level surface a bead with 0.7 of its wire lacks 0.23 and more, one of 1.3 has 0.17 and more too much."""
 
 MOST_OF_STRETCH = MOST + 0.15
 """The same of a stretch of a bead at one speed of the wire: along a contour that changes where walls get thin, in steps of 15 %."""
@@ -65,8 +67,10 @@ class _Asked:
     """(n,) bead of each place."""
     along_mm: Floats
     """(n,) length of bead that each place stands for."""
-    over: Floats
-    """(n,) metal that is asked for, over what is laid."""
+    least: Floats
+    """(n,) metal that is asked for at least, over what is laid."""
+    most: Floats
+    """(n,) the same at most."""
     at_limit: Floats
     """(n,) -1 where the bead has the least wire, 1 where it has the most, else 0."""
 
@@ -119,22 +123,26 @@ def _compared(
     Returns
     -------
     tuple
-        First motions, what is asked for over the median of the kind, whether it is judged, and its limit, (B,) each.
+        First motions, what is asked for over the median of the kind, or 1 where its range holds that, whether it is judged, and its limit, (B,) each.
     """
     count = first.size
     bead, weight = found.bead, found.along_mm
     length = np.bincount(bead, weight, minlength=count)
     with np.errstate(divide="ignore", invalid="ignore"):
-        asked = np.bincount(bead, weight * found.over, minlength=count) / length
-        limit = np.bincount(bead, weight * found.at_limit, minlength=count) / length
+        least, greatest, limit = (
+            np.bincount(bead, weight * asked, minlength=count) / length
+            for asked in (found.least, found.most, found.at_limit)
+        )
     contour = nc.ring[first] >= 0
-    off = np.zeros(count)
+    low, high = np.zeros((2, count))
     for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
         if mine.any():
-            usual = float(np.median(asked[mine]))
-            # Where most of a kind lie over nothing, their place asks for nothing, and the others for more than any limit.
-            off[mine] = asked[mine] / usual if usual > 0.0 else np.where(asked[mine] > 0.0, np.inf, 0.0)
-    off /= _of_layers(off, nc.layer[first])
+            usual = float(np.median(0.5 * (least[mine] + greatest[mine])))
+            for off, asked in ((low, least), (high, greatest)):
+                # Where most of a kind lie over nothing, their place asks for nothing, and the others for more than any limit.
+                off[mine] = asked[mine] / usual if usual > 0.0 else np.where(asked[mine] > 0.0, np.inf, 0.0)
+    shared = _of_layers(np.clip(1.0, low, high), nc.layer[first])
+    off = np.clip(1.0, low / shared, high / shared)
     excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
     allowed = np.where(length < short_mm, MOST_OF_SHORT, most)
     allowed = np.where(length < 0.5 * short_mm, MOST_OF_SPOT, allowed)
@@ -181,7 +189,7 @@ def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers, own: Int
     surface = Surface(np.asarray(bounds, np.float64), process.bead_width_mm)
     step, pool = surface.step_mm, pool_of(process.bead_width_mm, surface.step_mm)
     thickness = np.diff(z_of, prepend=config.base_mm)
-    found = [_Asked(np.zeros(0, np.int64), *np.zeros((3, 0)))]
+    found = [_Asked(np.zeros(0, np.int64), *np.zeros((4, 0)))]
     for k, section in enumerate(sections):
         height = float(thickness[k])
         mine = rows[nc.layer[rows] == k]
@@ -193,18 +201,22 @@ def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers, own: Int
         laid = ndimage.convolve(spread(target, places, volume) / step**2, pool, mode="constant")
         levelled = LEVELLING * surface.over_mm(target) / height
         surface.add(target, laid, height)
-        wanted = target.share * height * (1.0 - np.clip(levelled, -MOST_LEVELLED, MOST_LEVELLED))
-        over = np.divide(wanted, laid, out=np.zeros_like(laid), where=laid > 1e-9 * height)
+        even = np.divide(target.share * height, laid, out=np.zeros_like(laid), where=laid > 1e-9 * height)
+        level = even * (1.0 - np.clip(levelled, -MOST_LEVELLED, MOST_LEVELLED))
         along = nc.lengths[row] / np.bincount(row, minlength=len(nc))[row]
-        asked = _read(ndimage.convolve(over, pool, mode="constant"), (places - target.origin) / step)
+        least_asked, most_asked = (
+            _read(ndimage.convolve(over, pool, mode="constant"), (places - target.origin) / step)
+            for over in (np.minimum(even, level), np.maximum(even, level))
+        )
         least, most = width_limits_mm(config, height)
         width = mm2[row] / height
         limit = 1.0 * (width >= most * (1.0 - AT_LIMIT)) - 1.0 * (width <= least * (1.0 + AT_LIMIT))
-        found.append(_Asked(own[row], along, asked, limit))
+        found.append(_Asked(own[row], along, least_asked, most_asked, limit))
     return _Asked(
         np.concatenate([a.bead for a in found]),
         np.concatenate([a.along_mm for a in found]),
-        np.concatenate([a.over for a in found]),
+        np.concatenate([a.least for a in found]),
+        np.concatenate([a.most for a in found]),
         np.concatenate([a.at_limit for a in found]),
     )
 
