@@ -30,6 +30,7 @@ PARTS = {
     "square": shapely.box(0, 0, 80, 80),
     "ring": DISC.difference(shapely.Point(0, -5).buffer(14, 32)),
     "frame": shapely.box(0, 0, 90, 60).difference(shapely.box(14, 14, 76, 46)),
+    "frame of walls under three beads": shapely.box(0, 0, 110, 70).difference(shapely.box(14, 14, 96, 56)),
     "wedge": shapely.Polygon([(0, 0), (120, 0), (120, 14), (0, 40)]),
     "wall of two beads": shapely.box(0, 0, 100, 11),
     "wall of one bead": shapely.box(0, 0, 100, 6),

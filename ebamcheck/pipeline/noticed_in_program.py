@@ -25,6 +25,8 @@ from ebamcheck.settings.config import Config
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 
+LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
+
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", COARSE),
     "reach of metal": ("bead-out-of-section", COARSE),
@@ -47,8 +49,7 @@ METAL: Mapping[str, tuple[str, str]] = {
     PART_FILE: ("part-off-file", MISTAKE),
     "surface": (
         "metal-excess",
-        "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance); else "
-        f"turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
+        f"{LESS_METAL}; else turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
     ),
 }
 """Code and remedy of each check of the metal that fails."""

@@ -26,7 +26,7 @@ from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
-from ebamcheck.program.checking.metal_zones import NO_ZONES, zone_figures, zone_limit, zone_off
+from ebamcheck.program.checking.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
 from ebamcheck.scan.islands.regions import layer_section
@@ -62,7 +62,8 @@ class Deposit:
     ----------
     layers
         One row a layer: ``layer``, ``z_mm``, ``wanted_mm3``, ``laid_mm3``, ``outside_mm3`` (beside section and allowance),
-        ``inside_mm2`` and ``edge_mm2`` (cells further than a bead width from the border, and the others), ``inside`` and
+        ``inside_mm2`` and ``edge_mm2`` (cells further than a bead width from the border, where they are a bead wide or more, and the
+        others), ``inside`` and
         ``edge`` (mean height of the metal there over that of the layer; NaN without any), ``inside_settled`` and
         ``edge_settled`` (the same when the metal has levelled), ``zone_settled``, ``zone_mm2`` and ``zone_tolerance`` of the
         worst window (:mod:`ebamcheck.program.checking.metal_zones`), ``inside_owed`` ... ``zone_owed`` (the height that would make the
@@ -206,7 +207,7 @@ class _Field:
         laid = ndimage.convolve(melted, self._pool, mode="constant")
         before = self.surface.over_mm(target)
         self.surface.add(target, laid, thickness_mm)
-        deep = inside & (border_distance(inside) * step > self._bead_mm)
+        deep = deep_cells(inside, self._bead_mm / step)
         rim = inside & ~deep
         film = ~inside & (laid >= FILM * thickness_mm)
         # From the border of a cell to the middle of the next it is half a cell.

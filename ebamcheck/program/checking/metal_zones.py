@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from ebamcheck.metal import Target, levelled
+from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import HALF
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.process import ProcessSettings
@@ -27,7 +28,7 @@ WINDOW_BEADS = 3.0
 """Width of a window, in bead widths."""
 
 ZONES = ("inside", "edge", "zone")
-"""Names of the zones: further than a bead width from the border, nearer, and the worst window."""
+"""Names of the zones: :func:`deep_cells`, the others, and the worst window."""
 
 NO_ZONES = {
     "inside": math.nan, "edge": math.nan,
@@ -36,6 +37,31 @@ NO_ZONES = {
     "zone_tolerance": math.nan, "zone_x_mm": math.nan, "zone_y_mm": math.nan,
 }  # fmt: skip
 """Figures of a layer without any."""
+
+
+def deep_cells(inside: Bools, bead_cells: float) -> Bools:
+    """Cells of a section that lie further than a bead width from its border, where such cells are a bead wide or more.
+
+    A narrower strip, between two beads along a wall, holds less than a line: it levels with what lies beside it.
+
+    Parameters
+    ----------
+    inside
+        (rows, columns) cells of the section, with at least one beside it that is none.
+    bead_cells
+        Width of a bead, in cells.
+
+    Examples
+    --------
+    >>> wall, block = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
+    >>> wall[8:22, 1:59], block[1:29, 1:59] = True, True
+    >>> [int(deep_cells(cells, 6.0).any(axis=1).sum()) for cells in (wall, block)]
+    [0, 16]
+    """
+    centres = border_distance(inside) > 1.5 * bead_cells
+    if not centres.any():
+        return centres
+    return np.asarray(inside & (border_distance(~centres) <= 0.5 * bead_cells), np.bool_)
 
 
 def zone_figures(
@@ -55,7 +81,7 @@ def zone_figures(
     before_mm
         (rows, columns) height of the surface under it over that of the layer below.
     parts
-        Cells (rows, columns) of the section further than a bead width from the border, and the others.
+        Cells (rows, columns) of the section by :func:`deep_cells`, and the others.
     """
     deep, rim = parts
     inside, bead_cells = deep | rim, process.bead_width_mm / target.step_mm
