@@ -80,8 +80,7 @@ def _turns(full: NCProgram) -> Iterator[tuple[str, str]]:
         if moved.sum() > 1:
             names = " and ".join(np.array(table.axes)[moved])
             yield where, f"{names} turn in one block: the way between is not known"
-        still = np.nan_to_num(full.start[row]) == np.nan_to_num(full.end[row])
-        if not still.all():
+        if not np.array_equal(full.start[row], full.end[row], equal_nan=True):
             yield where, "X, Y or Z move while the table turns"
         for name, what in (("beam_off", "beam"), ("wire_stop", "wire")):
             if not _commanded_off(full, row, name):

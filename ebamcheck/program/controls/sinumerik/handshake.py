@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from ebamcheck.errors import InputError
@@ -34,7 +35,7 @@ _BLOCK = re.compile(r"N(\d+) (?:([A-Z_][A-Z0-9_]+): )?(.+)")
 _TOKEN = re.compile(r'\s*(R\d+|[A-Z_][A-Z0-9_]*|\d+\.?\d*|"[^"]*"|<<|==|<>|>=|<=|[-+<>(),])')
 _SET = re.compile(r"(R\d+|[A-Z_][A-Z0-9_]+)=(?!=)(.+)")
 _JUMP = re.compile(r"(?:IF (.+) )?GOTO([FB]) ([A-Z_][A-Z0-9_]+)")
-_DEF = re.compile(r"DEF (INT|STRING\[\d+\]) ([A-Z_][A-Z0-9_]+)")
+_DEF = re.compile(r"DEF (?:INT|STRING\[(\d+)\]) ([A-Z_][A-Z0-9_]+)")
 
 Door = Callable[["Run"], None]
 """What is on the other side: it sees the machine whenever time has gone by, and may set R parameters."""
@@ -51,6 +52,10 @@ class Run:
     time_s: float = 0.0
     on: set[str] = field(default_factory=set)
     calls: list[tuple[str, float]] = field(default_factory=list)
+    done: list[float] = field(default_factory=list)
+    """Layers that were said to be done at each call."""
+    room: dict[str, int] = field(default_factory=dict)
+    """Characters that each string variable holds."""
     stops: list[tuple[str, float, bool]] = field(default_factory=list)
     """M0 or M30, when, and whether beam and wire were commanded off since time went by."""
     faults: list[tuple[int, str]] = field(default_factory=list)
@@ -111,13 +116,28 @@ def scenarios(config: Config) -> list[tuple[str, Door, Callable[[Run], str]]]:
     machine = config.machine
     done, released, number, wait = (f"R{machine.live_r + k}" for k in range(4))
     stem, limit_s, poll_s = machine.program_name[:10], machine.live_timeout_s, machine.live_poll_s
-    numbers, wait_s, last = (1, 2, 1), 3.0 * poll_s, 3
+    # The wait is longer than any other parameter is large: none may be taken for it.
+    numbers, last, soon_s, waits_s = (1, 2, 1), 3, 3.0 * poll_s, 3.0 * poll_s + 17.0
 
-    def good(run: Run) -> None:
+    def releases(run: Run, wait_s: float, after_s: float) -> None:
         layer = int(run.values.get(done, 0)) + 1
+        if run.calls and layer <= last and run.time_s < run.calls[-1][1] + after_s - ROUNDING_S:
+            return
         if layer <= last:
             run.values |= {number: numbers[layer - 1], wait: wait_s}
         run.values[released] = layer if layer <= last else -1
+
+    def good(run: Run) -> None:
+        releases(run, waits_s, 0.0)
+
+    def slow(run: Run) -> None:
+        # The wait is long over when the layer comes.
+        releases(run, poll_s, soon_s)
+
+    def again(run: Run) -> None:
+        old(run)
+        if run.time_s > 0.0:
+            good(run)
 
     def silent(run: Run) -> None:
         pass
@@ -134,13 +154,21 @@ def scenarios(config: Config) -> list[tuple[str, Door, Callable[[Run], str]]]:
         if run.stops:
             good(run)
 
-    def called(run: Run, layers: int = last) -> str:
-        names = [f"{stem}_K{k + 1:04d}R{numbers[k]}_L0001" for k in range(layers)]
+    def called(run: Run) -> str:
+        return calls_after(run, waits_s, waits_s)
+
+    def calls_after(run: Run, wait_s: float, within_s: float) -> str:
+        names = [f"{stem}_K{k + 1:04d}R{numbers[k]}_L0001" for k in range(last)]
         if [name for name, _ in run.calls] != names:
             return f"calls {', '.join(name for name, _ in run.calls) or 'nothing'}, not {', '.join(names)}"
-        early = [k for k in range(1, layers) if run.calls[k][1] - run.calls[k - 1][1] < wait_s - ROUNDING_S]
-        if early:
-            return f"calls layer {early[0] + 1} before its least wait of {wait_s:g} s is over"
+        if run.done != list(range(last)):
+            return f"says at its calls that {', '.join(f'{n:g}' for n in run.done)} layers are done"
+        gaps = [b - a for (_, a), (_, b) in pairwise(run.calls)]
+        for k, gap in enumerate(gaps, 2):
+            if gap < wait_s - ROUNDING_S:
+                return f"calls layer {k} before its least wait of {wait_s:g} s is over"
+            if gap > within_s + 2.0 * poll_s:
+                return f"calls layer {k} {gap:g} s after the one before, and could after {within_s:g} s"
         return _ended(run)
 
     def waited(run: Run) -> str:
@@ -162,6 +190,12 @@ def scenarios(config: Config) -> list[tuple[str, Door, Callable[[Run], str]]]:
 
     return [
         ("released layers", good, called),
+        *(
+            [("layers that are released late", slow, lambda run: calls_after(run, poll_s, soon_s))]
+            if soon_s < limit_s
+            else []
+        ),
+        ("released layers after a build before", again, called),
         ("a silent server", silent, waited),
         ("values of before", old, waited),
         ("another layer than the next", wrong, waited),
@@ -192,6 +226,7 @@ def run_text(
     """
     state = WaitingState(config, top_mm)
     first = config.machine.live_r
+    counted = f"R{first}"
     run = Run(door, frozenset(f"R{first + k}" for k in (1, 2, 3)))
     blocks = [
         (i, m[2] or "", m[3]) for i, line in enumerate(text.split("\n"), 1) if (m := _BLOCK.fullmatch(line))
@@ -206,7 +241,8 @@ def run_text(
             return run
         run.line, _, code = blocks[at]
         try:
-            at = _step(run, code.partition(" ;")[0].rstrip(), at, labels, state)
+            before, at = len(run.calls), _step(run, code.partition(" ;")[0].rstrip(), at, labels, state)
+            run.done += [float(run.values.get(counted, 0.0))] * (len(run.calls) - before)
         except (WordError, ValueError, KeyError, TypeError, IndexError) as error:
             raise InputError(f"{run.line} {code!r} is not understood: {error}") from None
     run.faults.append((run.line, f"has not ended after {most} blocks"))
@@ -241,7 +277,8 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], state: WaitingSt
         run.calls.append((str(run.values[found[1]]), run.time_s))
         run.passes(0.0)
     elif found := _DEF.fullmatch(code):
-        run.values[found[2]] = 0 if found[1] == "INT" else ""
+        run.values[found[2]] = "" if found[1] else 0
+        run.room |= {found[2]: int(found[1])} if found[1] else {}
     elif change := state.templates.find(code):
         run.tell(state.change(change))
         for event, _ in change.actions:
@@ -250,10 +287,19 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], state: WaitingSt
                 run.off.add(event)
                 run.on.discard("beam_on" if event == "beam_off" else "wire_start")
     elif (found := _SET.fullmatch(code)) and (re.fullmatch(r"R\d+", found[1]) or found[1] in run.values):
-        run.values[found[1]] = Expression(found[2], run).value()
+        _assign(run, found[1], Expression(found[2], run).value())
     else:
         run.tell(state.words(code))
     return at + 1
+
+
+def _assign(run: Run, name: str, value: Any) -> None:
+    """Give a parameter or a variable its value."""
+    if name in run.watched and (run.time_s > 0.0 or run.calls):
+        run.tell(iter([f"writes {name}, which the server writes: what it has released is lost"]))
+    if len(str(value)) > run.room.get(name, len(str(value))):
+        raise ValueError(f"{value!r} is longer than {name}")
+    run.values[name] = value
 
 
 class Expression:
