@@ -207,6 +207,12 @@ FAULTS = {
     "the tool moves while it turns": (lambda t: t.edit("G0 B90.000000", "G0 B90.000000 X5"), "table turns"),
     "turned at feed": (lambda t: t.edit("G0 B90.000000", "G1 B90.000000 F600"), "table turns"),
     "turned under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N261 B80"), "table turns"),
+    "an axis that is not commanded": (lambda t: t.drop("G0 C1=0.0"), "table turns"),
+    "the tool moves to X0 while it turns": (lambda t: t.edit("G0 B90.000000", "G0 B90.000000 X0"), "table turns"),
+    "down to the bead across what stands": (lambda t: t.edit(r"(G0 X-57.000000 Y3.000000) Z135[.\d]+", r"\1 Z23.364286"), "table height"),
+    "aside on the way up": (lambda t: t.edit(r"G0 Z85", "G0 X0 Y0 Z85"), "table height"),
+    "a way through the plate": (lambda t: t.lines.insert(t.find("; ISLAND 1"), "N375 G0 X10 Y12"), "beam over what stands"),
+    "the head into the plate": (lambda t: t.lines.insert(t.find("; ISLAND 1"), "N375 G0 X-12 Y22\nN376 G0 Z26\nN377 G0 Z43.364286"), "head over what stands"),
     "a frame under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N261 ATRANS X0.5"), "frame"),
 }  # fmt: skip
 

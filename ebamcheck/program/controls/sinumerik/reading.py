@@ -29,6 +29,7 @@ from ebamcheck.program.reading.frames import NONE, frame_after
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import StateChange, Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
+from ebamcheck.program.reading.table_columns import AXIS_EVENT
 from ebamcheck.program.reading.turned_table import on_part
 from ebamcheck.settings.config import Config
 
@@ -224,6 +225,9 @@ class SinumerikReader:
             raise WordError("SD belongs to the block with BSPLINE", 0)
         if any(axis in values for axis in self._rotary):
             self._end_spline()
+            for axis in self._rotary:
+                if axis in values:
+                    self.out.event(f"{AXIS_EVENT}{axis}", values[axis])
             self.out.table.turn(values)
         if block.lists or any(axis in values for axis in (*AXES, *self._rotary)):
             self._move(block)

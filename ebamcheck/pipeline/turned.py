@@ -34,6 +34,9 @@ LEAST_MM2 = 1.0
 
 FAR_MM = 1e6
 
+SAME_MM = 1e-6
+"""Largest difference between the places of a part in two mountings that count as the same."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stands:
@@ -59,6 +62,8 @@ class Stands:
     tops: Floats
     corner: Floats
     step_mm: float
+    parts: tuple[Part, Part]
+    """The part as it was built, and as it is turned."""
 
     @property
     def up(self) -> tuple[Floats, float]:
@@ -92,7 +97,7 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     cell = np.floor((places[:, :2] - corner) / step_mm).astype(np.int64)
     tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
     np.maximum.at(tops, (cell[:, 1], cell[:, 0]), places[:, 2])
-    return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm)
+    return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm, (before, now))
 
 
 def _area(corners: Floats) -> float:
@@ -160,7 +165,30 @@ def turned_checks(
     section
         Of the layer, at the absolute height `cut_mm`.
     """
-    return [_into(section, cut_mm, stands), *_meets(nc, cut_mm, stands, config)]
+    return [
+        *mounting_checks(*stands.parts, config),
+        _into(section, cut_mm, stands),
+        *_meets(nc, cut_mm, stands, config),
+    ]
+
+
+def mounting_checks(before: Part, now: Part, config: Config) -> list[Check]:
+    """Whether the part stands on a tilt table as the settings say, corner by corner of its mesh; nothing where none turns it.
+
+    The motion that the settings hold takes each corner of the part as it was built to where it is now, both counted from the lowest one.
+    """
+    said = config.part.on_table
+    if said is None:
+        return []
+    was, is_now = (part.vertices - [0.0, 0.0, part.vertices[:, 2].min()] for part in (before, now))
+    off = [np.inf]
+    if was.shape == is_now.shape:
+        off = [np.abs(was @ np.array(said.turn) + np.array(said.shift_mm) - is_now).max()]
+    # A corner of the box that nobody has counts for the height at which the table may turn.
+    off += [np.abs(was.min(axis=0) - said.low_mm).max(), np.abs(was.max(axis=0) - said.high_mm).max()]
+    off_mm = float(np.max(off))
+    text = f"part.on_table places the part {off_mm:.3g} mm beside where its mesh stands"
+    return [Check("mounting", off_mm <= SAME_MM, off_mm, SAME_MM, "mm", now.name, text)]
 
 
 def _into(section: BaseGeometry, cut_mm: float, stands: Stands) -> Check:
