@@ -13,6 +13,9 @@ from test_turned_layers import angle
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
+from ebamcheck.program.checking import tilt_checks
+from ebamcheck.program.language import tilt_rules
+from ebamcheck.program.writing import tilt_text
 from ebamcheck.settings.config import load_config
 
 TABLE = """[machine]
@@ -246,6 +249,18 @@ def test_limits_of_travel_are_those_of_the_axes(place, tmp_path):
     found = text.failed()
     assert "beyond the limits" in found["travel"].text
     assert found["travel"].value == pytest.approx(50.0 - 23.364 - 20.0, abs=0.01)
+
+
+@pytest.mark.parametrize("kept", [slice(8), slice(8, None)])
+def test_a_box_that_writer_and_check_share_is_held_against_the_mesh(place, tmp_path, monkeypatch, kept):
+    """Corners of part or plate that are lost before the program is written and before its heights are checked."""
+    known = tilt_rules.carried_corners
+    for module in (tilt_text, tilt_checks):
+        monkeypatch.setattr(module, "carried_corners", lambda config: known(config)[kept] * [1.0, 1.0, 0.5])
+    done = relayer(place, tmp_path / "o")
+    failed = json.loads(done.stdout)["gates"]
+    assert done.returncode == 1
+    assert any("table over what stands" in gate["text"] for gate in failed)
 
 
 def test_a_part_that_stands_otherwise_than_the_settings_say_is_found(place, tmp_path):

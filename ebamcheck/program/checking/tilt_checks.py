@@ -147,17 +147,19 @@ def _height(full: NCProgram, config: Config) -> Check:
     )
     low = np.where(level & ~(table.before != table.after)[rows], end, np.fmin(start, end))
     # One that moves aside on its way up from there may meet anything.
-    low = np.where(np.isnan(end) | (np.isnan(start) & ~level), -np.inf, low)
+    aside = np.isnan(start) & ~level
+    low = np.where(np.isnan(end) | aside, -np.inf, low)
     short = least - low
     found = worst_check(NAMES[2], full, rows, short, PLACE_MM, "mm", "")
     text = f"the table turns, and the tool is on its way, {-found.value:.4g} mm and more over the least height of Z {least:.6g} mm"
     if not found.passed:
-        row = int(rows[int(np.argmax(np.nan_to_num(short, nan=np.inf)))])
+        at = int(np.argmax(np.nan_to_num(short, nan=np.inf)))
+        row = int(rows[at])
         what = (
             "the table turns"
             if table.before[row] != table.after[row]
             else "the tool moves aside from a height that is not known"
-            if np.isnan(full.start[row, 2])
+            if aside[at]
             else "the tool is on its way"
         )
         z = np.fmin(full.start[row, 2], full.end[row, 2])
