@@ -15,6 +15,7 @@ from benchmarks.faults.subjects import CONTROLS, SUBJECTS
 from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline.resumed import entry_of_whole
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify, verify_run
 
@@ -108,6 +109,29 @@ def test_an_entry_program_that_differs_from_the_whole_shuts_its_gate(made, tmp_p
     found = failed(copy, part)
     assert "recorded as passed, found shut" in found["gate entry"].text
     assert not found["verdict"].passed
+
+
+@pytest.mark.parametrize(
+    ("pattern", "by", "said"),
+    [
+        (r"^G4 .*\n(?=; ISLAND)", "", "in the whole program"),
+        (r"^(G4 [PSF])\d+(?=.*\n; ISLAND)", r"\g<1>1", "in the whole program"),
+        (r"^G0 X\S+ Y\S+\n(?=G0 Z)", "", "elsewhere than over the first bead"),
+        (r"^(G0 X)\S+( Y\S+)\n(G0 Z.*\n)", r"\g<1>9\2\n\3G0 X3 Y3\n", "another motion"),
+    ],
+    ids=["a wait is lost", "a wait is shortened", "no way to the first bead", "down elsewhere"],
+)  # fmt: skip
+def test_waits_and_the_way_to_the_first_bead_are_those_of_the_whole(made, tmp_path, pattern, by, said):
+    """Motions alone do not tell that the part has cooled, nor that the tool goes down where it was."""
+    copy, _, main = copied(made, tmp_path)
+    config = SUBJECTS["cube"].config(PLAIN)
+    assert entry_of_whole(main, copy, config).passed
+    text = re.sub(pattern, by, main.read_text(), count=1, flags=re.MULTILINE)
+    assert text != main.read_text()
+    main.write_text(text)
+    check = entry_of_whole(main, copy, config)
+    assert not check.passed
+    assert said in check.text
 
 
 def test_an_entry_program_of_other_bytes_is_found_where_its_motions_are_the_same(made, tmp_path):

@@ -92,6 +92,20 @@ FAULTS = {
     "parks elsewhere": ("G0 X0.000000", "G0 X500.000000"),
     "the current stays": ("H2=0 ; beam", "H2=100 ; beam"),
     "ends before its end": ("N470 M63", "N461 M2\nN470 M63"),
+    "a voltage that nobody asked for": ("H1=60 ", "H1=600 "),
+    "a name that is cut off": ("STRING[32] LIVE_NAME", "STRING[10] LIVE_NAME"),
+    "counts a layer before it is laid": (
+        "CALL LIVE_NAME\nN380 R100=R100+1",
+        "R100=R100+1\nN380 CALL LIVE_NAME",
+    ),
+    "takes the layer for the wait": ("R105=R103-R104", "R105=R101-R104"),
+    "waits less than no time": ("N300 IF R105<=0 GOTOF LIVE_GO\n", ""),
+    "waits far too long": ("N330 LIVE_N", "N321 G4 F100\nN330 LIVE_N"),
+    "counts on from the build before": ("N160 R100=0", "N160 R105=0"),
+    "calls a program that nobody released": ("N320 LIVE_GO", "N311 R102=3\nN320 LIVE_GO"),
+    "takes back what is released": ("N330 LIVE_N", "N321 R101=0\nN330 LIVE_N"),
+    "parks without its work offset": ("N520 G0 Z", "N511 TRAFOOF\nN520 G0 Z"),
+    "the speed of the wire stays": ("N490 H3=0 ; wire speed, mm/s\n", ""),
 }
 
 

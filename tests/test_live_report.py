@@ -1,5 +1,6 @@
 """A build after the fact: every published layer verified from its text by one command, and the page that shows it."""
 
+import hashlib
 import json
 import re
 import shutil
@@ -9,9 +10,11 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
+from ebamcheck.json_values import sha256_of_file
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.heights_table import ticks
+from ebamcheck.live.journal import FIRST
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.verifying import read_verified, verify_build
@@ -85,6 +88,112 @@ def test_a_layer_that_was_altered_does_not_verify(fault, place, tmp_path):
         return
     found = verify_build(tmp_path / "box.live", place / "box.stl")
     assert [layer.name for layer in found if not layer.passed] == ["MAIN_K0002R1"]
+
+
+class Forged:
+    """A build that another program might have made: files and journal fit each other, whatever was done to them."""
+
+    def __init__(self, place, folder):
+        self.place, self.folder = place, folder / "box.live"
+        shutil.copytree(place / "box.live", self.folder)
+        self.entries = [json.loads(line) for line in (self.folder / "journal.jsonl").read_text().splitlines()]
+
+    def layer(self, k):
+        return self.folder / "layers" / f"MAIN_K{k:04d}R1"
+
+    def edit(self, k, file, pattern, replacement):
+        path = self.layer(k) / file
+        text = re.sub(pattern, replacement, path.read_text(), count=1)
+        assert text != path.read_text()
+        path.write_text(text)
+
+    def sub(self, k, pattern, replacement):
+        self.edit(k, f"program/MAIN_K{k:04d}R1_L0001.SPF", pattern, replacement)
+
+    def current(self, **values):
+        path = self.folder / "current.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+    def swap(self, k, other):
+        """Each layer under the name of the other one."""
+        self.layer(k).rename(self.folder / "held")
+        self.layer(other).rename(self.layer(k))
+        (self.folder / "held").rename(self.layer(other))
+        for to, of in ((k, other), (other, k)):
+            names = f"K{of:04d}", f"K{to:04d}"
+            for path in [p for p in self.layer(to).rglob("*") if p.is_file()]:
+                path.write_text(path.read_text().replace(*names))
+                path.rename(path.with_name(path.name.replace(*names)))
+
+    def failed(self):
+        """Names and reasons, with all hashes of files and journal made anew."""
+        last, lines = FIRST, []
+        for entry in self.entries:
+            if entry["kind"] == "layer":
+                place = self.folder / "layers" / entry["name"]
+                entry["files"] = {name: sha256_of_file(place / "program" / name) for name in entry["files"]}
+                paper = json.loads((place / "layer.json").read_text())
+                paper["files"] = entry["files"]
+                (place / "layer.json").write_text(json.dumps(paper))
+            entry["after"] = last
+            lines.append(json.dumps(entry, sort_keys=True, separators=(",", ":")) + "\n")
+            last = hashlib.sha256(lines[-1].encode()).hexdigest()
+        (self.folder / "journal.jsonl").write_text("".join(lines))
+        current = json.loads((self.folder / "current.json").read_text())
+        if current["sha256"] != "0" and (path := self.folder / current["program"]).is_file():
+            self.current(sha256=sha256_of_file(path))
+        return {
+            layer.name: layer.why
+            for layer in verify_build(self.folder, self.place / "box.stl")
+            if not layer.passed
+        }
+
+    def without(self, kind, nth):
+        index = [i for i, entry in enumerate(self.entries) if entry["kind"] == kind][nth]
+        return self.entries.pop(index)
+
+    def height(self, done, more_mm):
+        entry = next(e for e in self.entries if e["kind"] == "height" and e["done"] == done)
+        entry["height_mm"] += more_mm
+
+
+LAST = 4
+FORGED = {
+    "nothing": (lambda f: None, None, ""),
+    "layers that change places": (lambda f: f.swap(2, 3), 2, "number of the layer"),
+    "a layer that the journal does not know": (lambda f: f.without("layer", 1), 3, "number of the layer"),
+    "a layer on a height that nobody measured": (lambda f: f.without("height", 2), 3, "by the journal on nan mm"),
+    "a layer on another height than was measured": (lambda f: f.height(1, 0.3), 2, "by the journal on"),
+    "a layer that its settings have on another height": (
+        lambda f: f.edit(2, "settings.toml", r"base_mm = [\d.]+", "base_mm = 1.5"), 2, "hash of the settings"),
+    "a limit that was raised": (lambda f: f.edit(2, "settings.toml", r"interpass_limit_k = 873", "interpass_limit_k = 1500"), 2, "hash of the settings"),
+    "a layer that was not validated": (lambda f: f.edit(2, "layer.json", r'"validated": true', '"validated": false'), 2, "validated"),
+    "another part": (lambda f: f.edit(2, "layer.json", r'(?s)("part": .*?"sha256": ")[0-9a-f]{8}', r"\g<1>00000000"), 2, "hash of the part"),
+    "the layer before is called": (lambda f: f.current(program="layers/MAIN_K0002R1/program/MAIN_K0002R1_L0001.SPF"), LAST, "current.json"),
+    "no wait before the next layer": (lambda f: f.current(wait_s=0.0), LAST, "current.json"),
+    "another hash is released": (lambda f: f.current(sha256="0"), LAST, "current.json"),
+    "a current that is not there": (lambda f: f.current(program=""), LAST, "current.json"),
+    "power that the main program alone sets": (lambda f: f.sub(2, r"N\d+ H2=.*\n", ""), 2, "layer by itself"),
+    "voltage that the main program alone sets": (lambda f: f.sub(2, r"N\d+ H1=.*\n", ""), 2, "layer by itself"),
+    "a layer that ends low": (lambda f: f.sub(2, r"N\d+ G0 Z[\d.]+\n(N\d+ M17)", r"\1"), 2, "layer by itself"),
+    "a layer that does not begin with a rise": (lambda f: f.sub(2, r"(N\d+ G0) (Z[\d.]+)\n(; RING 0\n)", r"\1 X0 Y0 \2\n\3"), 2, "layer by itself"),
+    "a layer that leaves the beam on": (
+        lambda f: f.sub(2, r"N\d+ M63.*\nN\d+ M61.*\nN\d+ G0 Z[\d.]+\n(N\d+ M17)", r"\1"), 2, "layer by itself"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FORGED)
+def test_a_build_that_does_not_hold_together_does_not_verify(fault, place, tmp_path):
+    plant, layer, said = FORGED[fault]
+    build = Forged(place, tmp_path)
+    plant(build)
+    found = build.failed()
+    if layer is None:
+        assert found == {}
+        return
+    name = f"MAIN_K{layer:04d}R1"
+    assert name in found
+    assert said in found[name]
 
 
 def test_the_page_of_a_build_shows_heights_layers_and_refusals(place):

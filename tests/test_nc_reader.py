@@ -78,13 +78,28 @@ def test_a_spline_of_the_other_convention_is_refused_with_its_line(tmp_path):
             read(tmp_path, text, bspline_shift=5 - shift)
 
 
-def test_the_header_states_the_convention(tmp_path):
-    text = "; BSPLINE CONVENTION: s=3\n" + bspline_text(EXAMPLE, EXAMPLE_KNOTS, 3)
-    path = tmp_path / "TEST.MPF"
-    path.write_text(text.replace("G1", "G0 Z1\nG1", 1) + "M30\n")
-    assert (read_program(path).kind == SPLINE_SPAN).sum() == 3
-    with pytest.raises(InputError, match="s=2"):
-        read_program(path, bspline_shift=2)
+def test_no_comment_says_how_splines_are_driven(tmp_path):
+    """The control takes PL as it always does: a comment that says otherwise would have another curve judged than is driven."""
+    for said in ("BSPLINE CONVENTION: s=3", "the BSPLINE is by s=3", "BSPLINE CONVENTION: uniform"):
+        text = f"; {said}\n" + bspline_text(EXAMPLE, EXAMPLE_KNOTS, 3)
+        with pytest.raises(InputError, match="s=2"):
+            read(tmp_path, text)
+        assert (read(tmp_path, text, bspline_shift=3).kind == SPLINE_SPAN).sum() == 3
+    config = Config(machine={"bspline_shift": 3})
+    assert (read(tmp_path, text, config).kind == SPLINE_SPAN).sum() == 3
+
+
+@pytest.mark.parametrize("block", ["M60", "H3=20", 'MSG("HALF")', "BSPLINE SD=3", "BSPLINE"])
+def test_a_spline_is_not_begun_anew_by_what_does_not_end_it(tmp_path, block):
+    """Between two splines whose ends are clamped: the control has one spline through both, where G1 does not end the first."""
+    once = bspline_text(EXAMPLE, EXAMPLE_KNOTS, 2).removesuffix("G0 Z50\n")
+    again = "".join(
+        f"X{40 + x} Y{y} PL={pl}\n"
+        for x, y, pl in ((5, 10, 0), (15, 15, 2), (28, 12, 3), (34, 4, 4), (40, 0, 0))
+    )
+    assert (read(tmp_path, once + "G1\nBSPLINE SD=3\n" + again + "G0 Z50\n").kind == SPLINE_SPAN).sum() == 6
+    with pytest.raises(InputError, match=r":1[01]:\d+: .*(none of its spline|in force)"):
+        read(tmp_path, once + f"{block}\n" + again + "G0 Z50\n")
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(4, 20), st.sampled_from([2, 3]))

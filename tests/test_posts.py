@@ -196,15 +196,15 @@ def test_quadratic_splines_are_read(shift, tmp_path):
             assert driven == pytest.approx(wanted, abs=1e-12)
 
 
-def test_even_splines_are_written_without_intervals_and_read_by_the_header(tmp_path):
+def test_even_splines_are_written_without_intervals_and_read_by_the_profile(tmp_path):
     control = np.array([(0, 0), (5, 9), (12, -3), (20, 8), (26, 0), (30, 4), (40, 0)], float)
     curves = make_curves([0.8], [[[(control, np.array([0] * 4 + [9, 18, 27] + [36] * 4, float))]]], [False])
     machine = {"curve_form": "bspline", "bspline_shift": "uniform"}
-    files, _ = wrote(tmp_path, machine, curves)
+    files, config = wrote(tmp_path, machine, curves)
     text = (files.folder / "MAIN_L0001.SPF").read_text()
     assert "BSPLINE SD=3" in text
     assert "PL=" not in text
-    nc = read_program(files.main)  # the header says that the control chooses the intervals
+    nc = read_program(files.main, config)
     assert same_parameters(nc, curves) < 2e-6
     assert (nc.kind[nc.deposit] == SPLINE_SPAN).all()
 

@@ -9,7 +9,8 @@ from parts import box
 from scipy.spatial.transform import Rotation
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.mesh.on_table import apart_mm, on_table
+from ebamcheck.mesh.on_table import on_table
+from ebamcheck.pipeline.turned import mounting_checks
 from ebamcheck.program import read_program, write_program
 from ebamcheck.program.language.words import WordError
 from ebamcheck.program.reading.frames import NONE, frame_after
@@ -141,6 +142,12 @@ def test_a_mounting_is_that_of_the_mesh():
         placed = (part.vertices - lowest) @ np.array(known.turn) + known.shift_mm
         assert placed == pytest.approx(now.vertices - [0.0, 0.0, now.bounds[0, 2]], abs=1e-9)
         assert known.low_mm == pytest.approx((3, 4, 0))
-        other = on_table(part, part.along((0.001, 0, 1)))
-        assert apart_mm(known, known) == 0.0
-        assert apart_mm(known, other) > 1.0
+        config = Config().changed(part={"on_table": known.model_dump()})
+        (check,) = mounting_checks(part, now, config)
+        assert check.passed, check.text
+        (check,) = mounting_checks(part, part.along((0.001, 0, 1)), config)
+        assert check.value > 1.0
+        for name in ("low_mm", "high_mm", "shift_mm"):
+            moved = {**known.model_dump(), name: tuple(np.add(getattr(known, name), [0.0, 0.0, 0.01]))}
+            (check,) = mounting_checks(part, now, Config().changed(part={"on_table": moved}))
+            assert check.value == pytest.approx(0.01)

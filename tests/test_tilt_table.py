@@ -13,6 +13,9 @@ from test_turned_layers import angle
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
+from ebamcheck.program.checking import tilt_checks
+from ebamcheck.program.language import tilt_rules
+from ebamcheck.program.writing import tilt_text
 from ebamcheck.settings.config import load_config
 
 TABLE = """[machine]
@@ -207,6 +210,12 @@ FAULTS = {
     "the tool moves while it turns": (lambda t: t.edit("G0 B90.000000", "G0 B90.000000 X5"), "table turns"),
     "turned at feed": (lambda t: t.edit("G0 B90.000000", "G1 B90.000000 F600"), "table turns"),
     "turned under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N261 B80"), "table turns"),
+    "an axis that is not commanded": (lambda t: t.drop("G0 C1=0.0"), "table turns"),
+    "the tool moves to X0 while it turns": (lambda t: t.edit("G0 B90.000000", "G0 B90.000000 X0"), "table turns"),
+    "down to the bead across what stands": (lambda t: t.edit(r"(G0 X-57.000000 Y3.000000) Z135[.\d]+", r"\1 Z23.364286"), "table height"),
+    "aside on the way up": (lambda t: t.edit(r"G0 Z85", "G0 X0 Y0 Z85"), "table height"),
+    "a way through the plate": (lambda t: t.lines.insert(t.find("; ISLAND 1"), "N375 G0 X10 Y12"), "beam over what stands"),
+    "the head into the plate": (lambda t: t.lines.insert(t.find("; ISLAND 1"), "N375 G0 X-12 Y22\nN376 G0 Z26\nN377 G0 Z43.364286"), "head over what stands"),
     "a frame under a bead": (lambda t: t.lines.insert(t.find("F600") + 1, "N261 ATRANS X0.5"), "frame"),
 }  # fmt: skip
 
@@ -240,6 +249,18 @@ def test_limits_of_travel_are_those_of_the_axes(place, tmp_path):
     found = text.failed()
     assert "beyond the limits" in found["travel"].text
     assert found["travel"].value == pytest.approx(50.0 - 23.364 - 20.0, abs=0.01)
+
+
+@pytest.mark.parametrize("kept", [slice(8), slice(8, None)])
+def test_a_box_that_writer_and_check_share_is_held_against_the_mesh(place, tmp_path, monkeypatch, kept):
+    """Corners of part or plate that are lost before the program is written and before its heights are checked."""
+    known = tilt_rules.carried_corners
+    for module in (tilt_text, tilt_checks):
+        monkeypatch.setattr(module, "carried_corners", lambda config: known(config)[kept] * [1.0, 1.0, 0.5])
+    done = relayer(place, tmp_path / "o")
+    failed = json.loads(done.stdout)["gates"]
+    assert done.returncode == 1
+    assert any("table over what stands" in gate["text"] for gate in failed)
 
 
 def test_a_part_that_stands_otherwise_than_the_settings_say_is_found(place, tmp_path):

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from parts import box, sphere
 
 from ebamcheck.errors import InputError
-from ebamcheck.live.turned import _half_plane, _highest, stands_of
 from ebamcheck.mesh.part import Part
+from ebamcheck.pipeline.turned import _half_plane, _highest, stands_of
 from ebamcheck.settings.config import Config
 
 

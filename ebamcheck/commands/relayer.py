@@ -20,8 +20,8 @@ from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.relaying import Relayered, relayer
 from ebamcheck.live.tilting import tilted
-from ebamcheck.live.turned import stands_of
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.turned import stands_of
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.language.files import preheat_name
 from ebamcheck.settings.config import Config
@@ -77,15 +77,15 @@ def relayer_command(
     layers = len(found.thickness_mm)
     if not 0 <= layer < layers:
         raise SettingsError(f"--layer {layer}: the run has the layers 0 to {layers - 1}")
-    before = None
+    before, built_mm = None, 0.0
     if turned is not None:
         before = finished_run(run, part)
-        found = replace(found, config=_turning(before, found, direction))
+        built_mm = float(before.tops_mm[layer - 1]) if layer else 0.0
+        found = replace(found, config=_turning(before, found, direction, built_mm))
     heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
         if before is not None:
-            built_mm = float(before.tops_mm[layer - 1]) if layer else 0.0
             maker.stands = stands_of(before.part, found.part, built_mm, before.config)
         # Along another direction other layers would have been laid than those that the run knows.
         metal = None if turned else found.metal_under(layer)
@@ -101,7 +101,7 @@ def relayer_command(
     return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
 
 
-def _turning(before: FinishedRun, found: FinishedRun, direction: str) -> Config:
+def _turning(before: FinishedRun, found: FinishedRun, direction: str, built_mm: float) -> Config:
     """Settings of a layer of the turned part; refused where nothing turns it."""
     machine = found.config.machine
     if not (machine.tilt_axes or machine.rotary):
@@ -109,7 +109,7 @@ def _turning(before: FinishedRun, found: FinishedRun, direction: str) -> Config:
             f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
             "(machine.tilt_axes)"
         )
-    return tilted(before.part, found.part, found.config)
+    return tilted(before.part, found.part, found.config, built_mm)
 
 
 def alike(direction: tuple[float, ...], run: Path) -> bool:

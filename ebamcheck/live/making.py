@@ -30,7 +30,6 @@ from ebamcheck.live.layer_feed import at_layer_feed
 from ebamcheck.live.metal_checks import metal_checks
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
-from ebamcheck.live.turned import Stands, turned_checks
 from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
@@ -39,6 +38,7 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, verify_program
 from ebamcheck.program.checking.hatch_form import form_checks

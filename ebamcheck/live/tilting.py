@@ -12,8 +12,8 @@ from ebamcheck.program.writing.tilt_text import Tilt, tilt_of
 from ebamcheck.settings.config import Config
 
 
-def tilted(before: Part, now: Part, config: Config) -> Config:
-    """Settings of layers of a part that the table turns; those given where the user turns it (no ``machine.rotary``).
+def tilted(before: Part, now: Part, config: Config, built_mm: float = 0.0) -> Config:
+    """Settings of layers of a part that was built up to a height and is turned by the table; those given where the user turns it.
 
     Raises
     ------
@@ -22,7 +22,7 @@ def tilted(before: Part, now: Part, config: Config) -> Config:
     """
     if not config.machine.rotary:
         return config
-    part = config.part.model_copy(update={"on_table": on_table(before, now)})
+    part = config.part.model_copy(update={"on_table": on_table(before, now, built_mm)})
     config = config.model_copy(update={"part": part})
     checked_tilt(config, config.machine.control)
     tilt_of_config(config)

@@ -3,23 +3,47 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
-from ebamcheck.json_values import json_text, sha256_of_file
+from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.live.journal import read_journal
-from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, PROGRAM, SETTINGS, write_synced
+from ebamcheck.live.publishing import (
+    CERTIFICATE,
+    CURRENT,
+    JOURNAL,
+    LAYERS,
+    PROGRAM,
+    SETTINGS,
+    current_of,
+    read_current,
+    write_synced,
+)
+from ebamcheck.pipeline.certificate_checks import part_hash
 from ebamcheck.pipeline.verify import verify
-from ebamcheck.settings.config import load_config
+from ebamcheck.settings.config import Config, load_config
 
 VERIFIED = "verified.json"
 """What was found, in the folder of the build."""
 
 FEWEST_CHECKS = 40
 """A program that was read at all has more checks than these."""
+
+
+SAME_MM = 1e-6
+"""Heights nearer than this are one: those of journal, certificate and settings are the same number."""
+
+
+@dataclass(frozen=True)
+class Due:
+    """What the journal asks of a layer: its number, from 0, and the height that was measured below it."""
+
+    layer: int
+    base_mm: float
 
 
 @dataclass(frozen=True)
@@ -79,14 +103,32 @@ def verify_build(
     if not part.is_file():
         raise InputError(f"{part}: cannot be read: there is no such file")
     found = []
-    for entry in published(folder):
-        found.append(_verified(folder, entry, part))
+    for entry, due in [*_due(folder)]:
+        found.append(_verified(folder, entry, due, part))
+        told(found[-1])
+    if found and is_build(folder) and found[-1].passed and (why := _not_current(folder, found[-1].name)):
+        found[-1] = replace(found[-1], why=why)
         told(found[-1])
     write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
     return found
 
 
-def _verified(folder: Path, entry: dict[str, Any], part: Path) -> VerifiedLayer:
+def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
+    """Published layers, each with what the journal asks of it; nothing is asked where there is none."""
+    if not is_build(folder):
+        yield from ((entry, None) for entry in published(folder))
+        return
+    layer, base_mm = 0, math.nan
+    for entry in read_journal(folder / JOURNAL):
+        if entry.get("kind") == "height":
+            # A height of another layer is none that this one was laid on.
+            base_mm = float(entry["height_mm"]) if entry.get("done") == layer else math.nan
+        elif entry.get("kind") == "layer":
+            yield entry, Due(layer, base_mm)
+            layer, base_mm = layer + 1, math.nan
+
+
+def _verified(folder: Path, entry: dict[str, Any], due: Due | None, part: Path) -> VerifiedLayer:
     name, files = str(entry["name"]), dict(entry["files"])
     told_by = "the journal" if is_build(folder) else f"its {CERTIFICATE}"
     place = folder / LAYERS / name
@@ -95,13 +137,63 @@ def _verified(folder: Path, entry: dict[str, Any], part: Path) -> VerifiedLayer:
         if not path.is_file() or sha256_of_file(path) != sha256:
             return VerifiedLayer(name, 0, f"{path}: is not the file that {told_by} names", files)
     try:
-        checks = verify(place / PROGRAM, part, load_config(place / SETTINGS))
+        config = load_config(place / SETTINGS)
+        if why := _other_than(_certificate(place), name, files, due, config, part):
+            return VerifiedLayer(name, 0, why, files)
+        checks = verify(place / PROGRAM, part, config)
     except EbamcheckError as error:
         return VerifiedLayer(name, 0, str(error), files)
     wrong = [check.in_words() for check in checks if not check.passed]
     if len(checks) < FEWEST_CHECKS and not wrong:
         wrong = [f"{len(checks)} checks alone could be made"]
     return VerifiedLayer(name, len(checks), "; ".join(wrong), files)
+
+
+def _certificate(place: Path) -> dict[str, Any]:
+    """Certificate of a layer."""
+    try:
+        found: dict[str, Any] = json.loads((place / CERTIFICATE).read_text(encoding="utf-8"))
+        found["part"]["sha256"], found["base_mm"] + 0.0, found["layer"] + 0
+    except (OSError, ValueError, TypeError, KeyError):
+        raise InputError(f"{place / CERTIFICATE}: is no certificate of a layer") from None
+    return found
+
+
+def _other_than(
+    paper: dict[str, Any], name: str, files: dict[str, str], due: Due | None, config: Config, part: Path
+) -> str:
+    """What certificate, settings, journal and part do not have in common; empty where all tell of the same layer.
+
+    A layer is judged by its own settings: where these are not those that it was published with, or have it lie on another height than
+    was measured, a text that keeps them says nothing.
+    """
+    wanted: tuple[tuple[str, object, object], ...] = (
+        ("name", paper.get("name"), name),
+        *((("number of the layer", paper["layer"], due.layer),) if due else ()),
+        ("files", paper.get("files"), files),
+        ("validated", paper.get("validated"), True),
+        ("hash of the settings", paper.get("settings_sha256"), sha256_of_json(config.model_dump())),
+        ("hash of the part", paper["part"]["sha256"], part_hash(part)),
+    )
+    for what, said, is_so in wanted:
+        if said != is_so:
+            return f"{CERTIFICATE}: {what}: {said!s:.60}, in place of {is_so!s:.60}"
+    heights = [("its settings", config.base_mm), *([("the journal", due.base_mm)] if due else [])]
+    for where, base_mm in heights:
+        if not abs(paper["base_mm"] - base_mm) <= SAME_MM:
+            return f"{CERTIFICATE}: lies on {paper['base_mm']:.6g} mm, by {where} on {base_mm:.6g} mm"
+    return ""
+
+
+def _not_current(folder: Path, name: str) -> str:
+    """Why the layer that is to be called next is not the one that was published last; empty where it is."""
+    try:
+        current = read_current(folder)
+    except ValueError:
+        return f"{CURRENT}: cannot be read"
+    if current != current_of(_certificate(folder / LAYERS / name)):
+        return f"{CURRENT}: is not that of {name}, the layer that was published last"
+    return ""
 
 
 def read_verified(folder: Path) -> dict[str, VerifiedLayer]:

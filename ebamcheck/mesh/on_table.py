@@ -12,9 +12,6 @@ from ebamcheck.settings.tilt import OnTable
 RIGID_MM = 1e-6
 """Largest residual of the motion between two parts of the same file."""
 
-SAME_MM = 1e-6
-"""Largest difference between the places of a part in two mountings that count as the same."""
-
 
 def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and shift (3,) that take one part to the other as p @ rotation + shift, from their vertices.
@@ -37,7 +34,7 @@ def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
     return turn, np.asarray(shift, np.float64)
 
 
-def on_table(before: Part, now: Part) -> OnTable:
+def on_table(before: Part, now: Part, built_mm: float = 0.0) -> OnTable:
     """Mounting of a part that was built along one direction and is turned to another.
 
     Parameters
@@ -45,6 +42,8 @@ def on_table(before: Part, now: Part) -> OnTable:
     before, now
         The same part on the table with all axes at 0, and in the program of the turned layer. Programs measure Z from the
         lowest point of their part.
+    built_mm
+        Height over the plate up to which it was built before.
     """
     turn, shift = rigid_motion(before, now)
     zero = np.array([0.0, 0.0, before.bounds[0, 2]])
@@ -61,13 +60,5 @@ def on_table(before: Part, now: Part) -> OnTable:
         shift_mm=triple(shift),
         low_mm=triple(low),
         high_mm=triple(high),
+        built_mm=built_mm,
     )
-
-
-def apart_mm(one: OnTable, other: OnTable) -> float:
-    """Greatest distance between places of the part's corners, or difference of its boxes, in two mountings, mm."""
-    low, high = one.low_mm, one.high_mm
-    corners = np.stack(np.meshgrid(*zip(low, high, strict=True)), axis=-1).reshape(-1, 3)
-    places = [corners @ np.array(o.turn) + np.array(o.shift_mm) for o in (one, other)]
-    boxes = np.array([low, high]) - np.array([other.low_mm, other.high_mm])
-    return float(max(np.abs(places[0] - places[1]).max(), np.abs(boxes).max()))

@@ -15,7 +15,6 @@ from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
-from ebamcheck.mesh.on_table import SAME_MM, apart_mm, on_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.numeric.rings import Floats
@@ -37,6 +36,7 @@ from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.text_again import truth_of
+from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
@@ -334,7 +334,7 @@ def verify_against_part(
         with suppress(EbamcheckError):  # a program that cannot be read has a failed check of its own
             text = read_program(program, config)
             certified += plate_checks(part, config, text, read_certificate(paper).get(PLATE), paper.name)
-    return [*certified, sound, *_mounted(part_path, part, config), *made]
+    return [*certified, sound, *_turned(program, part_path, part, witness, config), *made]
 
 
 def _under(part: Part, heights: Floats, config: Config, maker: str) -> BaseGeometry | None:
@@ -346,15 +346,20 @@ def _under(part: Part, heights: Floats, config: Config, maker: str) -> BaseGeome
     return layer_section(slice_part(part, [cut_mm], witness_backend(maker)).polygons(0))
 
 
-def _mounted(path: Path, part: Part, config: Config) -> list[Check]:
-    """Whether the part stands on a tilt table as the settings say, by its mesh; nothing for one that is not turned."""
+def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Config) -> list[Check]:
+    """What a part that is turned on a tilt table has to meet, by its mesh: its mounting, and what stands; nothing for one that is not."""
     said = config.part.on_table
     if said is None:
         return []
     upright = config.changed(part={"direction": said.direction, "on_table": None})
-    off_mm = apart_mm(said, on_table(placed_part(path, upright)[0], part))
-    text = f"part.on_table places the part {off_mm:.3g} mm beside where its mesh stands"
-    return [Check("mounting", off_mm <= SAME_MM, off_mm, SAME_MM, "mm", path.name, text)]
+    before = placed_part(path, upright)[0]
+    with suppress(
+        EbamcheckError
+    ):  # a program that cannot be read, or a part of another file, has a failed check of its own
+        stands = stands_of(before, part, said.built_mm, config)
+        section = layer_section(layers.polygons(0))
+        return turned_checks(read_program(program, config), section, float(layers.heights[0]), stands, config)
+    return mounting_checks(before, part, config)
 
 
 def _differences(program: Path, config: Config) -> list[str]:

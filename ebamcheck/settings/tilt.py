@@ -62,6 +62,8 @@ class OnTable(Section):
     """Least corner of the part's box on the table."""
     high_mm: Triple
     """Greatest corner of the part's box on the table."""
+    built_mm: Annotated[float, Between(0.0, 1e6)] = 0.0
+    """Height over the base plate up to which it was built along `direction` before it was turned."""
 
     @field_validator("turn")
     @classmethod

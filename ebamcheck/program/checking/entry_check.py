@@ -7,13 +7,15 @@ from above all that stands; and its first blocks establish a state of their own.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import zip_longest
 
 import numpy as np
 
-from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.checking.checks import Check, count_check, event_place
 from ebamcheck.program.checking.header_checks import Truth, status_check
 from ebamcheck.program.checking.machine_state import machine_state_checks
 from ebamcheck.program.checking.text_checks import text_checks
+from ebamcheck.program.language.codes import BEAM_VALUES
 from ebamcheck.program.reading.motions import RAPID, NCProgram
 from ebamcheck.settings.config import Config
 
@@ -23,6 +25,7 @@ PLACE_MM = 1e-3
 """Heights nearer than this are one: three decimals are the fewest of a program."""
 
 COLUMNS = ("kind", "feed_mm_min", "beam", "wire", "power_w", "wire_mm_s")
+VALUES = (*BEAM_VALUES, "wire_mm_s")
 GEOMETRY = ("end", "coefficients", "arc")
 
 
@@ -66,7 +69,14 @@ def _faults(
             f"begins at Z {entry.end[laid[0], 2]:g}, layer {layer} lies at {z_mm:g}",
         )
     yield from _other_motions(whole, entry, offset)
+    yield from _other_events(whole, entry, offset, int(laid[0]))
     yield from _way_in(entry, int(laid[0]), z_mm, config)
+    first = int(laid[0])
+    if not _same(entry.start[first], whole.start[first + offset]).all():
+        yield (
+            entry.where(first),
+            "the first bead begins at another place than in the whole program, or at one that nothing has given",
+        )
 
 
 def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[tuple[str, str]]:
@@ -89,6 +99,40 @@ def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[
         yield entry.where(row), "is another motion, or at other values, than in the whole program"
 
 
+def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -> Iterator[tuple[str, str]]:
+    """First wait, switch or value from the first bead on that the whole program does not have there, or has otherwise.
+
+    Motions alone tell nothing of waits, without which the part is too warm where the next bead comes.
+    """
+    for name in VALUES:
+        mine, other = _value_before(entry, first, name), _value_before(whole, first + offset, name)
+        if not (mine == other or (np.isnan(mine) and np.isnan(other))):
+            yield entry.where(first), f"{name} is {mine:g} at the first bead, {other:g} in the whole program"
+    mine_at = np.flatnonzero(entry.events.row >= first).tolist()
+    other_at = np.flatnonzero(whole.events.row >= first + offset).tolist()
+    for i, k in zip_longest(mine_at, other_at):
+        if i is None or k is None:
+            which, at, name = (whole, k, "lacks") if i is None else (entry, i, "has")
+            yield (
+                event_place(entry, mine_at[-1] if i is None and mine_at else i or 0),
+                f"{name} {which.events.name[at]} in place of nothing",
+            )
+            return
+        same_row = entry.events.row[i] + offset == whole.events.row[k]
+        value, wanted = float(entry.events.value[i]), float(whole.events.value[k])
+        known = value == wanted or (np.isnan(value) and np.isnan(wanted))
+        if not (same_row and known and entry.events.name[i] == whole.events.name[k]):
+            told = f"{entry.events.name[i]} {value:g}, in the whole program {whole.events.name[k]} {wanted:g}"
+            yield event_place(entry, i), f"has {told} there, or at another motion"
+            return
+
+
+def _value_before(nc: NCProgram, row: int, name: str) -> float:
+    """Value that was set last before a motion; NaN where none was."""
+    known = [i for i, one in enumerate(nc.events.name) if one == name and nc.events.row[i] <= row]
+    return float(nc.events.value[known[-1]]) if known else np.nan
+
+
 def _same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray((a == b) | (np.isnan(a) & np.isnan(b)) if a.dtype.kind == "f" else a == b)
 
@@ -103,3 +147,10 @@ def _way_in(entry: NCProgram, first: int, z_mm: float, config: Config) -> Iterat
     if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
         where = entry.where(0) if len(entry) else f"{entry.files[0].name}:1"
         yield where, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
+    low = np.fmin(entry.start[way[1:], 2], entry.end[way[1:], 2]) < rise
+    aside = ~(
+        (entry.start[way[1:], :2] == entry.end[way[1:], :2])
+        & (entry.end[way[1:], :2] == entry.start[first, :2])
+    ).all(axis=1)
+    for row in way[1:][low & aside][:1].tolist():
+        yield entry.where(row), f"goes below Z {rise:g} elsewhere than over the first bead"

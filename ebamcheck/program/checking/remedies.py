@@ -46,6 +46,7 @@ REMEDIES: Mapping[str, str] = {
             "spline blocks", "polynomial blocks", "contours close", "layer count", "beads as planned", "hatch path",
             "contour rings", "contour path", "islands", "hatch vectors", "lines laid once", "turns",
             "parts of hatch lines", "overlap of contours", "start of path", "words of motions", "waits over the part",
+            "layer by itself",
         ),
         AGAIN,
     ),

@@ -14,6 +14,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check, count_check, event_place, row_faults, worst_check
 from ebamcheck.program.language.tilt_rules import carried_corners
 from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.program.reading.table_columns import AXIS_EVENT
 from ebamcheck.program.reading.turned_table import SAME_PLACE_MM, table_at
 from ebamcheck.settings.config import Config
 
@@ -41,7 +42,7 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
     kept = np.flatnonzero(~full.table.apart)
     return [
         _limits(full, config),
-        count_check(NAMES[1], list(_turns(full)), "one axis at a time, beam and wire commanded off"),
+        count_check(NAMES[1], [*_turns(full), *_left_as_they_were(full)], "one axis at a time, beam and wire commanded off"),
         _height(full, config),
         worst_check(
             NAMES[3], full, kept, full.table.off_mm[kept], SAME_PLACE_MM, "mm", "table and frame put the path beside its place on the part"
@@ -80,8 +81,7 @@ def _turns(full: NCProgram) -> Iterator[tuple[str, str]]:
         if moved.sum() > 1:
             names = " and ".join(np.array(table.axes)[moved])
             yield where, f"{names} turn in one block: the way between is not known"
-        still = np.nan_to_num(full.start[row]) == np.nan_to_num(full.end[row])
-        if not still.all():
+        if not np.array_equal(full.start[row], full.end[row], equal_nan=True):
             yield where, "X, Y or Z move while the table turns"
         for name, what in (("beam_off", "beam"), ("wire_stop", "wire")):
             if not _commanded_off(full, row, name):
@@ -100,6 +100,25 @@ def _commanded_off(full: NCProgram, row: int, name: str) -> bool:
     return last == name
 
 
+def _left_as_they_were(full: NCProgram) -> Iterator[tuple[str, str]]:
+    """Files with a frame in which an axis of the table is not commanded before it: it stands where the layer below left it, or a break."""
+    table = full.table
+    assert table is not None
+    for file in np.unique(full.file[table.frame != 0]).tolist():
+        row = int(np.flatnonzero((full.file == file) & (table.frame != 0))[0])
+        known = {
+            name.removeprefix(AXIS_EVENT)
+            for i, name in enumerate(full.events.name)
+            if name.startswith(AXIS_EVENT) and full.events.file[i] == file and full.events.row[i] <= row
+        }
+        for axis in table.axes:
+            if axis not in known:
+                yield (
+                    full.where(row),
+                    f"{axis} is not commanded before the frame: the table may stand otherwise there",
+                )
+
+
 # -- height ------------------------------------------------------------------------------------------
 
 
@@ -115,25 +134,35 @@ def _height(full: NCProgram, config: Config) -> Check:
         _swept(corners, full, a, b, swept, config) for a, b in zip(table.before.tolist(), table.after.tolist(), strict=True)
     ) if len(full) else 0.0  # fmt: skip
     least = highest + config.machine.clearance_mm
-    # The first way of a program rises from a height that nobody knows.
-    rows = np.flatnonzero(table.apart)
+    # The first way of a program rises from a height that nobody knows; the first one in a frame crosses what the turned table carries.
+    enters = (
+        np.append(False, (table.frame[1:] != table.frame[:-1]) & (table.frame[1:] != 0))
+        if len(full)
+        else table.apart
+    )
+    rows = np.flatnonzero(table.apart | (enters & (full.kind == RAPID)))
     start, end = full.start[rows, 2], full.end[rows, 2]
     level = (full.start[rows, :2] == full.end[rows, :2]).all(axis=1) | np.isnan(full.end[rows, :2]).all(
         axis=1
     )
     low = np.where(level & ~(table.before != table.after)[rows], end, np.fmin(start, end))
-    low = np.where(np.isnan(end), -np.inf, low)
+    # One that moves aside on its way up from there may meet anything.
+    aside = np.isnan(start) & ~level
+    low = np.where(np.isnan(end) | aside, -np.inf, low)
     short = least - low
     found = worst_check(NAMES[2], full, rows, short, PLACE_MM, "mm", "")
     text = f"the table turns, and the tool is on its way, {-found.value:.4g} mm and more over the least height of Z {least:.6g} mm"
     if not found.passed:
-        row = int(rows[int(np.argmax(np.nan_to_num(short, nan=np.inf)))])
+        at = int(np.argmax(np.nan_to_num(short, nan=np.inf)))
+        row = int(rows[at])
         what = (
             "the table turns"
             if table.before[row] != table.after[row]
-            else "the tool is on its way without a frame"
+            else "the tool moves aside from a height that is not known"
+            if aside[at]
+            else "the tool is on its way"
         )
-        z = full.end[row, 2]
+        z = np.fmin(full.start[row, 2], full.end[row, 2])
         text = f"{what} at Z {z:g} mm: all that the table carries comes to Z {highest:.6g} mm as it turns, {config.machine.clearance_mm:g} mm are to be kept"
     return Check(NAMES[2], found.passed, found.value, 0.0, "mm", found.where, text)
 

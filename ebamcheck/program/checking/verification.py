@@ -43,6 +43,7 @@ from ebamcheck.program.checking.plugged import plugged_checks
 from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.program.checking.process_checks import process_checks
 from ebamcheck.program.checking.ramp_check import ramp_check
+from ebamcheck.program.checking.released import released_checks
 from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import far_away, state_checks
 from ebamcheck.program.checking.text_checks import text_checks
@@ -173,7 +174,7 @@ def verify_program(
     if heat:
         checks += heat_checks(nc, config, sections, before, known_sections(None, layers))
     checks += preheat_checks(nc, config, sections, before, under)
-    checks += tilt_checks(nc, config)
+    checks += [*tilt_checks(nc, config), *released_checks(nc, config)]
     checks += clearance_checks(nc, z_of, config, layers)
     checks += plugged_checks(nc, config)
     if known is None:

@@ -32,8 +32,8 @@ def read_program(
     config
         Its machine section holds the beam and wire templates; None: the default profile.
     bspline_shift
-        Which knot interval a BSPLINE block's PL carries (2 or 3, or "uniform" for none); None: as the header of
-        the program states, else as the machine profile does.
+        Which knot interval a BSPLINE block's PL carries (2 or 3, or "uniform" for none); None: as the
+        machine profile says. What the header of the program says of it counts for nothing.
 
     Returns
     -------

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
+AXIS_EVENT = "table axis "
+"""Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position."""
+
 
 @dataclass(frozen=True, eq=False)
 class TableColumns:

@@ -11,6 +11,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 from ebamcheck.errors import InputError
@@ -18,6 +20,7 @@ from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.controls.sinumerik.waiting_state import WaitingState
 from ebamcheck.program.language.words import WordError
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.machine import MachineSettings
 
 CHECK = "handshake"
 
@@ -34,7 +37,7 @@ _BLOCK = re.compile(r"N(\d+) (?:([A-Z_][A-Z0-9_]+): )?(.+)")
 _TOKEN = re.compile(r'\s*(R\d+|[A-Z_][A-Z0-9_]*|\d+\.?\d*|"[^"]*"|<<|==|<>|>=|<=|[-+<>(),])')
 _SET = re.compile(r"(R\d+|[A-Z_][A-Z0-9_]+)=(?!=)(.+)")
 _JUMP = re.compile(r"(?:IF (.+) )?GOTO([FB]) ([A-Z_][A-Z0-9_]+)")
-_DEF = re.compile(r"DEF (INT|STRING\[\d+\]) ([A-Z_][A-Z0-9_]+)")
+_DEF = re.compile(r"DEF (?:INT|STRING\[(\d+)\]) ([A-Z_][A-Z0-9_]+)")
 
 Door = Callable[["Run"], None]
 """What is on the other side: it sees the machine whenever time has gone by, and may set R parameters."""
@@ -51,6 +54,10 @@ class Run:
     time_s: float = 0.0
     on: set[str] = field(default_factory=set)
     calls: list[tuple[str, float]] = field(default_factory=list)
+    done: list[float] = field(default_factory=list)
+    """Layers that were said to be done at each call."""
+    room: dict[str, int] = field(default_factory=dict)
+    """Characters that each string variable holds."""
     stops: list[tuple[str, float, bool]] = field(default_factory=list)
     """M0 or M30, when, and whether beam and wire were commanded off since time went by."""
     faults: list[tuple[int, str]] = field(default_factory=list)
@@ -106,67 +113,119 @@ def _code(line: str) -> str:
 # -- doors -------------------------------------------------------------------------------------------
 
 
+NUMBERS = (1, 2, 1)
+"""Number of the program of each layer that a door releases."""
+
+LONGER_S = 17.0
+"""A wait that is longer than any other parameter is large: none may be taken for it."""
+
+
+class Doors:
+    """What may be on the other side of a waiting main program."""
+
+    def __init__(self, machine: MachineSettings) -> None:
+        self.done, self.released, self.number, self.wait = (f"R{machine.live_r + k}" for k in range(4))
+        self.poll_s = machine.live_poll_s
+        self.late_s = 3.0 * self.poll_s
+        self.wait_s = self.late_s + LONGER_S
+
+    def _releases(self, run: Run, wait_s: float, after_s: float) -> None:
+        layer = int(run.values.get(self.done, 0)) + 1
+        if run.calls and layer <= len(NUMBERS) and run.time_s < run.calls[-1][1] + after_s - ROUNDING_S:
+            return
+        if layer <= len(NUMBERS):
+            run.values |= {self.number: NUMBERS[layer - 1], self.wait: wait_s}
+        run.values[self.released] = layer if layer <= len(NUMBERS) else -1
+
+    def good(self, run: Run) -> None:
+        """Release each layer at once, with a long wait."""
+        self._releases(run, self.wait_s, 0.0)
+
+    def slow(self, run: Run) -> None:
+        """Release each layer when its wait is long over."""
+        self._releases(run, self.poll_s, self.late_s)
+
+    def silent(self, run: Run) -> None:
+        """Release nothing."""
+
+    def old(self, run: Run) -> None:
+        """Leave what a build of before left: it holds until the program has begun."""
+        if not run.values:
+            run.values |= {self.done: 4.0, self.released: 1.0, self.number: 9.0}
+
+    def again(self, run: Run) -> None:
+        """Release layers after a build of before."""
+        self.old(run)
+        if run.time_s > 0.0:
+            self.good(run)
+
+    def wrong(self, run: Run) -> None:
+        """Release another layer than the next one."""
+        run.values |= {self.released: int(run.values.get(self.done, 0)) + 2, self.number: 1}
+
+    def late(self, run: Run) -> None:
+        """Release layers after the time-out alone."""
+        if run.stops:
+            self.good(run)
+
+
 def scenarios(config: Config) -> list[tuple[str, Door, Callable[[Run], str]]]:
     """Doors by name, and what is wrong with what the program did, empty if nothing."""
     machine = config.machine
-    done, released, number, wait = (f"R{machine.live_r + k}" for k in range(4))
-    stem, limit_s, poll_s = machine.program_name[:10], machine.live_timeout_s, machine.live_poll_s
-    numbers, wait_s, last = (1, 2, 1), 3.0 * poll_s, 3
+    doors, stem = Doors(machine), machine.program_name[:10]
 
-    def good(run: Run) -> None:
-        layer = int(run.values.get(done, 0)) + 1
-        if layer <= last:
-            run.values |= {number: numbers[layer - 1], wait: wait_s}
-        run.values[released] = layer if layer <= last else -1
-
-    def silent(run: Run) -> None:
-        pass
-
-    def old(run: Run) -> None:
-        # What was left by a build of before: it holds until the program has begun.
-        if not run.values:
-            run.values |= {done: 4.0, released: 1.0, number: 9.0}
-
-    def wrong(run: Run) -> None:
-        run.values |= {released: int(run.values.get(done, 0)) + 2, number: 1}
-
-    def late(run: Run) -> None:
-        if run.stops:
-            good(run)
-
-    def called(run: Run, layers: int = last) -> str:
-        names = [f"{stem}_K{k + 1:04d}R{numbers[k]}_L0001" for k in range(layers)]
-        if [name for name, _ in run.calls] != names:
-            return f"calls {', '.join(name for name, _ in run.calls) or 'nothing'}, not {', '.join(names)}"
-        early = [k for k in range(1, layers) if run.calls[k][1] - run.calls[k - 1][1] < wait_s - ROUNDING_S]
-        if early:
-            return f"calls layer {early[0] + 1} before its least wait of {wait_s:g} s is over"
-        return _ended(run)
-
-    def waited(run: Run) -> str:
-        if run.calls:
-            return f"calls {run.calls[0][0]}, which nobody released"
-        if not run.stops:
-            return "never stops waiting"
-        code, at_s, off = run.stops[0]
-        if not limit_s <= at_s <= limit_s + 2.0 * poll_s:
-            return f"stops after {at_s:g} s, the stated time-out is {limit_s:g} s"
-        if code != ("M0" if machine.live_late == "stop" else "M30"):
-            return f"ends waiting by {code}; machine.live_late is {machine.live_late!r}"
-        if not off:
-            return "does not command wire and beam off when it stops waiting"
-        return "" if run.shown else "stops without a message"
+    def called(run: Run) -> str:
+        return _called(run, stem, doors.wait_s, doors.wait_s + 2.0 * doors.poll_s)
 
     def resumed(run: Run) -> str:
         return called(run) if machine.live_late == "stop" else ""
 
-    return [
-        ("released layers", good, called),
-        ("a silent server", silent, waited),
-        ("values of before", old, waited),
-        ("another layer than the next", wrong, waited),
-        ("a release after the time-out", late, resumed),
+    found: list[tuple[str, Door, Callable[[Run], str]]] = [
+        ("released layers", doors.good, called),
+        ("released layers after a build before", doors.again, called),
+        ("a silent server", doors.silent, partial(_waited, machine=machine)),
+        ("values of before", doors.old, partial(_waited, machine=machine)),
+        ("another layer than the next", doors.wrong, partial(_waited, machine=machine)),
+        ("a release after the time-out", doors.late, resumed),
     ]
+    if doors.late_s < machine.live_timeout_s:
+        most_s = doors.late_s + 2.0 * doors.poll_s
+        judge = partial(_called, stem=stem, least_s=doors.poll_s, most_s=most_s)
+        found.append(("layers that are released late", doors.slow, judge))
+    return found
+
+
+def _called(run: Run, stem: str, least_s: float, most_s: float) -> str:
+    """What is wrong with the layers that were called, from `least_s` to `most_s` after each other."""
+    names = [f"{stem}_K{k:04d}R{number}_L0001" for k, number in enumerate(NUMBERS, 1)]
+    if [name for name, _ in run.calls] != names:
+        return f"calls {', '.join(name for name, _ in run.calls) or 'nothing'}, not {', '.join(names)}"
+    if run.done != list(range(len(names))):
+        return f"says at its calls that {', '.join(f'{n:g}' for n in run.done)} layers are done"
+    for k, ((_, before_s), (_, at_s)) in enumerate(pairwise(run.calls), 2):
+        if at_s - before_s < least_s - ROUNDING_S:
+            return f"calls layer {k} before its least wait of {least_s:g} s is over"
+        if at_s - before_s > most_s + ROUNDING_S:
+            return (
+                f"calls layer {k} {at_s - before_s:g} s after the one before, and could within {most_s:g} s"
+            )
+    return _ended(run)
+
+
+def _waited(run: Run, machine: MachineSettings) -> str:
+    """What is wrong with a program to which no next layer was released."""
+    if run.calls:
+        return f"calls {run.calls[0][0]}, which nobody released"
+    if not run.stops:
+        return "never stops waiting"
+    code, at_s, off = run.stops[0]
+    if not machine.live_timeout_s <= at_s <= machine.live_timeout_s + 2.0 * machine.live_poll_s:
+        return f"stops after {at_s:g} s, the stated time-out is {machine.live_timeout_s:g} s"
+    if code != ("M0" if machine.live_late == "stop" else "M30"):
+        return f"ends waiting by {code}; machine.live_late is {machine.live_late!r}"
+    if not off:
+        return "does not command wire and beam off when it stops waiting"
+    return "" if run.shown else "stops without a message"
 
 
 def _ended(run: Run) -> str:
@@ -192,6 +251,7 @@ def run_text(
     """
     state = WaitingState(config, top_mm)
     first = config.machine.live_r
+    counted = f"R{first}"
     run = Run(door, frozenset(f"R{first + k}" for k in (1, 2, 3)))
     blocks = [
         (i, m[2] or "", m[3]) for i, line in enumerate(text.split("\n"), 1) if (m := _BLOCK.fullmatch(line))
@@ -206,7 +266,8 @@ def run_text(
             return run
         run.line, _, code = blocks[at]
         try:
-            at = _step(run, code.partition(" ;")[0].rstrip(), at, labels, state)
+            before, at = len(run.calls), _step(run, code.partition(" ;")[0].rstrip(), at, labels, state)
+            run.done += [float(run.values.get(counted, 0.0))] * (len(run.calls) - before)
         except (WordError, ValueError, KeyError, TypeError, IndexError) as error:
             raise InputError(f"{run.line} {code!r} is not understood: {error}") from None
     run.faults.append((run.line, f"has not ended after {most} blocks"))
@@ -241,7 +302,8 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], state: WaitingSt
         run.calls.append((str(run.values[found[1]]), run.time_s))
         run.passes(0.0)
     elif found := _DEF.fullmatch(code):
-        run.values[found[2]] = 0 if found[1] == "INT" else ""
+        run.values[found[2]] = "" if found[1] else 0
+        run.room |= {found[2]: int(found[1])} if found[1] else {}
     elif change := state.templates.find(code):
         run.tell(state.change(change))
         for event, _ in change.actions:
@@ -250,10 +312,19 @@ def _step(run: Run, code: str, at: int, labels: dict[str, int], state: WaitingSt
                 run.off.add(event)
                 run.on.discard("beam_on" if event == "beam_off" else "wire_start")
     elif (found := _SET.fullmatch(code)) and (re.fullmatch(r"R\d+", found[1]) or found[1] in run.values):
-        run.values[found[1]] = Expression(found[2], run).value()
+        _assign(run, found[1], Expression(found[2], run).value())
     else:
         run.tell(state.words(code))
     return at + 1
+
+
+def _assign(run: Run, name: str, value: Any) -> None:
+    """Give a parameter or a variable its value."""
+    if name in run.watched and (run.time_s > 0.0 or run.calls):
+        run.tell(iter([f"writes {name}, which the server writes: what it has released is lost"]))
+    if len(str(value)) > run.room.get(name, len(str(value))):
+        raise ValueError(f"{value!r} is longer than {name}")
+    run.values[name] = value
 
 
 class Expression:

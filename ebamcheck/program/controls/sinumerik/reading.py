@@ -29,6 +29,7 @@ from ebamcheck.program.reading.frames import NONE, frame_after
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import StateChange, Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
+from ebamcheck.program.reading.table_columns import AXIS_EVENT
 from ebamcheck.program.reading.turned_table import on_part
 from ebamcheck.settings.config import Config
 
@@ -41,9 +42,6 @@ _BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?!\w)\s*", re.IGNORECASE)
 _MESSAGE = re.compile(r'MSG\s*\(\s*"[^"]*"\s*\)|MSG\s*\(\s*\)')
 """A line for the operator; it changes nothing."""
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
-_CONVENTION = re.compile(
-    r"BSPLINE CONVENTION:\s*(?:s\s*=\s*([23])\b|(uniform)\b)|BSPLINE.*\bs\s*=\s*([23])\b", re.I
-)
 _KINDS = {"G0": RAPID, "G1": STRAIGHT, "POLY": POLYNOMIAL, "BSPLINE": SPLINE_SPAN, "G2": ARC, "G3": ARC}
 
 _N = rf"({NUMBER})"
@@ -71,7 +69,6 @@ class SinumerikReader:
         self.out = Recorder(folder, NAME, self._rotary, config.preheat.scan_in == "layer")
         self._templates = Templates(checked_templates(config.machine, NAME))
         self._changes: dict[str, StateChange] = {}
-        self._given_shift = shift
         self._shift: Shift = shift or config.machine.bspline_shift
         self._mode = ""
         self._spline: list[tuple[float, float, float, int]] = []
@@ -165,10 +162,6 @@ class SinumerikReader:
         """Read what a comment says in the header; what one says of motions counts for nothing."""
         if not code.strip() and self.out.file == 0 and not self.out.started:
             read_header(comment, self.out)
-            convention = _CONVENTION.search(comment)
-            if convention and not self._given_shift:
-                shift = convention[1] or convention[3]
-                self._shift = "uniform" if shift is None else 2 if shift == "2" else 3
 
     # -- blocks ------------------------------------------------------------------------------------
 
@@ -202,8 +195,7 @@ class SinumerikReader:
             if word in END_CODES:
                 end = word
             elif word in _KINDS:
-                self._end_spline()
-                self._mode = word
+                self._motion_word(word)
             elif word == "TRANS" and self.out.table.frame is not NONE:
                 self.out.event("frame taken back")
                 self.out.set_frame(NONE)
@@ -211,8 +203,6 @@ class SinumerikReader:
                 self.out.event(word)
         if block.values or block.lists:
             self._run_values(block)
-        if self._mode == "BSPLINE" and "BSPLINE" in block.codes and not self._spline:
-            self._begin_spline()
         if end:
             self._end_spline()
             self.out.event(end)
@@ -235,6 +225,9 @@ class SinumerikReader:
             raise WordError("SD belongs to the block with BSPLINE", 0)
         if any(axis in values for axis in self._rotary):
             self._end_spline()
+            for axis in self._rotary:
+                if axis in values:
+                    self.out.event(f"{AXIS_EVENT}{axis}", values[axis])
             self.out.table.turn(values)
         if block.lists or any(axis in values for axis in (*AXES, *self._rotary)):
             self._move(block)
@@ -315,8 +308,14 @@ class SinumerikReader:
 
     # -- splines -----------------------------------------------------------------------------------
 
-    def _begin_spline(self) -> None:
-        self._spline = [(self.out.x, self.out.y, 0.0, self.out.line)]
+    def _motion_word(self, word: str) -> None:
+        """Change the kind of motion; BSPLINE begins a spline at the position before."""
+        if word == self._mode == "BSPLINE":
+            raise WordError("BSPLINE where it is in force: the control goes on with the spline before", 0)
+        self._end_spline()
+        self._mode = word
+        if word == "BSPLINE":
+            self._spline = [(self.out.x, self.out.y, 0.0, self.out.line)]
 
     def _control_point(self, x: float, y: float, z: float, values: dict[str, float]) -> None:
         if self._shift == "uniform" and "PL" in values:
@@ -326,7 +325,8 @@ class SinumerikReader:
         if z != self.out.z:
             raise WordError("Z changes along a BSPLINE: layers are flat", 0)
         if not self._spline:
-            self._begin_spline()
+            what = "a control point after a block that is none of its spline: G1 and BSPLINE begin another"
+            raise WordError(what, 0)
         self._spline.append((x, y, values.get("PL", NAN), self.out.line))
         self.out.x, self.out.y = x, y
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ebamcheck.program.checking.machine_state import PLACE_MM, PRINTED_SHARE
+from ebamcheck.program.checking.machine_state import PLACE_MM, PRINTED_SHARE, TRANSFORMATION_OFF
 from ebamcheck.program.controls.sinumerik.control import NAME
 from ebamcheck.program.controls.sinumerik.words import AXES, read_block
 from ebamcheck.program.language.codes import BEAM_VALUES
@@ -26,10 +26,13 @@ class WaitingState:
     """State of the machine while a waiting main program of a part whose top is to lie at Z `top_mm` runs; each step tells its faults."""
 
     def __init__(self, config: Config, top_mm: float) -> None:
-        self.templates = Templates(checked_templates(config.machine, NAME))
+        known = checked_templates(config.machine, NAME)
+        self.templates = Templates(known)
+        self._used = {a.meaning for held in known.values() for _, actions in held for a in actions}
         self._machine = config.machine
         self._wanted = list(wanted_words(NAME, config.machine).values())
         self._least_mm = safe_end_mm(top_mm, config)
+        self._most = {name: float(getattr(config.process, name)) for name in BEAM_VALUES}
         self._known: set[str] = set()
         self._values: dict[str, float] = {}
         self._place: dict[str, float] = {}
@@ -43,6 +46,8 @@ class WaitingState:
                 self._known.add(event)
             else:
                 self._values[event] = value
+                if value > self._most.get(event, math.inf) * (1.0 + PRINTED_SHARE):
+                    yield f"sets {event} to {value:g}, the process has {self._most[event]:g}"
 
     def words(self, code: str) -> Iterator[str]:
         """Run a block of words of the control."""
@@ -53,6 +58,8 @@ class WaitingState:
             for word in (*block.codes, *block.values, *block.lists)
             if word not in allowed
         )
+        if TRANSFORMATION_OFF in block.codes:
+            self._known.discard(self._machine.work_offset)
         self._known |= {*block.codes, *block.values}
         tolerance = block.values.get("CTOL", limit)
         if not abs(tolerance - limit) <= PRINTED_SHARE * limit:
@@ -60,6 +67,7 @@ class WaitingState:
         way = {axis: block.values[axis] for axis in AXES if axis in block.values}
         if not way:
             return
+        yield from self.waits()
         if "G0" not in block.codes:
             yield "moves otherwise than by a rapid"
         if not self._place and set(way) != {"Z"}:
@@ -72,11 +80,13 @@ class WaitingState:
         """Let time go by, or a layer run."""
         lacking = next((word for word in (*self._wanted, "CTOL", *OFF) if word not in self._known), None)
         if lacking is not None:
-            yield f"{lacking} is not set, or not commanded, before it waits or calls"
+            yield f"{lacking} is not set, or not commanded, before it waits, calls or moves"
 
     def calls(self) -> Iterator[str]:
         """Call a layer."""
         yield from self.waits()
+        # A layer leaves values of its own.
+        self._values |= dict.fromkeys(self._used & {*BEAM_VALUES, "wire_mm_s"}, math.nan)
         if self._place:
             yield "calls a layer after it has left for the place where the tool is parked"
 

@@ -19,7 +19,9 @@ from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.language.tilt_rules import NO_HEIGHT
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.turned_table import table_at
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
@@ -33,6 +35,12 @@ LEAST_MM2 = 1.0
 """Area of a section within what stands that is no more than its border."""
 
 FAR_MM = 1e6
+
+SWING_MM = 2e-3
+"""Heights are rounded to the decimals of a program, at their coarsest."""
+
+SAME_MM = 1e-6
+"""Largest difference between the places of a part in two mountings that count as the same."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +67,8 @@ class Stands:
     tops: Floats
     corner: Floats
     step_mm: float
+    parts: tuple[Part, Part]
+    """The part as it was built, and as it is turned."""
 
     @property
     def up(self) -> tuple[Floats, float]:
@@ -92,7 +102,7 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     cell = np.floor((places[:, :2] - corner) / step_mm).astype(np.int64)
     tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
     np.maximum.at(tops, (cell[:, 1], cell[:, 0]), places[:, 2])
-    return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm)
+    return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm, (before, now))
 
 
 def _area(corners: Floats) -> float:
@@ -160,7 +170,85 @@ def turned_checks(
     section
         Of the layer, at the absolute height `cut_mm`.
     """
-    return [_into(section, cut_mm, stands), *_meets(nc, cut_mm, stands, config)]
+    return [
+        *mounting_checks(*stands.parts, config, stands.built_mm),
+        *_swings(nc, stands.parts[0], config),
+        _into(section, cut_mm, stands),
+        *_meets(nc, cut_mm, stands, config),
+    ]
+
+
+def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | None = None) -> list[Check]:
+    """Whether the part stands on a tilt table as the settings say, corner by corner of its mesh; nothing where none turns it.
+
+    The motion that the settings hold takes each corner of the part as it was built to where it is now, both counted from the lowest one. The height
+    `built_mm` up to which it was built, where it is known, is that of the settings.
+    """
+    said = config.part.on_table
+    if said is None:
+        return []
+    was, is_now = (part.vertices - [0.0, 0.0, part.vertices[:, 2].min()] for part in (before, now))
+    off = [np.inf]
+    if was.shape == is_now.shape:
+        off = [np.abs(was @ np.array(said.turn) + np.array(said.shift_mm) - is_now).max()]
+    # A corner of the box that nobody has counts for the height at which the table may turn.
+    off += [np.abs(was.min(axis=0) - said.low_mm).max(), np.abs(was.max(axis=0) - said.high_mm).max()]
+    off += [] if built_mm is None else [abs(built_mm - said.built_mm)]
+    off_mm = float(np.max(off))
+    text = f"part.on_table places the part {off_mm:.3g} mm beside where its mesh stands"
+    return [Check("mounting", off_mm <= SAME_MM, off_mm, SAME_MM, "mm", now.name, text)]
+
+
+def _swings(nc: NCProgram, before: Part, config: Config) -> list[Check]:
+    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns none.
+
+    The check `table height` has the same of boxes by which the program was written, too.
+    """
+    full, machine = nc.machine, config.machine
+    if full is None or full.table is None:
+        return []
+    places, table = _carried(before, config), full.table
+    least, worst = np.inf, 0
+    for row in np.flatnonzero(table.before != table.after).tolist():
+        start, end = table.positions_deg[table.before[row]], table.positions_deg[table.after[row]]
+        steps = max(int(np.ceil(np.abs(end - start).max())), 1)
+        highest = -np.inf
+        for share in np.linspace(0.0, 1.0, steps + 1):
+            up = table_at(machine.rotary, start + share * (end - start))[2]
+            highest = max(highest, float((places @ up[:3]).max() + up[3]))
+        room = float(np.nan_to_num(full.end[row, 2], nan=-FAR_MM)) - highest
+        least, worst = min((least, worst), (room, row))
+    name, short = "table over what stands", machine.clearance_mm - least
+    if short <= SWING_MM:
+        return [
+            Check(
+                name,
+                True,
+                short,
+                0.0,
+                "mm",
+                "",
+                f"{least:.4g} mm and more over all that the table carries while it turns",
+            )
+        ]
+    text = f"the tip stands {least:.3f} mm over what the table carries as it turns, {machine.clearance_mm:g} mm are to be kept"
+    return [Check(name, False, short, 0.0, "mm", full.where(worst), text)]
+
+
+def _carried(before: Part, config: Config) -> Floats:
+    """Corners (n, 3) of part, base plate and clamps of known height on the table, its axes at 0."""
+    part = before.vertices - [0.0, 0.0, before.vertices[:, 2].min()]
+    low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
+    (x0, y0), (x1, y1) = low or part[:, :2].min(axis=0), high or part[:, :2].max(axis=0)
+    plate = [(x, y, -config.process.base_plate_mm) for x in (x0, x1) for y in (y0, y1)]
+    clamps = [
+        (x, y, z)
+        for zone in config.process.keep_out
+        if zone.z_mm != NO_HEIGHT
+        for x, y in zone.outline_mm
+        for z in zone.z_mm
+    ]
+    return np.vstack([part, np.array([*plate, *[(x, y, 0.0) for x, y, _ in plate], *clamps], np.float64)])
 
 
 def _into(section: BaseGeometry, cut_mm: float, stands: Stands) -> Check:
