@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -37,10 +39,25 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.loadscopereorder = False
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first: the workers then end at about the same time."""
+    take_turns(items)
     places = {name: place for place, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: places.get(item.path.name, len(places)))
+
+
+def take_turns(items: Iterable[pytest.Item]) -> None:
+    """Make slow tests of all cases that are marked `in_turn` but every n-th: they are alike, and `.ci/run` runs all of them."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        if (mark := item.get_closest_marker("in_turn")) is None:
+            continue
+        test = item.nodeid.partition("[")[0]
+        every, first = (*mark.args, 0)[:2]
+        if seen[test] % every != first:
+            item.add_marker("slow")
+        seen[test] += 1
 
 
 @pytest.fixture(scope="session")

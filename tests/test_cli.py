@@ -288,7 +288,8 @@ def workers(process):
 
 
 @pytest.mark.parametrize(
-    ("number", "leaves"), [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGKILL, -9)]
+    ("number", "leaves"),
+    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 130, marks=pytest.mark.slow), (signal.SIGKILL, -9)],
 )
 def test_an_interrupted_run_leaves_no_worker_and_no_half_run(place, number, leaves):
     run = subprocess.Popen(

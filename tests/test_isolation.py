@@ -64,6 +64,7 @@ def test_one_that_ends_before_anybody_looks_is_held_to_its_memory_all_the_same(t
     assert not list(tmp_path.glob("*.parquet"))
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(
     ("trouble", "failure", "why"),
     [

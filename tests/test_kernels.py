@@ -162,6 +162,7 @@ def places(x):
 """
 
 
+@pytest.mark.slow
 def test_machine_code_of_two_processes_has_no_name_in_common(tmp_path, cache_beside_sources):
     # The loader takes the first of two functions of one name for both: once `sort` ran in the place of `argsort`.
     names = []

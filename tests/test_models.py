@@ -99,6 +99,7 @@ def test_bounds_hold_the_mesh_and_touch_it(model):
     assert (bounds[1] <= model.bounds[1] + 2e-3).all()
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("model", WALLED, ids=lambda m: m.name)
 @pytest.mark.parametrize("tolerance_mm", TOLERANCES_MM)
 def test_no_point_of_a_wall_facet_is_farther_from_the_surface_than_the_tolerance(model, tolerance_mm):

@@ -258,6 +258,7 @@ def verdict(checks):
     return {n: (c.passed, c.value) for n, c in checks.items() if n not in NAMES}
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("control", POSTS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_an_honest_program_passes_and_comments_change_nothing(parts, tmp_path, shape, control):

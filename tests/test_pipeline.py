@@ -76,6 +76,7 @@ def test_a_sphere_is_validated(tmp_path):
     assert ((lost > 0) & (lost < 2 * np.pi * 20.0 * inside_mm)).all()
 
 
+@pytest.mark.slow
 def test_runs_differ_in_timings_alone(tmp_path, monkeypatch):
     write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
     (tmp_path / "ebamcheck.toml").write_text(

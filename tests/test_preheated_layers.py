@@ -245,6 +245,7 @@ def test_a_run_that_preheats_has_a_main_program_that_waits_and_verifies(place):
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_build_preheats_the_plate_with_its_first_layer_and_plays_again(place, tmp_path):
     arguments = ("machine", place / "box.run", "--drift", "0.05", "--speed", "1000000", "-o", tmp_path / "o")
     done = ebamcheck(*arguments, cwd=place)

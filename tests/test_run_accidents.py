@@ -25,6 +25,7 @@ def plate(tmp_path_factory):
     return plate_of_every_slicer(tmp_path_factory)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_result(tmp_path, tmp_path_factory):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(

@@ -285,7 +285,9 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
             "orders.json",
             "1 of 2 orders are done",
         ),
-        (("--all", "--layer-height", 0.01), "layers.csv", "of 3000 layers are done"),
+        pytest.param(
+            ("--all", "--layer-height", 0.01), "layers.csv", "of 3000 layers are done", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):

@@ -108,6 +108,7 @@ def test_an_irregular_mesh_gives_most_of_its_part_back(noise_mm: float, seed: in
     assert found["polar_rms"] >= 0.75
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize(
     "name", ["sphere", "torus", "cylinder", "cone", "impeller", "prism", "bracket", "blade"]
 )
@@ -151,6 +152,7 @@ def turned(part: Part, seed: int) -> Part:
 SHARP = ("cube", "pyramid", "menger-1", "menger-2", "tilted-plate", "comb", "thin-walls")
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", SHARP)
 @pytest.mark.parametrize("method", METHODS)
 def test_parts_without_a_smooth_edge_stay_exact(name: str, method: str) -> None:
@@ -202,7 +204,7 @@ def corpus() -> list[Path]:
 @pytest.mark.filterwarnings("ignore")
 def test_any_mesh_stays_near_its_contour() -> None:
     for path in corpus():
-        if path.stat().st_size > 8_000_000:
+        if path.stat().st_size > 1_000_000:
             continue
         try:
             part = ebamcheck.load(path)
