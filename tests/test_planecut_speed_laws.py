@@ -161,7 +161,6 @@ def test_layers_along_a_new_direction_may_be_asked_for_by_many_threads(name, thr
             same(one, whole.block(k, k + 1))
 
 
-@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", LONE_PARTS)
 def test_of_a_few_planes_only_the_facets_that_they_cross_are_sorted(name):
     part = LONE_PARTS[name]

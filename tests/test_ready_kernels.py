@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import sysconfig
 import venv
 import zipfile
+from copy import copy
 from pathlib import Path
 
 import pytest
@@ -79,9 +81,18 @@ class Prepared:
         self.file.write_bytes(str(len(text)).rjust(ready_kernels.HEAD_BYTES).encode() + text + held[start:])
 
 
+@pytest.fixture(scope="module")
+def once(tmp_path_factory):
+    """A package whose kernel was compiled and written; its tests have copies."""
+    return Prepared(tmp_path_factory.mktemp("prepared"))
+
+
 @pytest.fixture
-def prepared(tmp_path):
-    return Prepared(tmp_path)
+def prepared(once, tmp_path):
+    found = copy(once)
+    found.folder = shutil.copytree(once.folder, tmp_path / "prepared-here")
+    found.file = found.folder / once.file.name
+    return found
 
 
 @needs_level

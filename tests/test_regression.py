@@ -121,7 +121,6 @@ def difference_of(report, backend):
 # -- what is caught --------------------------------------------------------------------------------------
 
 
-@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(("name", "base", "metric"), CAUGHT)
 def test_a_broken_slicer_is_caught_against_the_honest_baseline(report, honest, name, base, metric):
     if base not in honest:
