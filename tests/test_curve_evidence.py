@@ -65,6 +65,7 @@ def test_draft_box_rounded_by_5_in_text_of_four_decimals() -> None:
     assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 0), "ascii4"), "box"), 0)
 
 
+@pytest.mark.slow
 def test_upright_box_rounded_by_5_with_120_edges_split_off_by_a_hair() -> None:
     solid = CAD["box r 5"]
     assert_not_farther(solid, part_of(split_edges(solid(CAD_MM), 120, 1e-5, 3), "box"), 0)

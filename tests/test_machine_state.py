@@ -173,6 +173,7 @@ ENTRY = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(("control", "word"), [(c, w) for c, words in ENTRY.items() for w in words])
 def test_a_layer_without_its_modes_is_found(control, word, tmp_path):
     text = ProgramText(control, tmp_path / "p")

@@ -174,6 +174,7 @@ def test_overlapping_shells_are_solid_where_the_exact_winding_number_is_positive
     assert checked > 100
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("backend", EXACT)
 @pytest.mark.parametrize("name", ["tilted box", "hull 1", "far away", "torus on its rim", "terrain 2"])
 def test_points_lie_within_the_bound_of_the_exact_contours(name, backend):
@@ -191,6 +192,7 @@ def test_points_lie_within_the_bound_of_the_exact_contours(name, backend):
             assert oracle.square_distance(cut, x, y) <= bound**2, (z, x, y)
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("backend", SAMPLED)
 @pytest.mark.parametrize("name", ["tilted box", "spiked", "torus on its rim", "cavity", "hull 5", "hulls 1"])
 def test_points_deeper_than_the_bound_are_on_the_right_side(name, backend):

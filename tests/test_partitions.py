@@ -94,6 +94,7 @@ def test_the_lowest_layer_is_that_of_the_paper():
     assert np.array_equal(shapely.to_wkb(one.islands), shapely.to_wkb(two.islands))
 
 
+@pytest.mark.in_turn(5, 1)
 @pytest.mark.parametrize("layer", [0, 1, 2, 5, 17, 100])
 @pytest.mark.parametrize("name", list(LATTICES))
 def test_cells_cover_the_section_wherever_they_lie(name, layer):

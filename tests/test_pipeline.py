@@ -102,6 +102,7 @@ def test_all_backends_give_the_same_bytes_again(tmp_path):
 
 
 @pytest.mark.usefixtures("cut_here")
+@pytest.mark.slow
 def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     path = write_stl(from_arrays(frame().vertices, frame().faces[:, ::-1], "in"), tmp_path / "in.stl")
     result = check_job(path, tmp_path / "in.run", SETTINGS)

@@ -163,6 +163,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_the_scan_of_a_layer_is_found_from_its_text(name, made, tmp_path):
     plant, wanted = FAULTS[name]

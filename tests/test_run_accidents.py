@@ -129,6 +129,7 @@ def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
     assert check_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
 
 
+@pytest.mark.slow
 def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)

@@ -210,6 +210,7 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
     assert [row["order"] for row in json.loads(done.stdout)] == ["farthest"]
 
 
+@pytest.mark.slow
 def test_the_referee_gives_its_opinion_beside_the_model(plate, tmp_path):
     orders = ("thermal", "raster")
     done = ebamcheck(
@@ -277,6 +278,7 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     assert "--all plans in one order, not 9" in refused.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "file", "told"),
     [
@@ -285,9 +287,7 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
             "orders.json",
             "1 of 2 orders are done",
         ),
-        pytest.param(
-            ("--all", "--layer-height", 0.01), "layers.csv", "of 3000 layers are done", marks=pytest.mark.slow
-        ),
+        (("--all", "--layer-height", 0.01), "layers.csv", "of 3000 layers are done"),
     ],
 )
 def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):

@@ -37,6 +37,7 @@ STEM, CAP = box((-5, -5, 0), (5, 5, 9)), box((-20, -20, 9), (20, 20, 15))
 MUSHROOM = join(STEM, CAP)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("height_mm", [1.0, 1.3, 1.676, 2.5])
 @pytest.mark.parametrize("name", ["blade", "cone", "impeller", "sphere", "torus", "tilted-plate", "menger-1"])
 def test_what_is_added_less_what_lacks_is_the_metal_less_the_solid(name, height_mm):

@@ -58,6 +58,7 @@ COARSEST = pytest.mark.xfail(
 )
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     "mesh_mm", [pytest.param(1.0, marks=COARSEST), pytest.param(0.8, marks=COARSEST), 0.4, 0.2, 0.1]

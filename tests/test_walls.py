@@ -148,6 +148,7 @@ def test_the_longest_line_of_a_wall_stays_however_short():
         assert 0.0 < line.length < LEAST_BEAD * WIDTH
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("thick", [3.0, 5.5, 7.5])
 def test_beads_of_walls_with_uneven_points_bend_one_way(seed, thick):
