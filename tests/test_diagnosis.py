@@ -156,6 +156,7 @@ def ringed(layers, function):
     return from_rings(layers.heights, made)
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(
     ("kind", "function"),
     [

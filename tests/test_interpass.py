@@ -178,6 +178,7 @@ def test_a_table_of_power_is_kept_and_waited_for():
     assert (entries_k(config, plan) <= config.material.interpass_limit_k).all()
 
 
+@pytest.mark.slow
 def test_power_goes_down_no_further_than_the_process_window_allows():
     for window in ({"line_energy_j_mm": (500.0, 3000.0)}, {"current_window_ma": (83.0, 1000.0)}):
         config, plan = planned(**window)

@@ -136,6 +136,7 @@ def test_python_may_call_what_has_no_entry(tmp_path, cache_beside_sources):
     assert {path: path.stat().st_mtime_ns for path in package.rglob("*.nbc")} == times  # nothing compiled
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("lost", ["long", "root"])
 def test_a_callee_that_was_compiled_anew_has_its_callers_compiled_too(package, lost):
     """Its name in machine code is another one: what still calls it by the old one must not run."""

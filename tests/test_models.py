@@ -169,6 +169,7 @@ def test_sections_are_valid_and_have_the_area_that_is_claimed(model):
         assert sum(p.area for p in polygons) == pytest.approx(model.area(z), abs=within)
 
 
+@pytest.mark.in_turn(4)
 @ALL
 def test_volume_is_the_integral_of_the_area(model):
     low, high = model.bounds[:, 2]

@@ -115,6 +115,7 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     assert [found["text"] for found in turned] == ["32 of 32 facets were turned over"]
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(
     ("part", "layers", "areas", "shut"),
     [

@@ -117,12 +117,14 @@ def test_a_kernel_that_has_changed_since_is_compiled(prepared):
     assert len(list((prepared.folder / "empty").rglob("*.nbc"))) == 1
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("place", range(5))
 def test_a_file_for_another_installation_is_passed_over(prepared, place):
     prepared.alter(lambda index: index["made for"].__setitem__(place, "another"))
     assert prepared.run(ASK, f"empty-{place}") == "20.0 0 True"
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("held", [b"", b"half", b" " * 14 + b"99{}", b" " * 15 + b"2[]"])
 def test_a_spoilt_file_is_passed_over(prepared, held):
     prepared.file.write_bytes(held)

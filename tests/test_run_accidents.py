@@ -47,6 +47,7 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path, tmp_path_factory):
     assert not unfinished.exists()
 
 
+@pytest.mark.slow
 def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
     path = plate[1]
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)

@@ -36,6 +36,7 @@ def plate(tmp_path_factory):
     return write_stl(from_arrays(box, faces, "plate"), tmp_path_factory.mktemp("parts") / "plate.stl")
 
 
+@pytest.mark.slow
 def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
     done = ebamcheck(
         "scan", plate, "--height", 12, "--orders", "all", "--seeds", 3, "-o", "out", cwd=tmp_path

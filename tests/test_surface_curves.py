@@ -96,6 +96,7 @@ def irregular_wall(points: int, noise_mm: float, seed: int) -> Part:
     return from_arrays(points_ + rng.normal(0.0, 1.0, points_.shape) * noise_mm, np.concatenate(faces))
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(("noise_mm", "seed"), [(0.0, 1), (0.05, 2)])
 def test_an_irregular_mesh_gives_most_of_its_part_back(noise_mm: float, seed: int, method: str) -> None:
