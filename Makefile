@@ -48,10 +48,10 @@ test-slow: setup ## The tests that take longer
 
 test-bounds: export NUMBA_BOUNDSCHECK := 1
 test-bounds: export NUMBA_CACHE_DIR := $(CURDIR)/build/checked-kernels
-test-bounds: setup ## The quick tests with kernels that check every index: without, a wrong one reads or writes anywhere
+test-bounds: setup ## The quick tests, and all cases of those in turn, with kernels that check every index: without, a wrong one reads or writes anywhere
 	@mkdir -p $(NUMBA_CACHE_DIR)
 	@$(BIN)/ebamcheck warm
-	@$(PYTEST) -m "not slow" tests
+	@$(PYTEST) -m "not slow or in_turn" tests
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -60,6 +60,7 @@ def test_leaning_box_rounded_by_2_5_in_a_binary_stl() -> None:
     assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 11), "float32"), "box"), 11)
 
 
+@pytest.mark.slow
 def test_draft_box_rounded_by_5_in_text_of_four_decimals() -> None:
     solid = CAD["draft box r 5"]
     assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 0), "ascii4"), "box"), 0)

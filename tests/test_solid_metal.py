@@ -152,6 +152,7 @@ def test_a_run_of_a_step_within_a_layer_is_not_validated_and_verify_finds_it_aga
     assert SOLID in {check["name"] for check in json.loads(alone.stdout) if not check["passed"]}
 
 
+@pytest.mark.slow
 def test_a_top_beside_its_layer_is_told_once(tmp_path):
     write_stl(box((0, 0, 0), (24, 24, 5)), tmp_path / "low.stl")
     done = ebamcheck("run", "low.stl", "-o", "run", "--backends", FAST, cwd=tmp_path)
