@@ -96,7 +96,7 @@ def test_a_part_without_a_facet_that_has_area_gives_empty_layers(faces):
         assert (len(layers), len(layers.points), layers.closed.size) == (60, 0, 0)
 
 
-@pytest.mark.in_turn(2, 1)
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", PARTS)
 def test_a_part_that_is_turned_again_is_cut_as_if_it_were_new(name):
     part = PARTS[name]
