@@ -312,6 +312,7 @@ def test_an_interrupted_run_leaves_no_worker_and_no_half_run(place, number, leav
         assert told == "ebamcheck: interrupted; what was finished is kept for --resume\n"
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told(place):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); "
     start = command("run", "frame.stl", "-o", "full.run")

@@ -316,6 +316,7 @@ def test_layers_that_know_their_part_are_lifted_without_it() -> None:
     assert not np.array_equal(plain.control, fit(replace(layers, mesh=None)).control)
 
 
+@pytest.mark.slow
 def test_edges_are_found_by_geometry() -> None:
     part = BLADE.tessellate(0.3)
     layers = slice_part(part, part.bounds[0, 2] + np.array([11.3, 40.1, 77.7]))

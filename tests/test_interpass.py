@@ -170,6 +170,7 @@ def test_the_limit_may_hold_for_layers_alone(plans):
     assert plan.metrics["time_s"].notna().all()
 
 
+@pytest.mark.slow
 def test_a_table_of_power_is_kept_and_waited_for():
     config, plan = planned(power_schedule=[[0, 0.9], [10, 0.6]])
     heights = plan.heights
@@ -302,6 +303,7 @@ def test_a_lower_limit_shuts_the_gate(plans, tmp_path):
     assert not heat_gate([], plan.metrics, config).passed
 
 
+@pytest.mark.slow
 def test_a_part_that_melts_shuts_the_gate_without_any_measure(tmp_path):
     hot = {"interpass": "off", "current_ma": 240.0}
     config, plan = planned(**hot)

@@ -153,6 +153,7 @@ def test_what_is_cut_as_fast_as_it_is_written_is_not_kept(ball, tmp_path):
     assert kept.is_worth(60.0)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("spoil", ["truncated", "other part", "other heights"])
 def test_a_block_that_does_not_fit_is_cut_anew(ball, tmp_path, spoil):
     part, heights, borders = ball

@@ -118,6 +118,7 @@ def test_a_long_callee_is_called_where_it_lies_and_a_short_one_is_not(compiled_o
     assert call(package) == kept(1)[:-1]
 
 
+@pytest.mark.slow
 def test_python_may_call_what_has_no_entry(tmp_path, cache_beside_sources):
     package = written(tmp_path)
     first = call(package, more=", short(1.0), long(values)[0]")

@@ -255,6 +255,7 @@ def test_a_check_slices_and_compares_and_makes_no_program(tmp_path, tmp_path_fac
     assert all(check.passed for check in verify_run(tmp_path / "check.run", path))
 
 
+@pytest.mark.slow
 def test_the_size_of_blocks_changes_nothing(tmp_path):
     """1000 points a block, the least there is, are some forty layers of this part."""
     path = write_stl(sphere(10.0, 24), tmp_path / "a.stl")
@@ -275,6 +276,7 @@ def test_the_size_of_blocks_changes_nothing(tmp_path):
     assert small["backends"] == large["backends"]
 
 
+@pytest.mark.slow
 def test_witnesses_join_where_they_are_asked_for(tmp_path, tmp_path_factory):
     path = write_stl(frame(), tmp_path / "a.stl")
     alone = RunFolder(plate_of_two_layers(tmp_path_factory))

@@ -98,6 +98,7 @@ def test_of_two_methods_one_fails(tmp_path):
     assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
 
 
+@pytest.mark.slow
 def test_a_report_writer_that_raises_is_a_note(tmp_path, monkeypatch):
     (tmp_path / "raising_writer.py").write_text("def write(run):\n    raise OSError('no ink')\n")
     info = tmp_path / "raising_writer-1.dist-info"
@@ -160,6 +161,7 @@ def test_a_full_disk_is_told_with_its_place(tmp_path, monkeypatch):
     assert not (tmp_path / "a.run").exists()
 
 
+@pytest.mark.slow
 def test_layers_that_cannot_be_written_end_the_job_and_name_the_file(tmp_path):
     """Files of this command may not grow to what the layers take."""
     write_stl(frame(), tmp_path / "frame.stl")

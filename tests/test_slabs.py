@@ -357,6 +357,7 @@ def test_what_would_move_or_mend_the_part_is_refused(section, name, tmp_path):
         check_in_slabs(path, tmp_path / "a.run", FAST.changed(part=section), 2)
 
 
+@pytest.mark.slow
 def test_more_work_than_is_allowed_is_refused_unless_it_is_wanted(tmp_path):
     path = write_stl(box(), tmp_path / "part.stl")
     config = FAST.changed(work={"most_points": 3})
@@ -382,6 +383,7 @@ def test_slabs_come_by_themselves_where_memory_asks_for_them(tmp_path):
     assert wanted_slabs(path, two.changed(slicing={"memory_limit_mb": 255.0})) > 2
 
 
+@pytest.mark.slow
 def test_a_mesh_that_is_written_in_bands_is_the_even_mesh(tmp_path, monkeypatch):
     monkeypatch.setattr("benchmarks.large_mesh.FACETS_A_BAND", 1 << 10)
     for facets in (2000, 20_000):
