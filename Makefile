@@ -8,9 +8,10 @@ unexport PYTHONDONTWRITEBYTECODE
 
 VENV := .venv
 BIN := $(VENV)/bin
-# Two at a time: the suite is made for two cores. Tests of one file stay together and share its fixtures.
+# Three at a time: the suite is made for two cores, and a ninth of the time one of two would wait for what a test has started.
+# Tests of one file stay together and share its fixtures.
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
-PYTEST := $(BIN)/python -m pytest -q -n 2 --dist loadfile --max-worker-restart 0
+PYTEST := $(BIN)/python -m pytest -q -n 3 --dist loadfile --max-worker-restart 0
 
 .PHONY: help setup demo test test-slow test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
@@ -47,10 +48,10 @@ test-slow: setup ## The tests that take longer
 
 test-bounds: export NUMBA_BOUNDSCHECK := 1
 test-bounds: export NUMBA_CACHE_DIR := $(CURDIR)/build/checked-kernels
-test-bounds: setup ## The quick tests with kernels that check every index: without, a wrong one reads or writes anywhere
+test-bounds: setup ## The quick tests, and all cases of those in turn, with kernels that check every index: without, a wrong one reads or writes anywhere
 	@mkdir -p $(NUMBA_CACHE_DIR)
 	@$(BIN)/ebamcheck warm
-	@$(PYTEST) -m "not slow" tests
+	@$(PYTEST) -m "not slow or in_turn" tests
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -15,15 +17,15 @@ settings.register_profile("search")
 settings.load_profile("repeatable")
 
 LONGEST_FIRST = (
-    "test_live_server.py", "test_live_opcua.py", "test_conformance.py", "test_slabs.py", "test_kernels.py", "test_models.py", "test_diagnosis.py",
-    "test_surface_curves.py", "test_machine_state.py", "test_cli.py", "test_enemies.py", "test_isolation.py", "test_run_accidents.py",
-    "test_enemy_slicers.py", "test_motion_faults.py", "test_pipeline.py", "test_regression.py", "test_scan_command.py", "test_bounds.py",
-    "test_interpass.py", "test_kernel_entries.py", "test_partitions.py", "test_ready_kernels.py", "test_faults.py", "test_preheated_layers.py",
-    "test_compiling_ahead.py", "test_compiling_beside.py", "test_exact_surfaces.py", "test_oracle.py", "test_turned_models.py",
-    "test_planecut_speed_laws.py", "test_walls.py", "test_controls.py", "test_scan_stacks.py", "test_interrupted_runs.py", "test_whole_part.py",
-    "test_enemy_reports.py", "test_curve_evidence.py", "test_program_faults.py", "test_compiling.py", "test_reference_models.py",
-    "test_chance_curves.py", "test_laws.py", "test_text_attacks.py", "test_entry_program.py", "test_signing.py", "test_live.py",
-    "test_tutorials.py",
+    "test_live_memory.py", "test_live_server.py", "test_live_opcua.py", "test_conformance.py", "test_witnesses.py", "test_laws.py",
+    "test_tutorials.py", "test_interrupted_runs.py", "test_ready_kernels.py", "test_bounds.py", "test_benchmarks.py", "test_slabs.py",
+    "test_run_accidents.py", "test_motion_faults.py", "test_faults.py", "test_live_opcua_access.py", "test_kernels.py", "test_models.py",
+    "test_diagnosis.py", "test_surface_curves.py", "test_machine_state.py", "test_cli.py", "test_enemies.py", "test_isolation.py",
+    "test_enemy_slicers.py", "test_pipeline.py", "test_regression.py", "test_scan_command.py", "test_interpass.py", "test_kernel_entries.py",
+    "test_partitions.py", "test_preheated_layers.py", "test_compiling_ahead.py", "test_compiling_beside.py", "test_exact_surfaces.py",
+    "test_oracle.py", "test_turned_models.py", "test_planecut_speed_laws.py", "test_walls.py", "test_controls.py", "test_scan_stacks.py",
+    "test_whole_part.py", "test_enemy_reports.py", "test_curve_evidence.py", "test_program_faults.py", "test_compiling.py",
+    "test_reference_models.py", "test_chance_curves.py", "test_text_attacks.py", "test_entry_program.py", "test_signing.py", "test_live.py",
 )  # fmt: skip
 """Files that take longest, in quick or slow tests."""
 
@@ -37,10 +39,25 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.loadscopereorder = False
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the longest files first: the workers then end at about the same time."""
+    take_turns(items)
     places = {name: place for place, name in enumerate(LONGEST_FIRST)}
     items.sort(key=lambda item: places.get(item.path.name, len(places)))
+
+
+def take_turns(items: Iterable[pytest.Item]) -> None:
+    """Make slow tests of all cases that are marked `in_turn` but every n-th: they are alike, and `.ci/run` runs all of them."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        if (mark := item.get_closest_marker("in_turn")) is None:
+            continue
+        test = item.nodeid.partition("[")[0]
+        every, first = (*mark.args, 0)[:2]
+        if seen[test] % every != first:
+            item.add_marker("slow")
+        seen[test] += 1
 
 
 @pytest.fixture(scope="session")

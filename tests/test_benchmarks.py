@@ -265,6 +265,7 @@ def test_the_farthest_point_of_one_stack_from_another():
     assert farthest_mm(other, one, 1) == float("inf")
 
 
+@pytest.mark.slow
 def test_one_command_measures_and_writes_figures_tables_and_a_plot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

@@ -58,6 +58,7 @@ def shallow(degrees):
     )
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("sample_mm", SAMPLES_MM)
 @pytest.mark.parametrize("method", METHODS)
 def test_the_bound_holds_and_is_not_idle(method, sample_mm):
@@ -100,7 +101,7 @@ def test_the_bound_holds_on_large_parts_of_many_samples(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("count", [10, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [10, pytest.param(150, marks=pytest.mark.slow)])
 def test_no_searched_outline_breaks_the_bound(method, count):
     """Hypothesis looks for the thin outline of the greatest share, by its target."""
     subject = subject_of(method, 0.25)

@@ -304,6 +304,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found_from_text_and_part_alone(copy, name):
     run, part = copy

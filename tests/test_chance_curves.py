@@ -20,9 +20,10 @@ from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import LADDER
 
-FAR_ENDS = (318, 341, 347, 185, 725, 727, 867, 974, 1048, 178, 970, 996, 1032, 379, 466, 739)
-"""Seeds that broke the law by lifts of edges far longer than what lies ahead of them: flat sides that run into roundings (318 to
-1048), noise (178 to 1032); by a strip of a coarse rounding (379), and by one of two facets (466, 739)."""
+FAR_ENDS = (341, 347, 185, 725, 727, 867, 974, 1048, 178, 970, 996, 1032, 379, 466, 739)
+"""Seeds that broke the law by lifts of edges far longer than what lies ahead of them: flat sides that run into roundings (341 to
+1048), noise (178 to 1032); by a strip of a coarse rounding (379), and by one of two facets (466, 739). Seed 318 broke it, too, as 341 and 347 did, and is left out: its bore
+takes Manifold more than a minute at the chord error of the truth."""
 
 FALSE_FORMS = (21, 53, 104, 162, 181, 213, 230, 281, 512, 688, 691, 1226)
 """Seeds that broke the law while exact surfaces were taken for told that were not: by six or eight vertices of a decimated mesh,
@@ -148,7 +149,7 @@ def test_far_ends_bear_out_a_decimated_body_that_is_curved_all_over() -> None:
     assert mesh.far_ends_right
 
 
-@pytest.mark.parametrize("seed", [185, 341, 347])
+@pytest.mark.parametrize("seed", [185, 341, pytest.param(347, marks=pytest.mark.slow)])
 def test_far_ends_contradict_flat_sides_that_run_into_roundings(seed: int) -> None:
     assert not lifting(chance_case(seed).part).mesh.far_ends_right
 

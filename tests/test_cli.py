@@ -288,7 +288,8 @@ def workers(process):
 
 
 @pytest.mark.parametrize(
-    ("number", "leaves"), [(signal.SIGINT, 130), (signal.SIGTERM, 130), (signal.SIGKILL, -9)]
+    ("number", "leaves"),
+    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 130, marks=pytest.mark.slow), (signal.SIGKILL, -9)],
 )
 def test_an_interrupted_run_leaves_no_worker_and_no_half_run(place, number, leaves):
     run = subprocess.Popen(
@@ -311,6 +312,7 @@ def test_an_interrupted_run_leaves_no_worker_and_no_half_run(place, number, leav
         assert told == "ebamcheck: interrupted; what was finished is kept for --resume\n"
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_told(place):
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); "
     start = command("run", "frame.stl", "-o", "full.run")

@@ -59,6 +59,7 @@ def inscribed_radius(region):
     return max((shapely.maximum_inscribed_circle(p, 1e-5).length for p in polygons), default=0.0)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("seed", range(60))
 def test_areas_distances_and_depth_are_those_of_shapely(seed):
     a, b, region_a, region_b = random_pair(seed)
@@ -74,6 +75,7 @@ def test_areas_distances_and_depth_are_those_of_shapely(seed):
     assert found.depth == pytest.approx(inscribed_radius(difference), abs=3e-5)
 
 
+@pytest.mark.in_turn(3, 1)
 @pytest.mark.parametrize("seed", range(0, 40, 2))
 def test_depth_from_an_exact_outline_is_the_greatest_distance_over_the_difference(seed):
     a, b, region_a, region_b = random_pair(seed)
@@ -177,6 +179,7 @@ def test_ridges_of_turned_rectangles_need_no_fine_search():
     assert figures(layer(bar), from_rings([0.0], [[]])).depth == pytest.approx(1.5, abs=2e-5)
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_measures_are_symmetric_and_do_not_depend_on_the_frame(seed):
     a, b, _, _ = random_pair(seed)
@@ -299,6 +302,7 @@ def lattice_rings(rng):
     return [rng.integers(0, 6, (rng.integers(3, 30), 2)).astype(float) for _ in range(rng.integers(1, 7))]
 
 
+@pytest.mark.in_turn(3, 2)
 @pytest.mark.parametrize("seed", range(60))
 def test_the_deepest_place_of_overlapping_rings_lies_in_the_difference(seed):
     # Rounding puts coincident edges in one order or the other; what lies between them is no place.
@@ -313,6 +317,7 @@ def test_the_deepest_place_of_overlapping_rings_lies_in_the_difference(seed):
     assert depth == pytest.approx(found.depth, abs=1e-9)
 
 
+@pytest.mark.in_turn(3, 1)
 @pytest.mark.parametrize("seed", range(20))
 def test_areas_of_overlapping_rings_are_those_by_winding_number(seed):
     rng = np.random.default_rng(seed)
@@ -337,6 +342,7 @@ def linked(a, b, reach):
     return far.most_mm <= reach and linked_within(o, p, far.near, reach)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("seed", range(40))
 def test_links_never_promise_less_than_the_depth_found_by_search(seed):
     rng = np.random.default_rng(seed)
@@ -361,6 +367,7 @@ def test_links_need_every_ring_once_and_the_same_way_around():
     assert not linked(layer(circle(9.0), circle(4.0)), layer(circle(8.9), circle(8.8)), 100.0)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("seed", range(20))
 def test_the_percentile_is_that_of_dense_samples(seed):
     a, b, region_a, region_b = random_pair(seed)

@@ -70,6 +70,7 @@ def percentile(distances, lengths):
     return _percentile(distances, lengths, distances.min(), distances.max())
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("seed", range(80))
 def test_a_percentile_has_the_bits_of_sums_in_one_order(seed):
     rng = np.random.default_rng(seed)
@@ -103,6 +104,7 @@ def test_a_percentile_between_sums_that_are_as_wanted_has_the_same_bits(length):
         assert met > 0
 
 
+@pytest.mark.in_turn(3, 1)
 @pytest.mark.parametrize("seed", range(30))
 def test_trapezoids_written_down_change_no_area_and_add_up_to_the_difference(seed):
     rng = np.random.default_rng(seed)

@@ -111,6 +111,7 @@ def test_every_kernel_is_told_once_and_never_again(package):
     assert ask(package)[1] == NAMES
 
 
+@pytest.mark.slow
 def test_what_a_slicer_compiles_is_told_and_is_no_time_of_the_slicer(package, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(package), os.environ.get("PYTHONPATH", "")]))
     monkeypatch.syspath_prepend(str(package))

@@ -131,6 +131,7 @@ def test_only_the_parent_tells_of_progress(package):
     assert ended.startswith("ebamcheck: compiled 4 kernels within ")
 
 
+@pytest.mark.slow
 def test_a_stale_list_does_no_harm(package):
     stale = {
         **of_package("inner"),

@@ -87,6 +87,7 @@ def test_exact_slicers_cut_every_model(name):
     assert conform(name, chosen).violations == []
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", FAULTS)
 def test_every_broken_slicer_is_found(name):
     fault = FAULTS[name]
@@ -181,6 +182,7 @@ def test_a_slicer_that_raises_is_told_and_stops_nothing():
 # -- the command ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_json_and_markdown(capsys):
     assert conform_command(["planecut"], models="none") == 0
     table = capsys.readouterr().out

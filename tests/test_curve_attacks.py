@@ -39,6 +39,7 @@ def test_uneven_points_never_make_the_curve_leave_its_chords_far() -> None:
         assert (off / length).max() < BULGE_LIMIT
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize(
     "ring",
     [

@@ -60,11 +60,13 @@ def test_leaning_box_rounded_by_2_5_in_a_binary_stl() -> None:
     assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 11), "float32"), "box"), 11)
 
 
+@pytest.mark.slow
 def test_draft_box_rounded_by_5_in_text_of_four_decimals() -> None:
     solid = CAD["draft box r 5"]
     assert_not_farther(solid, part_of(as_file(turned(solid(CAD_MM), 0), "ascii4"), "box"), 0)
 
 
+@pytest.mark.slow
 def test_upright_box_rounded_by_5_with_120_edges_split_off_by_a_hair() -> None:
     solid = CAD["box r 5"]
     assert_not_farther(solid, part_of(split_edges(solid(CAD_MM), 120, 1e-5, 3), "box"), 0)
@@ -314,6 +316,7 @@ def test_layers_that_know_their_part_are_lifted_without_it() -> None:
     assert not np.array_equal(plain.control, fit(replace(layers, mesh=None)).control)
 
 
+@pytest.mark.slow
 def test_edges_are_found_by_geometry() -> None:
     part = BLADE.tessellate(0.3)
     layers = slice_part(part, part.bounds[0, 2] + np.array([11.3, 40.1, 77.7]))

@@ -128,6 +128,7 @@ def test_points_along_the_sides_of_a_square_go() -> None:
         assert same_set(curves.control, np.array(corners))
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("step_mm", [0.05, 0.5, 3.0, 30.0])
 @pytest.mark.parametrize(("angle", "corner"), [(139.0, True), (141.0, False), (60.0, True), (170.0, False)])
 def test_the_corner_angle_decides_at_any_density(step_mm: float, angle: float, corner: bool) -> None:
@@ -228,6 +229,7 @@ def test_pieces_join_bit_for_bit_and_rings_close() -> None:
 # -- laws ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn(4)
 @pytest.mark.parametrize("ring", [wavy(), stadium(), SQUARE], ids=["wavy", "stadium", "square"])
 @pytest.mark.parametrize("change", ["turn", "shift", "mirror", "reverse", "roll"])
 def test_turning_the_data_turns_the_curve(ring: object, change: str) -> None:

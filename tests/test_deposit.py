@@ -342,6 +342,7 @@ def test_the_field_of_a_layer_is_that_of_its_figures(square):
     assert field.over_mm.max() == pytest.approx(figures["high_mm"])
 
 
+@pytest.mark.slow
 def test_beads_that_are_all_at_the_most_wire_of_the_feeder_leave_metal_out_and_that_is_said(tmp_path):
     """Nobody makes up for the rim of such layers: beads of nominal wire alone leave it a sixth short."""
     write_stl(box((0, 0, 0), (20, 20, 5)), tmp_path / "low.stl")

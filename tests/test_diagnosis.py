@@ -67,6 +67,7 @@ def turned(points, degrees):
     return points @ np.array([[c, s], [-s, c]])
 
 
+@pytest.mark.in_turn(2, 1)
 @pytest.mark.parametrize("name", ["bracket", "two-spheres", "torus"])
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_moves_contours_is_found_with_its_size(parts, stacks, name, seed):
@@ -155,6 +156,7 @@ def ringed(layers, function):
     return from_rings(layers.heights, made)
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(
     ("kind", "function"),
     [

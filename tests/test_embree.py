@@ -96,6 +96,7 @@ def test_walls_in_one_place_hide_no_shell(mode, axis):
         assert layers.areas() == pytest.approx(widths[0] * widths[1], abs=0.05 * 2 * widths[:2].sum())
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("seed", range(12))
 def test_shells_that_abut_and_overlap_on_a_lattice(seed, mode, caplog):
@@ -181,6 +182,7 @@ def test_no_ray_is_cast_that_crosses_nothing_nor_after_its_last_crossing(monkeyp
     assert sum(casts) == 2 * (10 + 10)
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("name", PARTS)
 def test_layers_do_not_depend_on_the_slabs_of_the_part(name, monkeypatch):
     """Trees of a few facets each name the same candidates as one of the whole part."""

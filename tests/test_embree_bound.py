@@ -13,6 +13,7 @@ from section_oracle import depth_beyond, exact_section, prism, winding
 import ebamcheck
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("seed", range(40))
 def test_bound_is_kept_by_random_solids(seed, mode, caplog):
@@ -27,6 +28,7 @@ def test_bound_is_kept_by_random_solids(seed, mode, caplog):
     assert "do not pair" not in caplog.text
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("cell_mm", [0.1, 0.37, 1.3])
 @pytest.mark.parametrize("name", PARTS)

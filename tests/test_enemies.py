@@ -41,18 +41,31 @@ AT_PROBE = {
 """Body of a probe, and why its slicer is not available."""
 
 
+QUICK = ("exits", "leaves", "crashes", "text-priority", "planecut", "probe-leaves", "probe-none")
+"""Each of them is asked in a process of its own: quick tests have a few."""
+
+OTHERS = [name for name in (*AT_IMPORT, *AT_PROBE) if name not in QUICK]
+
+
 def module(name):
     return "enemy_" + name.replace("-", "_")
 
 
-@pytest.fixture(scope="module")
-def enemies(tmp_path_factory):
-    """All of the above as one distribution, and the folder that it lies in."""
-    folder = tmp_path_factory.mktemp("enemies")
+def slicers(names):
+    """Entry points and modules of some of the above."""
     texts = {module(name): text.format(name=name) for name, (text, _) in AT_IMPORT.items()}
     for name, (body, _) in AT_PROBE.items():
         texts[module(name)] = HONEST.format(name=name) + f"    def probe(self):\n        {body}\n"
-    points = {name: f"{module(name)}:S" for name in (*AT_IMPORT, *AT_PROBE)}
+    return {name: f"{module(name)}:S" for name in names}, {
+        module(name): texts[module(name)] for name in names
+    }
+
+
+@pytest.fixture(scope="module")
+def enemies(tmp_path_factory):
+    """A few of the above as one distribution, and the folder that it lies in."""
+    folder = tmp_path_factory.mktemp("enemies")
+    points, texts = slicers(QUICK)
     groups = {
         registry.BACKENDS: points,
         registry.MODELS: {"exits": "enemy_exits:S"},
@@ -71,19 +84,40 @@ def here(enemies, monkeypatch):
 
 @pytest.fixture(scope="module")
 def told(enemies):
+    return asked(enemies)
+
+
+def asked(folder):
     """What `ebamcheck backends` says, as text and as JSON; the JSON by name."""
     with pytest.MonkeyPatch.context() as patch:
-        found_here(enemies, patch)
+        found_here(folder, patch)
         # In one process, where each plugin is asked once.
-        text = ebamcheck("backends", cwd=enemies)
-        records = ebamcheck("backends", "--json", cwd=enemies)
+        text = ebamcheck("backends", cwd=folder)
+        records = ebamcheck("backends", "--json", cwd=folder)
         registry.forget()
     assert (text.returncode, records.returncode) == (0, 0), text.stderr + records.stderr
     return text.stdout, json.loads(records.stdout)
 
 
-@pytest.mark.parametrize("name", AT_IMPORT)
+@pytest.mark.parametrize("name", [name for name in AT_IMPORT if name in QUICK])
 def test_a_plugin_that_breaks_is_left_out_with_a_reason(told, name):
+    assert_left_out(told, name)
+
+
+@pytest.mark.parametrize("name", [name for name in AT_PROBE if name in QUICK])
+def test_a_probe_that_breaks_makes_its_slicer_unavailable(told, name):
+    assert_unavailable(told, name)
+
+
+@pytest.mark.slow
+def test_so_it_is_with_all_the_others(tmp_path):
+    points, texts = slicers(OTHERS)
+    told = asked(install(tmp_path, "enemies", {registry.BACKENDS: points}, texts))
+    for name in OTHERS:
+        (assert_left_out if name in AT_IMPORT else assert_unavailable)(told, name)
+
+
+def assert_left_out(told, name):
     text, records = told
     (record,) = [
         r for r in records if r["name"] == name and r.get("broken") and r["group"] == registry.BACKENDS
@@ -93,8 +127,7 @@ def test_a_plugin_that_breaks_is_left_out_with_a_reason(told, name):
     assert f"left out: plugin {name!r}" in text
 
 
-@pytest.mark.parametrize("name", AT_PROBE)
-def test_a_probe_that_breaks_makes_its_slicer_unavailable(told, name):
+def assert_unavailable(told, name):
     (record,) = [r for r in told[1] if r["name"] == name]
     assert record["available"] is False
     assert AT_PROBE[name][1] in record["why"]

@@ -39,6 +39,7 @@ def writers(tmp_path_factory):
     )
 
 
+@pytest.mark.slow
 def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)

@@ -141,6 +141,7 @@ def test_two_sections_meet_in_a_common_place() -> None:
 # -- what vertices tell -------------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("kind", ["float64", "float32", "ascii"])
 def test_an_ellipsoid_of_random_points_is_one_quadric(seed: int, kind: str) -> None:

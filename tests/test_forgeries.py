@@ -143,6 +143,7 @@ FORGED = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("what", FORGED)
 def test_a_record_that_was_changed_and_sealed_again_is_found(run, what):
     change, check = FORGED[what]

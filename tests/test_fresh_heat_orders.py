@@ -152,6 +152,7 @@ def test_all_orders_of_five_islands_hold_none_better():
     assert max(rank[2] for rank in ranks) > 1.5 * coolest
 
 
+@pytest.mark.slow
 def test_small_layers_take_the_best_of_all_orders():
     islands = islands_of(shapely.box(0, 0, 48, 36))
     assert 5 <= len(islands) <= MOST_LISTED

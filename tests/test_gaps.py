@@ -53,6 +53,7 @@ def widest(region):
 # -- laws of any section -------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn(3)
 def test_at_least_98_percent_are_covered_and_no_spot_is_wider_than_set(planned):
     section, plan = planned
     bare = section.difference(beads_of(plan))
@@ -64,6 +65,7 @@ def test_at_least_98_percent_are_covered_and_no_spot_is_wider_than_set(planned):
     assert plan.metrics["widest_gap_mm"][0] <= PROFILE.scan.gap_width * WIDTH
 
 
+@pytest.mark.in_turn(3)
 def test_every_island_once_and_no_line_outside_of_it(planned):
     section, plan = planned
     assert np.array_equal(np.sort(plan.order), np.arange(len(plan.islands)))
@@ -76,6 +78,7 @@ def test_every_island_once_and_no_line_outside_of_it(planned):
     assert shapely.union_all(plan.islands).area == pytest.approx(plan.island_area_mm2.sum(), rel=1e-6)
 
 
+@pytest.mark.in_turn(3)
 def test_beads_do_not_pile_up(planned):
     section, plan = planned
     # A bead covers its spacing; where a wall is narrower, no less than one bead can be laid: what it spills
@@ -85,6 +88,7 @@ def test_beads_do_not_pile_up(planned):
     assert laid <= 1.3 * spilled
 
 
+@pytest.mark.in_turn(3)
 def test_gap_beads_are_few_against_the_others(planned):
     section, plan = planned
     length = shapely.length(lines_of(plan))
@@ -94,6 +98,7 @@ def test_gap_beads_are_few_against_the_others(planned):
     assert gaps <= (0.6 if small else 0.1) * (length.sum() + plan.contours[0].length)
 
 
+@pytest.mark.in_turn(3)
 def test_bare_walls_are_what_no_contour_bead_can_go_around(planned):
     section, plan = planned
     reached = plan.contours[0].buffer(WIDTH / 2 + JOIN_MM, quad_segs=ARC_SEGMENTS)

@@ -133,6 +133,7 @@ def test_a_control_without_one_is_refused():
         check_waits(Config().changed(machine={"control": "linuxcnc"}))
 
 
+@pytest.mark.slow
 def test_a_run_writes_it_and_verify_judges_its_text(tmp_path):
     write_stl(box(upper=(30, 24, 5)), tmp_path / "box.stl")
     done = ebamcheck("run", "box.stl", "-o", "box.run", "--backends", FAST, "--live", cwd=tmp_path)

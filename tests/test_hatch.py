@@ -42,6 +42,7 @@ def test_lines_of_a_box():
     assert vectors.end[:, 0] == pytest.approx([40, 10, 40, 10, 40])
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("angle", [0.0, 0.3, 1.2, 2.5, math.pi / 2])
 @pytest.mark.parametrize("seed", range(8))
 def test_lines_are_those_of_shapely(seed, angle):

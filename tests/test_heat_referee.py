@@ -70,6 +70,7 @@ def test_what_is_absorbed_is_stored_conducted_away_or_radiated(base):
     assert found.hottest_k > PROFILE.material.liquidus_k, "the beam melts"
 
 
+@pytest.mark.slow
 def test_an_insulated_body_ends_even_at_the_temperature_of_its_heat_content():
     config = PROFILE.changed(process={"base": "insulated"}, material={"emissivity": 0.0})
     model = referee(PLATE, config, 0.0, 3.0)

@@ -170,6 +170,7 @@ def test_the_limit_may_hold_for_layers_alone(plans):
     assert plan.metrics["time_s"].notna().all()
 
 
+@pytest.mark.slow
 def test_a_table_of_power_is_kept_and_waited_for():
     config, plan = planned(power_schedule=[[0, 0.9], [10, 0.6]])
     heights = plan.heights
@@ -178,6 +179,7 @@ def test_a_table_of_power_is_kept_and_waited_for():
     assert (entries_k(config, plan) <= config.material.interpass_limit_k).all()
 
 
+@pytest.mark.slow
 def test_power_goes_down_no_further_than_the_process_window_allows():
     for window in ({"line_energy_j_mm": (500.0, 3000.0)}, {"current_window_ma": (83.0, 1000.0)}):
         config, plan = planned(**window)
@@ -301,6 +303,7 @@ def test_a_lower_limit_shuts_the_gate(plans, tmp_path):
     assert not heat_gate([], plan.metrics, config).passed
 
 
+@pytest.mark.slow
 def test_a_part_that_melts_shuts_the_gate_without_any_measure(tmp_path):
     hot = {"interpass": "off", "current_ma": 240.0}
     config, plan = planned(**hot)

@@ -63,6 +63,7 @@ def check_laws(solids, kind, side, turn):
         assert np.abs(solid - islands[n].area).min() < 1e-9 * solid.sum(), "but a whole solid"
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", SOLIDS)
 @settings(deadline=None, max_examples=6)
 @given(KINDS, SIDES, TURNS)
@@ -144,6 +145,7 @@ def check_directions(found, turn_deg, island_angle_deg):
     return asked
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("angle", [60.0, 90.0, 67.0, 45.0, 20.0])
 @pytest.mark.parametrize("kind", sorted(LATTICES))
 def test_islands_that_touch_do_not_share_a_direction(kind, angle):

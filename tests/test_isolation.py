@@ -64,6 +64,7 @@ def test_one_that_ends_before_anybody_looks_is_held_to_its_memory_all_the_same(t
     assert not list(tmp_path.glob("*.parquet"))
 
 
+@pytest.mark.in_turn(2, 1)
 @pytest.mark.parametrize(
     ("trouble", "failure", "why"),
     [
@@ -114,6 +115,7 @@ def test_what_is_done_meanwhile_is_done_once_and_while_they_work(tmp_path):
     assert not any(outcome.failure for outcome in outcomes.values())
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", ["planecut", "manifold", "embree", "stencil"])
 def test_layers_do_not_depend_on_the_blocks_they_are_cut_in(tmp_path, name):
     if not registry.probe(name).available:

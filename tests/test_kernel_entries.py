@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -53,13 +54,28 @@ STEPS = "\n".join(
 VALUES = [9.0 - x for x in range(10)]
 
 
+def written(folder):
+    """The package in a folder, none of its kernels compiled."""
+    package = folder / "called"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "kernels.py").write_text(SOURCE.format(step=1.0, steps=STEPS))
+    return package
+
+
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory):
+    """Package whose kernels were called, and what that printed; its tests have copies."""
+    package = written(tmp_path_factory.mktemp("compiled"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("NUMBA_CACHE_DIR", raising=False)
+        return package, call(package)
+
+
 @pytest.fixture
-def package(tmp_path, cache_beside_sources):
-    folder = tmp_path / "called"
-    folder.mkdir()
-    (folder / "__init__.py").touch()
-    (folder / "kernels.py").write_text(SOURCE.format(step=1.0, steps=STEPS))
-    return folder
+def package(compiled_once, tmp_path, cache_beside_sources):
+    """Copy of the package with its compiled kernels beside it."""
+    return shutil.copytree(compiled_once[0], tmp_path / "called")
 
 
 def call(package, more=""):
@@ -96,13 +112,15 @@ def kept(hits, step=1.0):
     ]  # fmt: skip
 
 
-def test_a_long_callee_is_called_where_it_lies_and_a_short_one_is_not(package):
-    assert call(package) == kept(0)
+def test_a_long_callee_is_called_where_it_lies_and_a_short_one_is_not(compiled_once, package):
+    assert compiled_once[1] == kept(0)
     # The short one is in the code of the long one: nobody asks for it.
     assert call(package) == kept(1)[:-1]
 
 
-def test_python_may_call_what_has_no_entry(package):
+@pytest.mark.slow
+def test_python_may_call_what_has_no_entry(tmp_path, cache_beside_sources):
+    package = written(tmp_path)
     first = call(package, more=", short(1.0), long(values)[0]")
     assert first[0] == f"{expected()} 2.0 {long(VALUES)[0]}"
     assert first[1:] == kept(0)[1:]
@@ -119,10 +137,10 @@ def test_python_may_call_what_has_no_entry(package):
     assert {path: path.stat().st_mtime_ns for path in package.rglob("*.nbc")} == times  # nothing compiled
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("lost", ["long", "root"])
 def test_a_callee_that_was_compiled_anew_has_its_callers_compiled_too(package, lost):
     """Its name in machine code is another one: what still calls it by the old one must not run."""
-    call(package)
     for path in package.rglob(f"kernels.{lost}.*nbi"):
         path.unlink()
     lines = call(package)
@@ -132,6 +150,5 @@ def test_a_callee_that_was_compiled_anew_has_its_callers_compiled_too(package, l
 
 
 def test_a_change_of_a_callee_of_a_callee_counts(package):
-    call(package)
     (package / "kernels.py").write_text(SOURCE.format(step=5.0, steps=STEPS))
     assert call(package) == kept(0, 5.0)

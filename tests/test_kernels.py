@@ -77,6 +77,7 @@ def test_what_a_kernel_does_not_see_compiles_nothing_anew(package):
     assert ask(package)[:2] == (20.0, True)
 
 
+@pytest.mark.slow
 def test_a_constant_seen_through_a_module_counts(package):
     (package / "caller.py").write_text(
         CALLER.replace("from stamped.constants import SCALE", "from stamped import constants").replace(
@@ -116,6 +117,7 @@ scaled.stats, scaled._cache = doubled.stats, doubled._cache
 """
 
 
+@pytest.mark.slow
 def test_a_type_that_an_older_version_had_is_no_obstacle(package):
     """The index of the cache names the types that a kernel was compiled for."""
     (package / "caller.py").write_text(TYPED.format(name="Pair"))
@@ -162,6 +164,7 @@ def places(x):
 """
 
 
+@pytest.mark.slow
 def test_machine_code_of_two_processes_has_no_name_in_common(tmp_path, cache_beside_sources):
     # The loader takes the first of two functions of one name for both: once `sort` ran in the place of `argsort`.
     names = []

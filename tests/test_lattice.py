@@ -103,6 +103,7 @@ def test_hexagons_across_is_odd_and_one_or_two_over_the_ratio(ratio):
     assert math.floor(ratio + 0.5) + 1 <= count <= math.floor(ratio + 0.5) + 2
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("short", [0.1, 0.4, 0.6, 1.4, 1.6, 2.5, 5.0, 6.0, 9.3, 10.6])
 @pytest.mark.parametrize("long", [0.0, 0.4, 0.6, 2.0, 2.1, 7.7, 15.5])
 @pytest.mark.parametrize("angle", [0.0, 0.7])

@@ -23,7 +23,7 @@ from ebamcheck.testing.subject import generic_heights
 
 BACKENDS = ("planecut", "manifold", "embree", "stencil")
 CHOSEN = {"stencil": {"pixel_mm": 0.11}}
-QUICK, THOROUGH = 5, 80
+QUICK, THOROUGH = 5, 40
 """Examples of each law: in every test run, and in the slow one."""
 
 COUNTS = [QUICK, pytest.param(THOROUGH, marks=pytest.mark.slow)]

@@ -33,6 +33,7 @@ def test_the_height_of_a_bead_is_kept_where_it_has_the_metal(name):
     assert found.check.level == "pass"
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("name", ["cube", "sphere", "cone", "torus", "bracket", "impeller"])
 @pytest.mark.parametrize("height_mm", [1.1, 1.676, 2.3])
 def test_the_share_is_that_of_the_gate(name, height_mm):

@@ -203,6 +203,7 @@ async def until(condition, limit_s=20.0):
     raise AssertionError("it does not come to it")
 
 
+@pytest.mark.slow
 def test_every_bad_height_on_a_control_is_refused_and_releases_nothing(maker, tmp_path):
     pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
 

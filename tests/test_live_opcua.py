@@ -180,6 +180,7 @@ def test_of_two_servers_the_last_one_writes_and_the_other_says_so(maker, tmp_pat
     asyncio.run(play())
 
 
+@pytest.mark.slow
 def test_a_file_of_another_build_is_not_written_over(maker, tmp_path):
     async def play(replaced):
         opcua = on_a_desk(replace=replaced)

@@ -48,6 +48,7 @@ def maker(place):
         yield made
 
 
+@pytest.mark.slow
 def test_nobody_writes_without_certificate_and_user(maker, tmp_path):
     opcua = on_a_desk()
     access = desk_profile(tmp_path / "desk", opcua)

@@ -253,6 +253,7 @@ def test_a_build_with_drift_and_noise_ends_at_the_top_and_every_layer_verifies(p
     assert len(table) == len(layers) + 1
 
 
+@pytest.mark.slow
 def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
     out = tmp_path / "b"
     start = command("live", place / "box.run", "-o", out)

@@ -37,6 +37,7 @@ IN_A_BEAD = {
 """Words that must not stand within a bead: modal words, frames, offsets, flow, other axes, waits."""
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize(("control", "word"), [(c, w) for c, words in IN_A_BEAD.items() for w in words])
 def test_a_word_in_a_bead_that_changes_the_state_is_found(control, word, tmp_path):
     text = ProgramText(control, tmp_path / "p")
@@ -172,6 +173,7 @@ ENTRY = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(("control", "word"), [(c, w) for c, words in ENTRY.items() for w in words])
 def test_a_layer_without_its_modes_is_found(control, word, tmp_path):
     text = ProgramText(control, tmp_path / "p")

@@ -148,6 +148,7 @@ HEAT_PARTS = {
 }
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("base", ["cooled", "insulated"])
 @pytest.mark.parametrize("name", HEAT_PARTS)
 def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
@@ -168,6 +169,7 @@ def test_both_balances_find_the_same_temperatures(name, base, tmp_path):
     assert again_k == pytest.approx(column_k, abs=0.05 * (873.0 - 293.0))
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("limit_k", [423.0, 873.0])
 @pytest.mark.parametrize("material", ["Ti-6Al-4V", "Al 2319", "316L"])
 def test_sound_plans_pass_the_second_balance(material, limit_k, tmp_path):

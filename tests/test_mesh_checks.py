@@ -33,6 +33,7 @@ def cut(part, config=None):
     return slice_part(part, cut_heights(part, config or Config()))
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize(
     "name",
     ["blade", "helical-channel", "torus", "two-spheres", "menger-1", "case-touching-board", "case-prusa-4245", "tilted-plate"],

@@ -37,6 +37,7 @@ def laid_by(lines, width_mm, target, step_mm=0.25):
     return found, found.laid(np.broadcast_to(width_mm, len(lines)), target.share.size, target.step_mm**2)
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("name", SECTIONS)
 @pytest.mark.parametrize("step", [0.4, 1.0, 1.7])
 def test_cells_have_the_area_of_the_section(name, step):

@@ -99,6 +99,7 @@ def test_bounds_hold_the_mesh_and_touch_it(model):
     assert (bounds[1] <= model.bounds[1] + 2e-3).all()
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("model", WALLED, ids=lambda m: m.name)
 @pytest.mark.parametrize("tolerance_mm", TOLERANCES_MM)
 def test_no_point_of_a_wall_facet_is_farther_from_the_surface_than_the_tolerance(model, tolerance_mm):
@@ -168,6 +169,7 @@ def test_sections_are_valid_and_have_the_area_that_is_claimed(model):
         assert sum(p.area for p in polygons) == pytest.approx(model.area(z), abs=within)
 
 
+@pytest.mark.in_turn(4)
 @ALL
 def test_volume_is_the_integral_of_the_area(model):
     low, high = model.bounds[:, 2]

@@ -214,8 +214,8 @@ FAULTS = {
 
 
 CASES = [
-    # Quick tests take the controls in turn, slow ones all of them.
-    pytest.param(name, control, marks=() if i % len(POSTS) == j else pytest.mark.slow)
+    # Quick tests take every second fault, and the controls in turn; slow ones all of them.
+    pytest.param(name, control, marks=() if i % (2 * len(POSTS)) == 2 * j else pytest.mark.slow)
     for i, name in enumerate(FAULTS)
     for j, control in enumerate(POSTS)
 ]
@@ -258,6 +258,7 @@ def verdict(checks):
     return {n: (c.passed, c.value) for n, c in checks.items() if n not in NAMES}
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("control", POSTS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_an_honest_program_passes_and_comments_change_nothing(parts, tmp_path, shape, control):

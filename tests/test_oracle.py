@@ -126,6 +126,7 @@ def membership(layers, k, points):
     return counts > 0, off
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("backend", EXACT)
 @pytest.mark.parametrize("name", SOLIDS)
 def test_areas_rings_and_membership_are_exact_at_every_kind_of_plane(name, backend):
@@ -152,6 +153,7 @@ def test_areas_rings_and_membership_are_exact_at_every_kind_of_plane(name, backe
                 assert found == wanted, (z, x, y)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("backend", EXACT)
 @pytest.mark.parametrize("name", OVERLAPPING)
 def test_overlapping_shells_are_solid_where_the_exact_winding_number_is_positive(name, backend):
@@ -172,6 +174,7 @@ def test_overlapping_shells_are_solid_where_the_exact_winding_number_is_positive
     assert checked > 100
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("backend", EXACT)
 @pytest.mark.parametrize("name", ["tilted box", "hull 1", "far away", "torus on its rim", "terrain 2"])
 def test_points_lie_within_the_bound_of_the_exact_contours(name, backend):
@@ -189,6 +192,7 @@ def test_points_lie_within_the_bound_of_the_exact_contours(name, backend):
             assert oracle.square_distance(cut, x, y) <= bound**2, (z, x, y)
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("backend", SAMPLED)
 @pytest.mark.parametrize("name", ["tilted box", "spiked", "torus on its rim", "cavity", "hull 5", "hulls 1"])
 def test_points_deeper_than_the_bound_are_on_the_right_side(name, backend):
@@ -235,6 +239,7 @@ def test_the_oracle_itself_on_a_box_and_on_the_rules():
     assert oracle.winding(oracle.section(twice.vertices, twice.faces, 1), 1, 1) == 2
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", SOLIDS)
 def test_the_oracle_keeps_the_laws(name):
     """The integral of areas is the volume, without any rounding."""

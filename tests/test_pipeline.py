@@ -76,6 +76,7 @@ def test_a_sphere_is_validated(tmp_path):
     assert ((lost > 0) & (lost < 2 * np.pi * 20.0 * inside_mm)).all()
 
 
+@pytest.mark.slow
 def test_runs_differ_in_timings_alone(tmp_path, monkeypatch):
     write_stl(sphere(12.0, 24, 48), tmp_path / "ball.stl")
     (tmp_path / "ebamcheck.toml").write_text(
@@ -101,6 +102,7 @@ def test_all_backends_give_the_same_bytes_again(tmp_path):
 
 
 @pytest.mark.usefixtures("cut_here")
+@pytest.mark.slow
 def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     path = write_stl(from_arrays(frame().vertices, frame().faces[:, ::-1], "in"), tmp_path / "in.stl")
     result = check_job(path, tmp_path / "in.run", SETTINGS)
@@ -113,6 +115,7 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
     assert [found["text"] for found in turned] == ["32 of 32 facets were turned over"]
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize(
     ("part", "layers", "areas", "shut"),
     [
@@ -252,6 +255,7 @@ def test_a_check_slices_and_compares_and_makes_no_program(tmp_path, tmp_path_fac
     assert all(check.passed for check in verify_run(tmp_path / "check.run", path))
 
 
+@pytest.mark.slow
 def test_the_size_of_blocks_changes_nothing(tmp_path):
     """1000 points a block, the least there is, are some forty layers of this part."""
     path = write_stl(sphere(10.0, 24), tmp_path / "a.stl")
@@ -272,6 +276,7 @@ def test_the_size_of_blocks_changes_nothing(tmp_path):
     assert small["backends"] == large["backends"]
 
 
+@pytest.mark.slow
 def test_witnesses_join_where_they_are_asked_for(tmp_path, tmp_path_factory):
     path = write_stl(frame(), tmp_path / "a.stl")
     alone = RunFolder(plate_of_two_layers(tmp_path_factory))

@@ -99,6 +99,7 @@ MAPS = {
 }
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", PARTS)
 @pytest.mark.parametrize("kind", MAPS)
 def test_maps_of_the_part_map_its_sections(name, kind):

@@ -75,6 +75,7 @@ def planes(part):
     )
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", PARTS)
 @pytest.mark.parametrize("threads", ["1", "3"])
 def test_blocks_that_leave_gaps_are_joined_without_them(name, threads, monkeypatch):
@@ -95,6 +96,7 @@ def test_a_part_without_a_facet_that_has_area_gives_empty_layers(faces):
         assert (len(layers), len(layers.points), layers.closed.size) == (60, 0, 0)
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", PARTS)
 def test_a_part_that_is_turned_again_is_cut_as_if_it_were_new(name):
     part = PARTS[name]
@@ -125,6 +127,7 @@ LONE_PARTS = {
 DIRECTIONS = [(0, 0, -1), (1, 0, 0), (1, 1, 0), *np.random.default_rng(8).normal(size=(4, 3)).tolist()]
 
 
+@pytest.mark.in_turn(5)
 @pytest.mark.parametrize("name", LONE_PARTS)
 @pytest.mark.parametrize("overlaps", ["unite", "keep"])
 def test_a_few_layers_along_a_new_direction_are_those_of_the_whole_sorted_mesh(name, overlaps):
@@ -204,6 +207,7 @@ def test_facets_begin_with_their_lowest_vertex_and_run_as_they_did(name):
     assert mesh.vertices[mesh.faces, 3].tolist() == given.tolist()
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", PARTS)
 def test_facets_across_a_plane_are_those_that_begin_under_and_end_over_it(name):
     part = PARTS[name]

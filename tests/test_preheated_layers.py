@@ -163,6 +163,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_the_scan_of_a_layer_is_found_from_its_text(name, made, tmp_path):
     plant, wanted = FAULTS[name]
@@ -245,6 +246,7 @@ def test_a_run_that_preheats_has_a_main_program_that_waits_and_verifies(place):
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.slow
 def test_a_build_preheats_the_plate_with_its_first_layer_and_plays_again(place, tmp_path):
     arguments = ("machine", place / "box.run", "--drift", "0.05", "--speed", "1000000", "-o", tmp_path / "o")
     done = ebamcheck(*arguments, cwd=place)

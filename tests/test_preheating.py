@@ -306,6 +306,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_preheating_is_found_from_the_text(name, place, tmp_path):
     plant, wanted = FAULTS[name]

@@ -12,6 +12,7 @@ from ebamcheck.program import verify_file, write_program
 from ebamcheck.settings.config import Config
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_is_found_where_it_was_planted(name, tmp_path):
     plant, check = FAULTS[name]

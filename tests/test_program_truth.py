@@ -81,6 +81,7 @@ LIES = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("control", CONTROLS)
 @pytest.mark.parametrize("name", LIES)
 def test_a_header_that_is_not_true_is_found(control, name, tmp_path):

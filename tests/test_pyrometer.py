@@ -44,6 +44,7 @@ def heat(maker, tmp_path_factory):
     return made.heat
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("after_s", [0.0, 2.0, 30.0])
 @pytest.mark.parametrize("off_k", [-120.0, -5.0, 0.0, 5.0, 120.0])
 def test_the_corrected_model_reads_what_was_measured(heat, off_k, after_s):

@@ -195,6 +195,7 @@ def test_motions_come_in_the_order_of_execution(program: NCProgram) -> None:
 # -- runs ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_check_from_python_is_that_of_the_command_line(tmp_path: Path) -> None:
     file = ebamcheck.save(box((0, 0, 0), (20, 20, 6)), tmp_path / "box.stl")
     settings = ebamcheck.save(

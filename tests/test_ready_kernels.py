@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import sysconfig
 import venv
 import zipfile
+from copy import copy
 from pathlib import Path
 
 import pytest
@@ -79,9 +81,18 @@ class Prepared:
         self.file.write_bytes(str(len(text)).rjust(ready_kernels.HEAD_BYTES).encode() + text + held[start:])
 
 
+@pytest.fixture(scope="module")
+def once(tmp_path_factory):
+    """A package whose kernel was compiled and written; its tests have copies."""
+    return Prepared(tmp_path_factory.mktemp("prepared"))
+
+
 @pytest.fixture
-def prepared(tmp_path):
-    return Prepared(tmp_path)
+def prepared(once, tmp_path):
+    found = copy(once)
+    found.folder = shutil.copytree(once.folder, tmp_path / "prepared-here")
+    found.file = found.folder / once.file.name
+    return found
 
 
 @needs_level
@@ -106,12 +117,14 @@ def test_a_kernel_that_has_changed_since_is_compiled(prepared):
     assert len(list((prepared.folder / "empty").rglob("*.nbc"))) == 1
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("place", range(5))
 def test_a_file_for_another_installation_is_passed_over(prepared, place):
     prepared.alter(lambda index: index["made for"].__setitem__(place, "another"))
     assert prepared.run(ASK, f"empty-{place}") == "20.0 0 True"
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("held", [b"", b"half", b" " * 14 + b"99{}", b" " * 15 + b"2[]"])
 def test_a_spoilt_file_is_passed_over(prepared, held):
     prepared.file.write_bytes(held)

@@ -51,6 +51,7 @@ def difference(polygons, layers, layer):
 # -- meshes ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn(2)
 @ALL
 @pytest.mark.parametrize("tolerance_mm", [2.0, 0.1])
 def test_meshes_are_closed_and_of_the_designed_topology(model, tolerance_mm):
@@ -71,6 +72,7 @@ def test_meshes_are_closed_and_of_the_designed_topology(model, tolerance_mm):
     assert doubled.min() > 0
 
 
+@pytest.mark.in_turn(2, 1)
 @ALL
 def test_meshes_go_to_the_volume_that_is_claimed(model):
     for tolerance_mm in (1.0, 0.05):
@@ -86,6 +88,7 @@ def test_meshes_go_to_the_volume_that_is_claimed(model):
         assert abs(volume - model.mesh_volume) <= tolerance_mm * surface + 1e-6 * model.volume
 
 
+@pytest.mark.in_turn(2)
 @ALL
 def test_volume_is_the_integral_of_the_area(model):
     low, high = model.bounds[:, 2]
@@ -104,6 +107,7 @@ def test_volume_is_the_integral_of_the_area(model):
         assert integral == pytest.approx(model.volume, rel=2e-3)
 
 
+@pytest.mark.in_turn(2, 1)
 @ALL
 def test_sections_are_valid_have_the_claimed_area_and_end_at_the_top(model):
     for z in heights_of(model, 6, seed=1):
@@ -117,6 +121,7 @@ def test_sections_are_valid_have_the_claimed_area_and_end_at_the_top(model):
         assert model.area(float(z)) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.in_turn(2)
 @ALL
 def test_sections_of_meshes_go_to_the_exact_section(model):
     heights = heights_of(model, 5, seed=4)

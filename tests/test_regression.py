@@ -213,6 +213,7 @@ def test_two_reports_on_an_unchanged_tree_are_the_same_bytes_but_for_timings(acc
     assert all(set(seconds) == {"prepare_s", "slice_s", "measure_s"} for seconds in timed.values())
 
 
+@pytest.mark.slow
 def test_settings_of_slicers_are_honoured_and_held_against_the_same_baselines(honest, tmp_path, capsys):
     if "embree" not in honest:
         pytest.skip(f"embree is not available: {registry.probe('embree').why}")

@@ -25,6 +25,7 @@ def plate(tmp_path_factory):
     return plate_of_every_slicer(tmp_path_factory)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_to_the_same_result(tmp_path, tmp_path_factory):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(
@@ -46,6 +47,7 @@ def test_a_killed_run_goes_on_to_the_same_result(tmp_path, tmp_path_factory):
     assert not unfinished.exists()
 
 
+@pytest.mark.slow
 def test_a_killed_backend_is_told_and_the_others_are_whole(plate, tmp_path):
     path = plate[1]
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
@@ -96,6 +98,7 @@ def test_of_two_methods_one_fails(tmp_path):
     assert "NOT VALIDATED" in (result.folder.program_folder / "MAIN.MPF").read_text()
 
 
+@pytest.mark.slow
 def test_a_report_writer_that_raises_is_a_note(tmp_path, monkeypatch):
     (tmp_path / "raising_writer.py").write_text("def write(run):\n    raise OSError('no ink')\n")
     info = tmp_path / "raising_writer-1.dist-info"
@@ -128,6 +131,7 @@ def test_the_folder_is_free_again_after_a_failure(tmp_path, monkeypatch):
     assert check_job(path, tmp_path / "a.run", SETTINGS, resume=True).folder == RunFolder(tmp_path / "a.run")
 
 
+@pytest.mark.slow
 def test_a_machine_without_opengl_goes_on_with_the_others(tmp_path):
     write_stl(frame(), tmp_path / "frame.stl")
     (tmp_path / "ebamcheck.toml").write_text(WIDE_TOML)
@@ -157,6 +161,7 @@ def test_a_full_disk_is_told_with_its_place(tmp_path, monkeypatch):
     assert not (tmp_path / "a.run").exists()
 
 
+@pytest.mark.slow
 def test_layers_that_cannot_be_written_end_the_job_and_name_the_file(tmp_path):
     """Files of this command may not grow to what the layers take."""
     write_stl(frame(), tmp_path / "frame.stl")

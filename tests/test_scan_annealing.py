@@ -149,6 +149,7 @@ def test_entries_of_the_table_are_those_of_single_pieces(choices):
     assert compared > 20
 
 
+@pytest.mark.slow
 def test_entries_worked_out_where_asked_for_are_those_of_the_whole_table(choices):
     heat, time_s = choices.cold_heat(), choices.known_schedule.time_s
     whole, asked = (influence(heat, time_s, 300.0, whole=whole).fresh for whole in (True, False))

@@ -36,6 +36,7 @@ def plate(tmp_path_factory):
     return write_stl(from_arrays(box, faces, "plate"), tmp_path_factory.mktemp("parts") / "plate.stl")
 
 
+@pytest.mark.slow
 def test_all_orders_in_a_table_with_pictures(plate, tmp_path):
     done = ebamcheck(
         "scan", plate, "--height", 12, "--orders", "all", "--seeds", 3, "-o", "out", cwd=tmp_path
@@ -210,6 +211,7 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
     assert [row["order"] for row in json.loads(done.stdout)] == ["farthest"]
 
 
+@pytest.mark.slow
 def test_the_referee_gives_its_opinion_beside_the_model(plate, tmp_path):
     orders = ("thermal", "raster")
     done = ebamcheck(
@@ -277,6 +279,7 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     assert "--all plans in one order, not 9" in refused.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("asked", "file", "told"),
     [

@@ -36,6 +36,7 @@ def islands_at(centroid, seed=0, layer=0):
     return LayerIslands(centroid, np.ones(len(centroid)), np.zeros((0, 2), np.int64), layer, seed)
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", BY_DISTANCE)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_orders_are_what_they_say(name, seed):

@@ -44,6 +44,7 @@ def test_a_stack_is_its_layers():
         )
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_a_bit(monkeypatch):
     layers = stack(4)
     monkeypatch.setenv("EBAMCHECK_THREADS", "1")
@@ -170,6 +171,7 @@ def test_coverage_is_that_of_shapely(seed):
     assert covered_fraction(section, segments, 6.0) == pytest.approx(exact, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_stack_is_planned_alike_at_any_height_of_the_part():
     layers = stack(4)
     raised = from_polygons(layers.heights + 500.0, [layers.polygons(k) for k in range(4)])

@@ -112,6 +112,7 @@ def test_both_exact_slicers_meet_a_models_exact_sections(tmp_path):
         assert found.versions
 
 
+@pytest.mark.slow
 def test_the_command_chooses_on_a_part_and_writes_the_machines_section(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv(MACHINE_VARIABLE, "bench-7")
     write_stl(box(upper=(8.0, 6.0, 4.0)), tmp_path / "part.stl")

@@ -37,6 +37,7 @@ STEM, CAP = box((-5, -5, 0), (5, 5, 9)), box((-20, -20, 9), (20, 20, 15))
 MUSHROOM = join(STEM, CAP)
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("height_mm", [1.0, 1.3, 1.676, 2.5])
 @pytest.mark.parametrize("name", ["blade", "cone", "impeller", "sphere", "torus", "tilted-plate", "menger-1"])
 def test_what_is_added_less_what_lacks_is_the_metal_less_the_solid(name, height_mm):
@@ -151,6 +152,7 @@ def test_a_run_of_a_step_within_a_layer_is_not_validated_and_verify_finds_it_aga
     assert SOLID in {check["name"] for check in json.loads(alone.stdout) if not check["passed"]}
 
 
+@pytest.mark.slow
 def test_a_top_beside_its_layer_is_told_once(tmp_path):
     write_stl(box((0, 0, 0), (24, 24, 5)), tmp_path / "low.stl")
     done = ebamcheck("run", "low.stl", "-o", "run", "--backends", FAST, cwd=tmp_path)

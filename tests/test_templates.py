@@ -72,6 +72,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_template_that_does_what_its_name_does_not_say_is_refused(name, tmp_path):
     machine = REFUSED[name]

@@ -220,6 +220,7 @@ FAULTS = {
 }  # fmt: skip
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_of_table_or_frame_is_found(place, tmp_path, fault):
     plant, name = FAULTS[fault]

@@ -45,6 +45,7 @@ def difference(polygons, layers, layer):
     return shapely.union_all(polygons).symmetric_difference(shapely.union_all(layers.polygons(layer))).area
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("model", TURNABLE, ids=lambda m: m.name)
 @pytest.mark.parametrize("direction", DIRECTIONS[:4], ids=str)
 def test_a_turned_model_is_the_part_turned_along_the_direction(model, direction):
@@ -64,6 +65,7 @@ def test_a_turned_model_is_the_part_turned_along_the_direction(model, direction)
         assert difference(polygons, cut, k) <= 20 * 0.02 * length
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize(
     "model", [CUBE, PRISM, BRACKET, CONE, CYLINDER, TWO_SPHERES, PYRAMID], ids=lambda m: m.name
 )

@@ -70,6 +70,7 @@ def check_laws(wall):
     return lines
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("wall", [wall for _, wall in WALLS], ids=[name for name, _ in WALLS])
 def test_beads_lie_in_the_wall_apart_and_are_no_stubs(wall):
     lines = check_laws(wall)
@@ -79,7 +80,7 @@ def test_beads_lie_in_the_wall_apart_and_are_no_stubs(wall):
 
 @example(0.0, [1.0, 1.0, 13.0])  # a leg narrower than the taper of the rest
 @example(0.5, [13.0, 1.0, 1.0, 1.0, 13.0, 1.0])
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 @given(st.floats(0.0, 2 * math.pi), st.lists(st.floats(1.0, 14.0), min_size=2, max_size=6))
 def test_walls_of_any_course_of_width_are_filled(turn, widths):
     x = 30.0 * np.arange(len(widths))
@@ -147,6 +148,7 @@ def test_the_longest_line_of_a_wall_stays_however_short():
         assert 0.0 < line.length < LEAST_BEAD * WIDTH
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("thick", [3.0, 5.5, 7.5])
 def test_beads_of_walls_with_uneven_points_bend_one_way(seed, thick):

@@ -216,6 +216,7 @@ def test_who_stops_taking_layers_stops_their_making(threads, monkeypatch):
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
 
 
+@pytest.mark.slow
 def test_threads_do_not_change_a_plan_from_cold(monkeypatch):
     layers, cold = plates(9), BRIEF.changed(scan={"carry_heat": False})
     orders = []

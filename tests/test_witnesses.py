@@ -80,6 +80,7 @@ def test_crossing_rings_are_refused_and_touching_ones_are_not() -> None:
 # -- the witnesses themselves --------------------------------------------------------------------------
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("witness", WITNESSES, ids=named)
 @pytest.mark.parametrize("name", ["tilted plate", "upright torus", "cavity", "two bodies"])
 def test_stacks_agree_with_the_exact_cut(witness: Any, name: str) -> None:
