@@ -44,6 +44,8 @@ UNITS = (
     "mm",
     "deg",
     "s",
+    "h",
+    "kg",
     "mm_s",
     "mm_min",
     "w",

@@ -19,10 +19,11 @@ from ebamcheck.preflight.room import room_checks
 from ebamcheck.preflight.sense import sense_checks
 from ebamcheck.preflight.suspicions import sizes, suspicions
 from ebamcheck.preflight.workload import Workload, work_checks, workload
-from ebamcheck.program.checking.consumables import KG_MM3, SPOOL
-from ebamcheck.program.checking.remedies import REMEDIES
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
+
+SPOOL = "wire on the spool"
+"""Name of a check, here and of a program."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +179,9 @@ def _thickness(found: Inspection, config: Config) -> PreflightCheck:
 
 def _wire(part: Part, spool_kg: float, config: Config) -> PreflightCheck:
     """What the part weighs is what its wire weighs: the program is held to the same, to the motion in which it ends."""
-    part_kg = part.volume * KG_MM3 * config.material.density_kg_m3
+    part_kg = part.volume * 1e-9 * config.material.density_kg_m3
     text = f"the part weighs {part_kg:.4g} kg, the spool holds {spool_kg:g} kg"
     if part_kg <= spool_kg or config.machine.optional_stop:
         return PreflightCheck(SPOOL, "pass", text, part_kg, spool_kg, "kg")
-    return PreflightCheck(SPOOL, "warning", text, part_kg, spool_kg, "kg", REMEDIES[SPOOL])
+    remedy = "begin with a fuller spool (machine.spool_kg), or stop before layers to put on another (machine.optional_stop)"
+    return PreflightCheck(SPOOL, "warning", text, part_kg, spool_kg, "kg", remedy)
