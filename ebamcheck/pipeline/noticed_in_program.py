@@ -237,7 +237,7 @@ def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
                 found.total,
                 found.holds,
                 found.unit,
-                f"have one at hand, and stop there (M1); {found.name} is a check of its own",
+                "have one at hand, and let the program stop there (M1)",
             )
 
 

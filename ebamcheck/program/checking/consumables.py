@@ -39,7 +39,9 @@ class Consumed:
     name
         Name of the check.
     what
-        Of which there is so much, such as ``kg of wire``.
+        Of which the build takes so much, such as ``kg of wire``.
+    holder
+        Words for what holds it, such as ``a spool holds``.
     unit
         Unit of the figures.
     setting
@@ -58,6 +60,7 @@ class Consumed:
 
     name: str
     what: str
+    holder: str
     unit: str
     setting: str
     holds: float
@@ -68,7 +71,7 @@ class Consumed:
 
     def check(self) -> Check:
         """Whether what is there lasts from each stop to the next."""
-        text = f"{self.total:.4g} {self.what}, one holds {self.holds:g} ({self.setting})"
+        text = f"the build takes {self.total:.4g} {self.what}, {self.holder} {self.holds:g} {self.unit} ({self.setting})"
         if self.changes:
             text += f"; a new one before layer{'s' if len(self.changes) > 1 else ''} {self.layers()}"
         if self.ends_in is not None:
@@ -97,11 +100,11 @@ def consumed(nc: NCProgram, config: Config) -> list[Consumed]:
         kg_mm = area_mm2 * KG_MM3 * config.material.density_kg_m3
         wire_kg = kg_mm * motion_seconds(nc, config) * np.where(nc.wire, np.nan_to_num(nc.wire_mm_s), 0.0)
         none = np.zeros(max(len(nc.layer_files), 1))
-        said = SPOOL, "kg of wire", "kg", "machine.spool_kg"
+        said = SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"
         found.append(_used(nc, config, wire_kg, none, machine.spool_kg, said))
     if machine.cathode_h is not None:
         beam_h = np.where(nc.beam, motion_seconds(nc, config), 0.0) / HOUR_S
-        said = CATHODE, "h with the beam on", "h", "machine.cathode_h"
+        said = CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"
         found.append(_used(nc, config, beam_h, _preheating_h(nc, config), machine.cathode_h, said))
     return found
 
@@ -122,11 +125,11 @@ def _used(
     by_motion: Floats,
     before: Floats,
     holds: float,
-    said: tuple[str, str, str, str],
+    said: tuple[str, str, str, str, str],
 ) -> Consumed:
     """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing.
 
-    `said` are name, words, unit and setting of :class:`Consumed`. A time that nobody knows is endless.
+    `said` are name, words, unit and setting of :class:`Consumed`, in its order. A time that nobody knows is endless.
     """
     layer, count = _layer_of(nc), before.size
     used = np.where(np.isnan(by_motion), np.inf, by_motion)
