@@ -10,7 +10,7 @@ import pytest
 from benchmarks.curve_parts import CAD, CAD_MM, FLAT, TRUTH_MM, heights_of, part_of
 from benchmarks.curve_parts_meshes import as_file, split_edges, turned
 from benchmarks.curve_parts_solids import Solid, frustum, lathe, regular_prism
-from ebamcheck.curves import contour_error, fit
+from ebamcheck.curves import contour_error, fit, fit_deviation, fit_for_program
 from ebamcheck.curves.allowances import Allowing
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.edges import with_edges
@@ -24,6 +24,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
 from ebamcheck.pipeline.gates import fit_gate
+from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import BLADE, SPHERE, TORUS
 
@@ -340,3 +341,20 @@ def test_contours_that_are_not_on_edges_say_so() -> None:
     assert told.code == "curves-not-lifted"
     with pytest.raises(SettingsError, match="on the edges of the part"):
         fit(off, "surface")
+
+
+def test_rings_that_a_program_may_not_leave_so_far_stay_their_polygon():
+    """What the check of the path refuses whatever speaks for it is not made; near the poles the sections are small, and stay curved."""
+    part = SPHERE.tessellate(0.8)
+    layers = slice_part(part, heights_of(part, 24))
+    settings = CurveSettings()
+    lifted, kept = fit(layers, part=part), fit_for_program(layers, settings, part)
+    far, near = (
+        fit_deviation(curves, layers)[["points_mm", "bulge_mm"]].max(axis=1) for curves in (lifted, kept)
+    )
+    limit_mm = settings.section_tolerance_mm
+    assert far.max() > 1.5 * limit_mm
+    assert near.max() <= limit_mm
+    fell = (kept.evidence.method == POLYLINE) & (lifted.evidence.method == 0)
+    assert fell[far.to_numpy() > limit_mm].all()
+    assert not fell[far.to_numpy() < 0.9 * limit_mm].any()

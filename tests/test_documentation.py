@@ -41,28 +41,8 @@ LARGEST_PICTURE_BYTES = 400_000
 """Pictures live in the repository for ever."""
 
 UNITS = (
-    "mm",
-    "deg",
-    "s",
-    "h",
-    "kg",
-    "mm_s",
-    "mm_min",
-    "w",
-    "mm_s2",
-    "mm_s3",
-    "kv",
-    "ma",
-    "mb",
-    "mm2",
-    "m3",
-    "j_mm3",
-    "px",
-    "k",
-    "w_mk",
-    "j_kg",
-    "j_kgk",
-)
+    "mm", "deg", "s", "h", "kg", "mm_s", "mm_min", "w", "mm_s2", "mm_s3", "kv", "ma", "mb", "mm2", "m3", "j_mm3", "px", "k", "w_mk", "j_kg", "j_kgk",
+)  # fmt: skip
 """Last words of the names of settings that have a unit."""
 
 WITHOUT_UNIT = {

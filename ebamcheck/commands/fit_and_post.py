@@ -21,7 +21,15 @@ from ebamcheck.commands.options import (
     within_work,
 )
 from ebamcheck.commands.run_stack import stack_of_run
-from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.curves import (
+    METHODS,
+    Curves,
+    contour_error,
+    error_reduction,
+    fit,
+    fit_deviation,
+    fit_for_program,
+)
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.cuts import cut_heights
@@ -151,7 +159,7 @@ def post_command(
         placed = loaded(source, config)
         config = chosen_height(placed, inspect(placed).passed, config).config
         layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
-        smooth = smooth_layers(fit(layers, config.curves.method, config.curves, part=placed))
+        smooth = smooth_layers(fit_for_program(layers, config.curves, placed))
         plan = plan_stack(smooth, config)
         beads, sha256 = bead_paths(smooth, plan, config), placed.source_sha256
     if control:

@@ -6,7 +6,7 @@ from ebamcheck.curves.accuracy import contour_error, error_reduction
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves, Piece
 from ebamcheck.curves.deviation import fit_deviation
-from ebamcheck.curves.fitting import LIFTED, METHODS, fit
+from ebamcheck.curves.fitting import LIFTED, METHODS, fit, fit_for_program
 from ebamcheck.curves.polar import polar_radius
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 
@@ -23,5 +23,6 @@ __all__ = [
     "error_reduction",
     "fit",
     "fit_deviation",
+    "fit_for_program",
     "polar_radius",
 ]

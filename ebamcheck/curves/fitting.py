@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -46,6 +47,7 @@ def fit(
     settings: CurveSettings = DEFAULTS,
     progress: Progress | None = None,
     part: Part | None = None,
+    largest_mm: float = math.inf,
     **changes: Any,
 ) -> Curves:
     """Fit curves to the contours of a stack.
@@ -77,6 +79,8 @@ def fit(
         Called with the number of layers finished since the last call.
     part
         The mesh that was sliced, for ``surface`` and ``bounded``.
+    largest_mm
+        Distance from its contour beyond which a ring falls back, whatever speaks for it.
     **changes
         Single settings that replace those in `settings`, such as ``tolerance_mm=0.05``.
 
@@ -120,10 +124,35 @@ def fit(
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):
         stop = min(start + LAYERS_A_STEP, len(layers))
-        blocks.append(_accepted(contours.block(start, stop), method, checked, lifting, allowing))
+        block = contours.block(start, stop)
+        blocks.append(_accepted(block, method, checked, lifting, allowing, largest_mm))
         if progress is not None and stop > start:
             progress(stop - start)
     return _join(blocks, layers, method, checked)
+
+
+def fit_for_program(
+    layers: Layers,
+    settings: CurveSettings,
+    part: Part | None = None,
+    method: str = "",
+    error_bound_mm: float = 0.0,
+    progress: Progress | None = None,
+) -> Curves:
+    """Fit contours for a program: no curve leaves its contour by more than the program's path may.
+
+    Parameters
+    ----------
+    method
+        One of :data:`METHODS`; empty: that of the settings.
+    error_bound_mm
+        The slicer's own error, a staircase of pixels say: what it makes of a contour is no shape.
+    layers, settings, part, progress
+        As for :func:`fit`, which tells the rest.
+    """
+    settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
+    name, largest_mm = method or settings.method, settings.section_tolerance_mm
+    return fit(layers, name, settings, progress, part, largest_mm=largest_mm)
 
 
 def _part_of(layers: Layers, part: Part | None) -> Part | None:
@@ -138,7 +167,12 @@ def _part_of(layers: Layers, part: Part | None) -> Part | None:
 
 
 def _accepted(
-    layers: Layers, method: str, settings: CurveSettings, lifting: Lifting | None, allowing: Allowing | None
+    layers: Layers,
+    method: str,
+    settings: CurveSettings,
+    lifting: Lifting | None,
+    allowing: Allowing | None,
+    largest_mm: float,
 ) -> Curves:
     """Curves of a block of layers by a method, or by more cautious ones where the mesh gives no evidence for them."""
     if allowing is not None:
@@ -149,6 +183,7 @@ def _accepted(
         allowed = Allowances(free, np.zeros(len(layers.points), np.bool_))
         rounding_mm = 0.0
     slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
+    allowed = allowed._replace(limit_mm=np.minimum(allowed.limit_mm, max(largest_mm - slack_mm, 0.0)))
     # A spline through uneven points swings about the contour. Where the mesh gives no evidence for the lift of a ring, points on
     # its edges are uneven; the ring's polygon is no farther from the part than the contour.
     on_edges = lifting is not None

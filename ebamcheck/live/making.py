@@ -19,7 +19,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import compare_all
-from ebamcheck.curves import LIFTED, fit
+from ebamcheck.curves import LIFTED, fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -321,10 +321,7 @@ class LayerMaker:
     def _fitted(self, contours: Layers, config: Config) -> FitVerdict:
         """Curves of the contours, and what the mesh says of them."""
         bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
-        of_curves = config.curves.model_copy(
-            update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)}
-        )
-        curves = fit(contours, of_curves.method, of_curves, part=self.part)
+        curves = fit_for_program(contours, config.curves, self.part, error_bound_mm=bound_mm)
         return judged(curves, contours, self.part, config)[0]
 
     def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:

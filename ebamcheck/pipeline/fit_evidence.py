@@ -21,7 +21,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.settings.config import Config
 
 WHY: Mapping[str, str] = {
-    "sagitta": "the mesh is no evidence for so much of a lift",
+    "sagitta": "the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
     "plane": "a planar facet would have moved",
     "crossing": "it crosses itself or another ring",
     "turned": "it encloses nothing, or runs the other way",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit, fit_deviation
+from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit_deviation, fit_for_program
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
@@ -18,7 +18,6 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import fit_evidence
 from ebamcheck.pipeline.fit_evidence import FitVerdict
 from ebamcheck.pipeline.work import Job
-from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 
 
@@ -59,9 +58,9 @@ def fitted(job: Job, layers: Layers, error_bound_mm: float) -> FitResult:
     What is found of the part's surface is to be kept meanwhile (:func:`~ebamcheck.curves.per_part.surface_kept`), and until
     the fits of the other methods are made.
     """
-    settings = _settings(job, error_bound_mm)
+    settings, told = job.config.curves, job.observer.advance
     with job.stage("fit", len(layers)):
-        curves = fit(layers, settings.method, settings, job.observer.advance, job.part)
+        curves = fit_for_program(layers, settings, job.part, "", error_bound_mm, told)
         curves.to_parquet(job.folder.path / "curves.parquet")
         verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)
         table.to_csv(job.folder.path / "fit.csv", index=False)
@@ -76,7 +75,7 @@ def beside_others(job: Job, layers: Layers, fit_result: FitResult, error_bound_m
     Nothing but the record and the report asks for them, so that they are worked out beside the program.
     """
     with job.beside("other fits"):
-        others = _other_fits(job, layers, _settings(job, error_bound_mm))
+        others = _other_fits(job, layers, error_bound_mm)
         figures = {name: _figures(other, fit_deviation(other, layers)) for name, other in others.items()}
     return replace(
         fit_result,
@@ -98,21 +97,16 @@ def held_against(job: Job, layers: Layers, fit_result: FitResult, fine: Part | N
     return replace(fit_result, verdict=verdict, of_methods={})
 
 
-def _settings(job: Job, error_bound_mm: float) -> CurveSettings:
-    """Settings of the fits: what a slicer's own error makes of a contour, a staircase of pixels say, is no shape."""
-    settings = job.config.curves
-    return settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
-
-
-def _other_fits(job: Job, layers: Layers, settings: CurveSettings) -> dict[str, Curves]:
+def _other_fits(job: Job, layers: Layers, error_bound_mm: float) -> dict[str, Curves]:
     """Curves by the methods that were not chosen, to be compared with those of the one that was."""
+    settings = job.config.curves
     others = [name for name in METHODS if name != settings.method]
     if "surface" in others and with_edges(layers, job.part, settings.near_point_mm) is None:
         others.remove("surface")
     found = {}
     for name in others:
         job.go_on()
-        found[name] = fit(layers, name, settings, part=job.part)
+        found[name] = fit_for_program(layers, settings, job.part, name, error_bound_mm)
     return found
 
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.curves import LIFTED, fit
+from ebamcheck.curves import LIFTED, fit_for_program
 from ebamcheck.curves.storage import table_of
 from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.json_values import plain
@@ -236,9 +236,8 @@ def _fitted(
     primary = str(manifest["primary"])
     settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
     bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
-    of_curves = config.curves.model_copy(update={"collinear_mm": max(config.curves.collinear_mm, bound_mm)})
     layers = run.read_layers(primary)
-    curves = fit(layers, of_curves.method, of_curves, part=part)
+    curves = fit_for_program(layers, config.curves, part, error_bound_mm=bound_mm)
     return judged(curves, layers, part, config)
 
 

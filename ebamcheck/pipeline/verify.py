@@ -10,7 +10,7 @@ from typing import Any
 
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.curves import LIFTED, Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
@@ -307,7 +307,7 @@ def verify_against_part(
     maker = str(read_certificate(paper).get("primary", "")) if paper else ""
     layers = slice_part(part, heights)
     witness = slice_part(part, heights, witness_backend(maker))
-    curves = fit(layers, config.curves.method, config.curves, part=part)
+    curves = fit_for_program(layers, config.curves, part)
     made = verify_file(
         program,
         config=config,

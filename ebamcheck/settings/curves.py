@@ -47,4 +47,5 @@ class CurveSettings(Section):
     there to tell the curve that it stands for. For `paper` and `chord` it is the limit of the fit's gate, too."""
     section_tolerance_mm: Annotated[float, Between(0.001, 100.0)] = 0.25
     """How far the contour path may leave the section of the mesh at any place, whatever the fit has evidence for: the largest
-    bulge of a run that the mesh can tell, and what fit and inset leave."""
+    bulge of a run that the mesh can tell, and what fit and inset leave. A ring of curves that would leave it farther stays
+    the polygon of its contour."""
