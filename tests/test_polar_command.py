@@ -19,7 +19,7 @@ from ebamcheck.pipeline import run_job
 from ebamcheck.settings.config import Config
 
 SIDES = 24
-RADIUS_MM = 30.0
+RADIUS_MM = 28.0
 
 
 def prism(sides: int) -> Part:
