@@ -68,13 +68,21 @@ def test_stops_let_a_new_spool_be_put_on(control, tmp_path):
 
 
 def test_a_motion_without_a_feed_never_ends(tmp_path):
-    text = ProgramText(SINUMERIK, tmp_path / "p", {"cathode_h": 1e6})
+    text = ProgramText(SINUMERIK, tmp_path / "p", {"cathode_h": 1e6, "spool_kg": 1e6})
     program = read_program(text.files.main, text.config)
-    (found,) = consumed(program, text.config)
-    assert found.ends_in is None
-    program.feed_mm_min[np.flatnonzero(program.beam)[3]] = np.nan
-    (found,) = consumed(program, text.config)
-    assert (found.ends_in, math.isinf(found.total)) == (0, True)
+    assert [found.ends_in for found in consumed(program, text.config)] == [None, None]
+    program.feed_mm_min[np.flatnonzero(program.beam)[3]] = 0.0
+    assert [(found.ends_in, math.isinf(found.total)) for found in consumed(program, text.config)] == [
+        (0, True)
+    ] * 2
+
+
+def test_a_motion_without_a_feed_uses_up_nothing_where_neither_beam_nor_wire_is_on(tmp_path):
+    text = ProgramText(SINUMERIK, tmp_path / "p", {"cathode_h": 1e6, "spool_kg": 1e6})
+    program = read_program(text.files.main, text.config)
+    row = np.flatnonzero(program.beam)[3]
+    program.feed_mm_min[row], program.beam[row], program.wire[row] = 0.0, False, False
+    assert [found.ends_in for found in consumed(program, text.config)] == [None, None]
 
 
 def test_the_preflight_weighs_the_part(tmp_path):

@@ -98,7 +98,11 @@ def consumed(nc: NCProgram, config: Config) -> list[Consumed]:
     if machine.spool_kg is not None:
         area_mm2 = math.pi * config.process.wire_diameter_mm**2 / 4.0
         kg_mm = area_mm2 * KG_MM3 * config.material.density_kg_m3
-        wire_kg = kg_mm * motion_seconds(nc, config) * np.where(nc.wire, np.nan_to_num(nc.wire_mm_s), 0.0)
+        feeds = nc.wire & (nc.wire_mm_s > 0.0)
+        # A motion that never ends, for it has no feed, uses up nothing where no wire runs.
+        wire_kg = (
+            kg_mm * np.where(feeds, motion_seconds(nc, config), 0.0) * np.where(feeds, nc.wire_mm_s, 0.0)
+        )
         none = np.zeros(max(len(nc.layer_files), 1))
         said = SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"
         found.append(_used(nc, config, wire_kg, none, machine.spool_kg, said))
