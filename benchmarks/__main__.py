@@ -16,7 +16,7 @@ from benchmarks.ladder import QUICK, Effort, measure_ladder
 from benchmarks.machine import machine, renderer
 from benchmarks.parts import SERIES, TOP, BenchmarkPart, benchmark_part, sizes_of
 from benchmarks.scale import measure_scale
-from benchmarks.target_tasks import measure_job, measure_targets
+from benchmarks.target_tasks import measure_gpu, measure_job, measure_targets
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
 
@@ -65,16 +65,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_reports(raw, file)
 
     measure_ladder(wanted, chosen, effort, _note, keep)
-    if not options.gpu and not options.no_targets:
+    if not options.no_targets:
         for series in dict.fromkeys(p.series for p in wanted):
             top = max((p for p in wanted if p.series == series), key=lambda p: p.size)
-            small = benchmark_part("even", min(parts.BASE_SIZE, top.size), top.layer_mm)
-            raw["targets"][series] = measure_targets(top, small, effort, _note)
+            raw["targets"][series] = _targets(top, effort, options.gpu)
             write_reports(raw, file)
-        raw["job"] = measure_job(effort, _note)
+        raw["job"] = {} if options.gpu else measure_job(effort, _note)
     write_reports(raw, file)
     _note(f"written: {output}")
     return 0
+
+
+def _targets(top: BenchmarkPart, effort: Effort, gpu: bool) -> dict[str, list[dict[str, Any]]]:
+    """Measure what the ladder does not, on the top part of a series."""
+    if gpu:
+        return measure_gpu(top, effort, _note)
+    small = benchmark_part("even", min(parts.BASE_SIZE, top.size), top.layer_mm)
+    return measure_targets(top, small, effort, _note)
 
 
 def write_reports(raw: dict[str, Any], file: Path) -> None:
@@ -84,8 +91,8 @@ def write_reports(raw: dict[str, Any], file: Path) -> None:
     prefix = f"{file.stem}-" if gpu else ""
     if raw["parts"]:
         _write(folder / f"{prefix}ladder.md", tables.ladder_text(raw))
-    if (any(raw["targets"].values()) or raw["scale"] or raw.get("job")) and not gpu:
-        _write(folder / "targets.md", tables.targets_text(raw))
+    if any(raw["targets"].values()) or raw["scale"] or raw.get("job"):
+        _write(folder / f"{prefix}targets.md", tables.targets_text(raw, gpu))
     if raw["cells"]:
         _write(folder / f"{prefix}readme_table.md", tables.readme_text(raw))
     for series in dict.fromkeys(part["series"] for part in raw["parts"].values()):

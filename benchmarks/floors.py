@@ -139,8 +139,8 @@ def _facets(figures: Figures) -> float:
 
 
 def _layers(figures: Figures) -> int | None:
-    cell = find(figures.cells, f"{figures.series}-{figures.top}", "planecut")
-    return layers_cut(cell)[1] if cell and cell["runs"] else None
+    cells = (find(figures.cells, f"{figures.series}-{figures.top}", name) for name in ("planecut", "stencil"))
+    return next((layers_cut(cell)[1] for cell in cells if cell and cell["runs"]), None)
 
 
 def _points_s(figures: Figures) -> float | None:
@@ -168,6 +168,12 @@ def _literal_s(figures: Figures) -> float | None:
     """Every facet, read for every layer."""
     part_s, layers = _part_s(figures), _layers(figures)
     return None if part_s is None or layers is None else part_s * layers
+
+
+def _drawn_once_s(figures: Figures) -> float | None:
+    """The file read and the layers written, once."""
+    output = _output_bytes(figures, "stencil")
+    return None if output is None else _touched_s(figures, _file_bytes(figures) + output)
 
 
 def _bits_s(figures: Figures) -> float | None:
@@ -239,6 +245,8 @@ FLOORS: Mapping[str, Floor] = {
     "pixels-literal": _lattice_px,
     "pixels-exact": _lattice_px,
     "literal": _literal_s,
+    "gpu-once": _drawn_once_s,
+    "gpu-literal": lambda figures: _told(figures, "drawing", lambda answer: answer["device_s"]),
     "manifold": _one,
     "embree": _casts_s("casts_s"),
     "embree-vertical": _casts_s("vertical_casts_s"),

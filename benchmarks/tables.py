@@ -81,11 +81,11 @@ def ladder_text(raw: Raw) -> str:
     return "\n".join(lines)
 
 
-def targets_text(raw: Raw) -> str:
-    """Table of all targets on each series."""
+def targets_text(raw: Raw, gpu: bool = False) -> str:
+    """Table of all targets on each series; those of the stencil on a GPU by themselves."""
     remarks = tomllib.loads(REMARKS.read_text(encoding="utf-8"))
     results = {
-        series: evaluate(_figures(raw, series)) for series in _series(raw) if raw["targets"].get(series)
+        series: evaluate(_figures(raw, series), gpu) for series in _series(raw) if raw["targets"].get(series)
     }
     cores = raw["machine"]["cores"]
     columns = ["what", "target"]

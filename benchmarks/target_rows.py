@@ -23,9 +23,9 @@ PROPORTION = 1.5
 """The union of a layer may cost so much more where many layers need one than where few do."""
 
 
-def evaluate(figures: Figures) -> list[Result]:
-    """Hold the figures of a series against all targets."""
-    return [judged(target, figures, floor_of(target.key, figures)) for target in TARGETS]
+def evaluate(figures: Figures, gpu: bool = False) -> list[Result]:
+    """Hold the figures of a series against all targets, or against those of the stencil on a GPU."""
+    return [judged(target, figures, floor_of(target.key, figures)) for target in (GPU if gpu else TARGETS)]
 
 
 def job_results(answers: Mapping[str, Sequence[Raw]], cores: int | None = None) -> list[Result]:
@@ -179,6 +179,19 @@ TARGETS: tuple[Target, ...] = (
         "cross-check-memory", "its peak memory, all processes", 8000.0, "MB",
         lambda f: f.told("cross-check", lambda a: a["peak_mb"]), "cross-check",
     ),
+)  # fmt: skip
+
+
+GPU = (
+    Target(
+        "gpu-once", "stencil draw-once, 0.1 mm pixels, all layers, file to contours", 1.0, "s",
+        lambda f: f.times("stencil", ("load_s", *SLICE)),
+    ),
+    Target(
+        "gpu-literal", "stencil literal, the paper's way, 0.1 mm pixels, all layers, file to contours", 5.0, "s",
+        lambda f: f.times(methods.LITERAL, ("load_s", *SLICE)),
+    ),
+    *(target for target in TARGETS if target.task == "bitmaps"),
 )  # fmt: skip
 
 

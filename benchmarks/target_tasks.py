@@ -44,6 +44,16 @@ def measure_targets(
     return in_turns(_tasks(part, small, effort), f"targets, {part.key}", note)
 
 
+def measure_gpu(part: BenchmarkPart, effort: Effort, note: Note) -> dict[str, list[Raw]]:
+    """Measure the stencil on the top part of a series: bitmaps, and the device's own time of the literal draws."""
+    request = {"stl": str(part.path), "layer_mm": part.layer_mm}
+    tasks = [
+        Task("bitmaps", partial(run_task, "bitmaps", request, COMMAND_LIMIT_S), effort.repeats),
+        Task("drawing", partial(run_task, "drawing", request, COMMAND_LIMIT_S), effort.repeats),
+    ]
+    return in_turns(tasks, f"targets, {part.key}", note)
+
+
 def measure_job(effort: Effort, note: Note) -> dict[str, list[Raw]]:
     """Time the main job, its planning where layers are many, and what a new install waits for."""
     first = [Task(name, partial(_first_use, name), 1) for name in COMMANDS]

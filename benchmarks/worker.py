@@ -23,6 +23,7 @@ TASKS = {
     "latency": "benchmarks.latency:latency",
     "bitmaps": "benchmarks.bitmaps:bitmaps",
     "crossings": "benchmarks.crossings:crossings",
+    "drawing": "benchmarks.drawing:drawing",
 }
 
 

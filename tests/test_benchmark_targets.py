@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from benchmark_figures import one_round, raw_figures
+from benchmark_figures import cell, one_round, raw_figures
 
 from benchmarks import tables, target_rows
 from benchmarks.floors import FLOORS
@@ -78,7 +78,7 @@ def test_without_the_bandwidth_no_floor_of_bytes_is_told():
 
 
 def test_every_floor_belongs_to_a_target():
-    every = (*target_rows.TARGETS, *target_rows.JOB, *target_rows.SCALE)
+    every = (*target_rows.TARGETS, *target_rows.GPU, *target_rows.JOB, *target_rows.SCALE)
     assert set(FLOORS) <= {target.key for target in every}
 
 
@@ -120,6 +120,22 @@ def test_pixels_are_held_beside_what_the_lattice_of_rasterisers_leaves():
     assert told["pixels-exact"].floor == told["pixels-literal"].floor == 7
 
 
+def test_a_gpu_has_targets_of_its_own():
+    raw = raw_figures()
+    cells = [cell("ladder-11", "stencil", 0.5, points=1_000_000), cell("ladder-11", "stencil literal", 10.0)]
+    tasks = {"drawing": [{"status": "done", "why": "", "device_s": 6.5}]}
+    figures = Figures(cells, tasks, raw["parts"], "ladder", 11, copy_bytes_s=1e9)
+    told = {result.target.key: result for result in target_rows.evaluate(figures, gpu=True)}
+    assert told["gpu-once"].met
+    assert told["gpu-once"].floor == pytest.approx((50 * 1_480_000 + 16_000_000) / 1e9)
+    assert told["gpu-literal"].met is False
+    assert told["gpu-literal"].floor == 6.5
+    assert told["bitmaps"].verdict == "not measured (not measured)"
+    assert "stencil literal" in tables.targets_text(
+        {**raw, "cells": cells, "targets": {"ladder": tasks}}, gpu=True
+    )
+
+
 def test_one_failed_turn_spoils_a_task():
     done = {"status": "done", "why": "", "wall_s": 1.0}
     assert results(cold=[done, done])["cold"].met
@@ -129,6 +145,8 @@ def test_one_failed_turn_spoils_a_task():
 def test_every_remark_belongs_to_a_target():
     import tomllib
 
-    keys = {t.key for t in (*target_rows.TARGETS, *target_rows.JOB, *target_rows.SCALE)}
-    assert len(keys) == len(target_rows.TARGETS) + len(target_rows.JOB) + len(target_rows.SCALE)
+    alone = [target for target in target_rows.GPU if target not in target_rows.TARGETS]
+    every = (*target_rows.TARGETS, *alone, *target_rows.JOB, *target_rows.SCALE)
+    keys = {target.key for target in every}
+    assert len(keys) == len(every)
     assert set(tomllib.loads(tables.REMARKS.read_text(encoding="utf-8"))) <= keys

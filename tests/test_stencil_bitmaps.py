@@ -11,6 +11,7 @@ from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck_models import LADDER
 from ebamcheck_stencil import Stencil
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView, field_of_view
+from ebamcheck_stencil.slicer import CLIP_MOVE_PX, FLOAT32_STEP
 
 PROBE = Stencil().probe()
 pytestmark = [pytest.mark.gl, pytest.mark.skipif(not PROBE.available, reason=f"stencil: {PROBE.why}")]
@@ -62,6 +63,12 @@ def exact_image(segments, view: FieldOfView):
     return changes.cumsum(axis=1) > 0
 
 
+def farthest_px(wrong, contour, view: FieldOfView) -> float:
+    """Greatest distance of the centre of a wrong pixel from the contour, in pixels."""
+    centres = shapely.points(view.to_mm(2 * np.argwhere(wrong)[:, ::-1]))
+    return float(shapely.distance(centres, contour).max(initial=0.0)) / view.pixel_mm
+
+
 def heights(part: Part, count: int):
     low, high = part.bounds[:, 2]
     return low + (high - low) * (np.arange(count) + 0.371) / count
@@ -81,12 +88,12 @@ def test_few_pixels_differ_and_only_within_a_lattice_step_of_the_contour(name):
             segments = section(part, height)
             exact, drawn = exact_image(segments, view), once.bitmap(height)
             assert exact.any()
-            assert np.count_nonzero(drawn != literal.bitmap(height)) <= MOST_DIFFERING
-            differing = np.argwhere(drawn != exact)
-            assert len(differing) <= MOST_DIFFERING
-            centres = shapely.points(view.to_mm(2 * differing[:, ::-1]))
             contour = shapely.MultiLineString(segments.reshape(-1, 2, 2).tolist())
-            assert (shapely.distance(centres, contour) <= pixel / SUBPIXELS).all()
+            assert np.count_nonzero(drawn != exact) <= MOST_DIFFERING
+            assert farthest_px(drawn != exact, contour, view) <= 1.0 / SUBPIXELS
+            # How many pixels clipping moves a contour over is the driver's, how far is bounded.
+            clipped_px = CLIP_MOVE_PX + 4.0 * FLOAT32_STEP * view.viewport_px
+            assert farthest_px(literal.bitmap(height) != exact, contour, view) <= clipped_px
 
 
 def test_the_bitmap_is_what_the_contours_are_drawn_around():

@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.backend import Progress
-from ebamcheck.layers.stack import Layers, canonical, concatenate
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.contours import Rings, contoured
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView
 from ebamcheck_stencil.marching_squares import contours_of_layers
-
-Walked = tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.int64]]
-"""Of a block of layers: points in mm, number of points of each ring, and number of rings of each layer."""
 
 LAYERS_AT_ONCE = 256
 """Layers between two reports of progress; also bounds the memory of contours in work."""
@@ -49,13 +46,10 @@ class DrawnOnce:
         for first in range(0, max(1, heights.size), LAYERS_AT_ONCE):
             last = min(first + LAYERS_AT_ONCE, heights.size)
 
-            def walk(start: int, stop: int, first: int = first) -> Walked:
-                points, ring_starts, ring_counts = contours_of_layers(
-                    bitmap, flips, first, first + start, first + stop, row_words
-                )
-                return self._view.to_mm(points), np.diff(ring_starts), ring_counts
+            def rings_between(start: int, stop: int, first: int = first) -> Rings:
+                return contours_of_layers(bitmap, flips, first, first + start, first + stop, row_words)
 
-            blocks.append(self._layers(heights[first:last], run_blocks(walk, last - first)))
+            blocks.append(contoured(heights[first:last], rings_between, self._view, self._labels))
             flip(bitmap, flips.pixels[flips.starts[first] : flips.starts[last]])
             if progress is not None:
                 progress(last - first)
@@ -66,15 +60,3 @@ class DrawnOnce:
         bitmap = empty_bitmap(self._view)
         flip(bitmap, flips_by_layer(self._crossings, np.array([height_mm])).pixels)
         return as_image(bitmap, self._view)
-
-    def _layers(self, heights: NDArray[np.float64], walked: list[Walked]) -> Layers:
-        """Join the points, ring sizes and ring counts from threads into canonical layers."""
-        points, ring_sizes, ring_counts = (np.concatenate(column) for column in zip(*walked, strict=True))
-        return canonical(
-            heights,
-            points,
-            np.concatenate([[0], np.cumsum(ring_sizes)]),
-            np.concatenate([[0], np.cumsum(ring_counts)]),
-            np.ones(len(ring_sizes), np.bool_),
-            **self._labels,
-        )

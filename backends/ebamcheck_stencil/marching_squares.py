@@ -62,16 +62,48 @@ def contours_of_layers(
     ring_counts = np.zeros(stop - start, np.int64)
     for layer in range(start, stop):
         flip(bitmap, flips.pixels[flips.starts[layer] : flips.starts[layer + 1]])
-        _mark_edges(bitmap, edges)
-        for word in range(edges.size):
-            while edges[word] != 0:
-                size, points = _walk(bitmap, edges, word, row_words, points, ring_ends[rings - 1])
-                if rings == ring_ends.size:
-                    ring_ends = np.concatenate((ring_ends, np.zeros_like(ring_ends)))
-                ring_ends[rings] = size
-                rings += 1
-                ring_counts[layer - start] += 1
+        before = rings
+        points, ring_ends, rings = _add_rings(bitmap, edges, row_words, points, ring_ends, rings)
+        ring_counts[layer - start] = rings - before
     return points[: ring_ends[rings - 1]].copy(), ring_ends[:rings].copy(), ring_counts
+
+
+@kernel
+def contours_of_bitmaps(
+    bitmaps: NDArray[np.uint64], row_words: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    """Contours of bitmaps (layers, words), as :func:`contours_of_layers` gives them."""
+    edges = np.empty(bitmaps.shape[1], np.uint64)
+    points = np.empty((FIRST_POINTS, 2), np.int32)
+    ring_ends = np.zeros(FIRST_RINGS, np.int64)
+    rings = 1
+    ring_counts = np.zeros(len(bitmaps), np.int64)
+    for layer in range(len(bitmaps)):
+        before = rings
+        points, ring_ends, rings = _add_rings(bitmaps[layer], edges, row_words, points, ring_ends, rings)
+        ring_counts[layer] = rings - before
+    return points[: ring_ends[rings - 1]].copy(), ring_ends[:rings].copy(), ring_counts
+
+
+@kernel
+def _add_rings(
+    bitmap: Words,
+    edges: Words,
+    row_words: int,
+    points: NDArray[np.int32],
+    ring_ends: NDArray[np.int64],
+    rings: int,
+) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
+    """Append the rings of a bitmap to the columns, which may grow; `edges` is room for its marks."""
+    _mark_edges(bitmap, edges)
+    for word in range(edges.size):
+        while edges[word] != 0:
+            size, points = _walk(bitmap, edges, word, row_words, points, ring_ends[rings - 1])
+            if rings == ring_ends.size:
+                ring_ends = np.concatenate((ring_ends, np.zeros_like(ring_ends)))
+            ring_ends[rings] = size
+            rings += 1
+    return points, ring_ends, rings
 
 
 @kernel

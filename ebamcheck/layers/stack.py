@@ -16,6 +16,7 @@ from ebamcheck.layers import canonical_form
 from ebamcheck.layers import items as stack_items
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric import rings
+from ebamcheck.numeric.columns import joined
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
@@ -371,14 +372,13 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
     """Join consecutive blocks of one slicer into one stack; labels are those of the first block."""
     if not blocks:
         raise SettingsError("no layers to join: give at least one block")
-    first = blocks[0]
     ring_base = np.cumsum([0] + [b.closed.size for b in blocks])
     point_base = np.cumsum([0] + [len(b.points) for b in blocks])
     with_edges = all(b.edge is not None and b.edge_t is not None for b in blocks)
     return replace(
-        first,
+        blocks[0],
         heights=np.concatenate([b.heights for b in blocks]),
-        points=np.concatenate([b.points for b in blocks]),
+        points=joined([b.points for b in blocks]),
         ring_starts=np.concatenate(
             [[0], *(b.ring_starts[1:] + p for b, p in zip(blocks, point_base[:-1], strict=True))]
         ).astype(np.int64),
@@ -386,8 +386,8 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
             [[0], *(b.layer_starts[1:] + r for b, r in zip(blocks, ring_base[:-1], strict=True))]
         ).astype(np.int64),
         closed=np.concatenate([b.closed for b in blocks]),
-        edge=np.concatenate([b.edge for b in blocks if b.edge is not None]) if with_edges else None,
-        edge_t=np.concatenate([b.edge_t for b in blocks if b.edge_t is not None]) if with_edges else None,
+        edge=joined([b.edge for b in blocks if b.edge is not None]) if with_edges else None,
+        edge_t=joined([b.edge_t for b in blocks if b.edge_t is not None]) if with_edges else None,
         dropped=np.concatenate([b.dropped for b in blocks]),
     )
 
