@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from skimage.measure import find_contours
 from stencil_cuts import cut
-from stencil_parts import box
+from stencil_parts import box, joined, torus, turned
 
 from ebamcheck.backend import Slicer
 from ebamcheck.errors import BackendMissing
@@ -22,7 +22,7 @@ from ebamcheck_stencil.bitmaps import Flips, as_image, empty_bitmap, flip, flips
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.field_of_view import MARGIN_PX, FieldOfView, field_of_view
 from ebamcheck_stencil.marching_squares import contours_of_layers
-from ebamcheck_stencil.openings import border, capped
+from ebamcheck_stencil.openings import border, capped, is_closed
 from ebamcheck_stencil.slicer import inside_rule
 
 # -- what it says about itself -------------------------------------------------------------------------
@@ -142,3 +142,18 @@ def test_the_border_of_an_opening():
     assert len(border(whole.faces)) == 0
     assert whole.volume == pytest.approx(1.0)
     assert np.array_equal(whole.bounds, from_arrays(vertices, faces).bounds)
+
+
+def test_a_surface_is_closed_where_it_has_no_border():
+    rng = np.random.default_rng(3)
+    _, faces = joined(box(), turned(torus(9, 3), (1, 2, 3), 0.9))
+    assert is_closed(faces)
+    assert is_closed(faces[:0])
+    assert is_closed(np.vstack([faces, [(0, 1, 1)]]))  # a facet without area
+    for facet in rng.choice(len(faces), 20, replace=False):
+        assert not is_closed(np.delete(faces, facet, axis=0))
+        flipped = faces.copy()
+        flipped[facet] = flipped[facet, ::-1]
+        assert not is_closed(flipped)
+        doubled = np.vstack([faces, faces[[facet]]])
+        assert is_closed(doubled) is (len(border(doubled)) == 0) is False

@@ -80,8 +80,13 @@ class FieldOfView:
 
     def to_mm(self, half_pixels: NDArray[np.integer | np.floating]) -> NDArray[np.float64]:
         """Build coordinates (N, 2) of points in half pixels from the centre of pixel (0, 0)."""
-        shift = 0.5 - MARGIN_PX - np.array(GRID_SHIFT_PX)
-        return np.array(self.low_mm) + (0.5 * half_pixels + shift) * self.pixel_mm
+        low_mm, shift_px, pixel_mm = self.affine
+        return low_mm + (0.5 * half_pixels + shift_px) * pixel_mm
+
+    @property
+    def affine(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+        """Low corner (2,) in mm, where it lies from the centre of pixel (0, 0) in pixels (2,), negative, and the pixel's side."""
+        return np.array(self.low_mm), 0.5 - MARGIN_PX - np.array(GRID_SHIFT_PX), self.pixel_mm
 
 
 def automatic_pixel_mm(part: Part) -> float:

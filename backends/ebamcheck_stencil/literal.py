@@ -38,11 +38,14 @@ DEPTH_SLACK = 1.0 / 64.0
 """Height of the far plane above the part, over the part's height: nothing may be clipped there."""
 
 LAYERS_AT_ONCE = 16
-BYTES_AT_ONCE = 2**25
+BYTES_AT_ONCE = 2**24
 """Most layers, and about the most bytes of bitmaps, that are drawn before they are read back."""
 
+DRAWS_A_BLOCK = 8
+"""Readings whose contours are followed together: few layers are not worth all threads."""
+
 BLOCKS_AT_WORK = 2
-"""Blocks of bitmaps that are drawn, read or followed at a time."""
+"""Blocks of bitmaps that are drawn or followed at a time."""
 
 BELOW_SLACK = 2.0**-22
 """Depth below the near plane, over the part's height, at which float32 may still put a facet on it."""
@@ -144,18 +147,21 @@ class LiteralSlices:
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), one draw of the whole part for each."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        room = np.empty((BLOCKS_AT_WORK, self._at_once, self._bitmap_words), np.uint64)
+        size = min(DRAWS_A_BLOCK * self._at_once, max(1, heights.size))
+        room = np.empty((BLOCKS_AT_WORK, size, self._bitmap_words), np.uint64)
         blocks: list[Future[Layers]] = []
         with ThreadPoolExecutor(1) as pool:
-            for first in range(0, max(1, heights.size), self._at_once):
-                chosen = heights[first : first + self._at_once]
+            for first in range(0, max(1, heights.size), size):
                 if len(blocks) >= BLOCKS_AT_WORK:
                     blocks[-BLOCKS_AT_WORK].result()
+                chosen = heights[first : first + size]
                 bitmaps = room[len(blocks) % BLOCKS_AT_WORK, : chosen.size]
-                self._draw(chosen, bitmaps)
+                for start in range(0, chosen.size, self._at_once):
+                    drawn = slice(start, start + self._at_once)
+                    self._draw(chosen[drawn], bitmaps[drawn])
+                    if progress is not None:
+                        progress(chosen[drawn].size)
                 blocks.append(pool.submit(self._layers, chosen, bitmaps))
-                if progress is not None:
-                    progress(chosen.size)
             return concatenate([block.result() for block in blocks])
 
     def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
@@ -210,6 +216,7 @@ class _StencilTarget:
         self._gl = gl
         self._context = context
         self._view = view
+        self._window: Window | None = None
         width, height = max(w.width for w in drawn), max(w.height for w in drawn)
         self._pack = context.compute_shader(PACKING_SHADER)
         self._row_words = view.stride_px // PACKED_BITS
@@ -237,6 +244,7 @@ class _StencilTarget:
     def begin(self, bitmaps: moderngl.Buffer) -> None:
         """Set the paper's counting, and where bitmaps go."""
         gl = self._gl
+        self._window = None
         bitmaps.bind_to_storage_buffer(0)
         gl.glActiveTexture(gl.GL_TEXTURE0)
         gl.glBindTexture(gl.GL_TEXTURE_2D, self._counts)
@@ -255,12 +263,14 @@ class _StencilTarget:
         """Draw the first facets over a window and pack its solid pixels into the bitmap of a layer of the block."""
         gl = self._gl
         side = self._view.viewport_px
-        # The viewport holds the whole field, lest a facet be clipped at a window's border.
-        gl.glViewport(-window.x, -window.y, side, side)
+        if window != self._window:
+            # The viewport holds the whole field, lest a facet be clipped at a window's border.
+            gl.glViewport(-window.x, -window.y, side, side)
+            self._pack["corner"] = (window.x, window.y)
+            self._pack["size"] = (window.width, window.height)
+            self._window = window
         gl.glClear(gl.GL_STENCIL_BUFFER_BIT)
         facets.render(vertices=3 * count)
-        self._pack["corner"] = (window.x, window.y)
-        self._pack["size"] = (window.width, window.height)
         self._pack["first_word"] = layer * self._view.height_px * self._row_words
         columns = self._row_words - window.x // PACKED_BITS
         self._pack.run(-(-columns // PACKING_SIDE), -(-window.height // PACKING_SIDE))

@@ -18,6 +18,9 @@ FIRST_POINTS = 4096
 FIRST_RINGS = 64
 """Initial sizes of the output columns; they double as needed."""
 
+POINTS_PER_EDGE = 3
+"""Most points of contours for each pair of neighbours in a row of which one is solid: itself, and both ends of a run along x after it."""
+
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 # Steps and right-hand sides of the four directions of travel +x, +y, -x, -y.
@@ -95,10 +98,15 @@ def _add_rings(
     rings: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
     """Append the rings of a bitmap to the columns, which may grow; `edges` is room for its marks."""
-    _mark_edges(bitmap, edges)
+    size = ring_ends[rings - 1]
+    most = size + POINTS_PER_EDGE * _mark_edges(bitmap, edges)
+    if most > len(points):
+        grown = np.empty((max(most, 2 * len(points)), 2), np.int32)
+        grown[:size] = points[:size]
+        points = grown
     for word in range(edges.size):
         while edges[word] != 0:
-            size, points = _walk(bitmap, edges, word, row_words, points, ring_ends[rings - 1])
+            size = _walk(bitmap, edges, word, row_words, points, size)
             if rings == ring_ends.size:
                 ring_ends = np.concatenate((ring_ends, np.zeros_like(ring_ends)))
             ring_ends[rings] = size
@@ -107,12 +115,18 @@ def _add_rings(
 
 
 @kernel
-def _mark_edges(bitmap: Words, edges: Words) -> None:
-    """Mark each pixel that differs from its right neighbour; the margin keeps rows apart."""
-    last = bitmap.size - 1
-    for i in range(last):
-        edges[i] = bitmap[i] ^ ((bitmap[i] >> _ONE) | (bitmap[i + 1] << np.uint64(63)))
-    edges[last] = bitmap[last] ^ (bitmap[last] >> _ONE)
+def _mark_edges(bitmap: Words, edges: Words) -> int:
+    """Mark each pixel that differs from its right neighbour, and count them; the margin keeps rows apart."""
+    count = 0
+    following = np.uint64(0)
+    for i in range(bitmap.size - 1, -1, -1):
+        marks = bitmap[i] ^ ((bitmap[i] >> _ONE) | (following << np.uint64(63)))
+        following = bitmap[i]
+        edges[i] = marks
+        while marks != 0:
+            marks &= marks - _ONE
+            count += 1
+    return count
 
 
 @kernel
@@ -135,11 +149,8 @@ def _lowest_bit(word: np.uint64) -> int:
 @kernel
 def _walk(
     bitmap: Words, edges: Words, word: int, row_words: int, points: NDArray[np.int32], size: int
-) -> tuple[int, NDArray[np.int32]]:
-    """Walk the ring through the first marked edge of a word, clear its marks and append its corners.
-
-    Returns the new number of points and their column, which may have grown.
-    """
+) -> int:
+    """Walk the ring through the first marked edge of a word, clear its marks and append its corners; the new size."""
     y = word // row_words
     x = (word - y * row_words) * 64 + _lowest_bit(edges[word])
     direction = 1
@@ -172,20 +183,12 @@ def _walk(
         if heading < 0:
             first_heading = new_heading
         elif new_heading != heading:
-            size, points = _append(points, size, point_x, point_y)
+            points[size, 0], points[size, 1] = point_x, point_y
+            size += 1
         heading = new_heading
         if x == first_x and y == first_y and direction == first_direction:
             break
     if heading != first_heading:
-        size, points = _append(points, size, 2 * x + _RIGHT_X[direction], 2 * y + _RIGHT_Y[direction])
-    return size, points
-
-
-@kernel
-def _append(points: NDArray[np.int32], size: int, x: int, y: int) -> tuple[int, NDArray[np.int32]]:
-    """Append a point, doubling the column where it is full."""
-    if size == len(points):
-        points = np.concatenate((points, np.empty_like(points)))
-    points[size, 0] = x
-    points[size, 1] = y
-    return size + 1, points
+        points[size, 0], points[size, 1] = 2 * x + _RIGHT_X[direction], 2 * y + _RIGHT_Y[direction]
+        size += 1
+    return size

@@ -153,8 +153,10 @@ class Stencil:
 
 def _warn_of_openings(part: Part) -> None:
     """Warn that the literal mode counts wrong where a ray passes a hole: like the paper's method it caps none."""
-    from ebamcheck_stencil.openings import border
+    from ebamcheck_stencil.openings import border, is_closed
 
+    if is_closed(part.faces):
+        return
     edges = len(
         border(np.unique(part.vertices + 0.0, axis=0, return_inverse=True)[1].reshape(-1)[part.faces])
     )
