@@ -27,7 +27,7 @@ SIDE_PX, MARGIN_PX = 1024, 6
 """Side of the images, and what the field of view leaves free of it around a part."""
 
 JUDGED_LAYERS = 48
-"""Layers whose bitmaps are compared: the literal mode draws every facet for each of them."""
+"""Layers whose bitmaps are compared: the literal mode draws the part for each of them."""
 
 ROUNDS = 3
 

@@ -165,9 +165,9 @@ def _turned_layer_s(figures: Figures) -> float | None:
 
 
 def _literal_s(figures: Figures) -> float | None:
-    """Every facet, read for every layer."""
+    """The facets above a layer, half of them on the average, read for every layer."""
     part_s, layers = _part_s(figures), _layers(figures)
-    return None if part_s is None or layers is None else part_s * layers
+    return None if part_s is None or layers is None else 0.5 * part_s * layers
 
 
 def _drawn_once_s(figures: Figures) -> float | None:

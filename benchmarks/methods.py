@@ -75,6 +75,6 @@ def gpu_methods() -> list[Method]:
 
 
 def literal() -> Method:
-    """Return the paper's own method: every facet is drawn for each layer."""
+    """Return the paper's own method: all facets above a layer are drawn for it."""
     settings = {"mode": "literal", "pixel_mm": PAPERS_PIXEL_MM}
     return Method(LITERAL, backend="stencil", settings=settings, by_layer=True)

@@ -63,7 +63,7 @@ def test_a_floor_is_the_bytes_that_must_be_touched_over_the_bandwidth():
     assert floors["growth"] == 1.0
     assert floors["planecut-manifold"] is None  # the library by itself was not measured
     assert floors["layer"] == pytest.approx(16 * 8_000_000 / 1e9 / 100)
-    assert floors["literal"] == pytest.approx(100 * 24 * 1_480_000 / 1e9)
+    assert floors["literal"] == pytest.approx(0.5 * 100 * 24 * 1_480_000 / 1e9)
     assert floors["bitmaps"] is None  # their size was not measured
     shown = {result.target.key: result.floor_text for result in told}
     assert shown["planecut-seconds"] == "202 ms"

@@ -1,7 +1,7 @@
-"""The paper's form: for every layer, draw every facet into a stencil buffer and keep which pixels are solid.
+"""The paper's form: for every layer, draw the facets above it into a stencil buffer and keep which pixels are solid.
 
 As in section 2.2 of the paper, the projection puts the near plane at the slice height, which clips what lies
-below; facets that lie below it as a whole are not sent. A ray upwards adds 1 to the stencil at a facet that faces forward (normal up) and subtracts 1 at one
+below; facets that are below it as a whole are not sent. A ray upwards adds 1 to the stencil at a facet that faces forward (normal up) and subtracts 1 at one
 that faces backward, in wrapping 8-bit arithmetic; pixels that end at 1 or 2 are solid. A compute shader packs them
 into bitmaps, a bit each, so that little is read back; contours of one block of layers are followed while the next is
 drawn. The stencil buffer is OpenGL's own, used through PyOpenGL on the context that moderngl opened, because moderngl

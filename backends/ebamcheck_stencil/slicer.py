@@ -40,7 +40,7 @@ class Settings(BackendSettings):
     """Side of a pixel; None: 0.1 mm or 1/1024 of the larger side of the part, whichever is finer, but at
     least 1/4096 of it."""
     mode: Literal["draw-once", "literal"] = "draw-once"
-    """One draw for all layers, or the paper's one draw of every facet for each layer."""
+    """One draw for all layers, or the paper's one draw for each layer, of all facets above it."""
     buffer_mb: Annotated[float, Between(1e-4, 1e5)] = 512.0
     """Limit of the buffer of fragments, as far as the driver has as large a one; the field of view is
     drawn in parts where it does not suffice. Resolving a part takes up to five times as much of the processor's

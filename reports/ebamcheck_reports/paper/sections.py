@@ -99,7 +99,7 @@ def _how_timed(record: Record, sizes: Sequence[Record]) -> Markup:
                 numbers=("preparing", "slicing what was measured"),
             ),
             paragraph(
-                "“stencil, literal” is the paper's method: every facet is drawn for each layer, at 0.1 mm a pixel. It is always measured on "
+                "“stencil, literal” is the paper's method: for each layer all facets above it are drawn, at 0.1 mm a pixel. It is always measured on "
                 "a sample of layers, evenly spread. One run each after a warm-up, the better of two where it took "
                 f"less than {REPEAT_UNDER_S:g} s."
             ),
