@@ -13,7 +13,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 3 --dist loadfile --max-worker-restart 0
 
-.PHONY: help setup demo test test-slow test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -38,20 +38,27 @@ demo: $(VENV)/runs ## Slice, cross-check, fit, partition and program the demo pa
 	@$(BIN)/ebamcheck run demo/blade.stl --reference demo/blade-fine.stl -o demo/run
 	@echo "Open demo/run/report.html"
 
-test: setup lint types ## Lint, types, import contracts, doctests and all quick tests
+test: setup lint ## Lint, types, import contracts, doctests and all quick tests
 	@$(BIN)/ebamcheck warm
-	@$(PYTEST) -m "not slow" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports benchmarks tests
+	@$(MAKE) --no-print-directory -j2 types test-quick
+
+test-quick: setup
+	@$(PYTEST) -m "not slow and not long" --doctest-modules ebamcheck backends reference_models reports/ebamcheck_reports benchmarks tests
 
 test-slow: setup ## The tests that take longer
 	@$(BIN)/ebamcheck warm
-	@$(PYTEST) -m slow tests
+	@$(PYTEST) -m "slow and not long" tests
+
+test-long: setup ## The tests that take minutes
+	@$(BIN)/ebamcheck warm
+	@$(PYTEST) -m long tests
 
 test-bounds: export NUMBA_BOUNDSCHECK := 1
 test-bounds: export NUMBA_CACHE_DIR := $(CURDIR)/build/checked-kernels
 test-bounds: setup ## The quick tests, and all cases of those in turn, with kernels that check every index: without, a wrong one reads or writes anywhere
 	@mkdir -p $(NUMBA_CACHE_DIR)
 	@$(BIN)/ebamcheck warm
-	@$(PYTEST) -m "not slow or in_turn" tests
+	@$(PYTEST) -m "(not slow or in_turn) and not long" tests
 
 lint: setup
 	@$(BIN)/ruff check .

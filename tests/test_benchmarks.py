@@ -289,7 +289,7 @@ def test_one_command_measures_and_writes_figures_tables_and_a_plot(
     assert "turn 1" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tables_of_the_curves_name_every_kind_and_method(tmp_path: Path) -> None:
     curves.main(["--quick", "-o", str(tmp_path)])
     record = json.loads((tmp_path / "curves.json").read_text())

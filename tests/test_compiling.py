@@ -133,6 +133,7 @@ def test_what_a_slicer_compiles_is_told_and_is_no_time_of_the_slicer(package, tm
     assert second.compile_s == 0.0
 
 
+@pytest.mark.slow
 def test_without_a_terminal_there_is_a_line_now_and_then(capsys, monkeypatch):
     clock = iter(range(1000))
     monkeypatch.setattr(progress.time, "monotonic", lambda: 0.1 * next(clock))

@@ -87,7 +87,7 @@ def test_exact_slicers_cut_every_model(name):
     assert conform(name, chosen).violations == []
 
 
-@pytest.mark.in_turn(2)
+@pytest.mark.in_turn(4)
 @pytest.mark.parametrize("name", FAULTS)
 def test_every_broken_slicer_is_found(name):
     fault = FAULTS[name]
@@ -118,6 +118,7 @@ LAW_BREAKERS = {
 }
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("law", LAW_BREAKERS)
 def test_every_law_finds_a_broken_slicer(law):
     subject = Subject(FAULTS[LAW_BREAKERS[law]].slicer, models=models(["torus"]))

@@ -24,6 +24,7 @@ class TestSinumerikBspline(ControlSuite):
     machine: ClassVar = {"curve_form": "bspline"}
 
 
+@pytest.mark.slow
 class TestLinuxcnc(ControlSuite):
     control = "linuxcnc"
 
@@ -33,6 +34,7 @@ class TestPlainGcode(ControlSuite):
     control = "plain-gcode"
 
 
+@pytest.mark.slow
 class TestFanuc(ControlSuite):
     control = "fanuc"
 

@@ -67,7 +67,7 @@ def turned(points, degrees):
     return points @ np.array([[c, s], [-s, c]])
 
 
-@pytest.mark.in_turn(2, 1)
+@pytest.mark.in_turn(3, 1)
 @pytest.mark.parametrize("name", ["bracket", "two-spheres", "torus"])
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_what_moves_contours_is_found_with_its_size(parts, stacks, name, seed):

@@ -67,6 +67,7 @@ def entries_of_text(nc, config, plan):
     return beads, *text_bed_k(beads, config, text_shapes(nc, config, list(plan.sections)))
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", SHAPES)
 def test_plan_and_text_enter_every_bead_at_the_same_temperature(name, tmp_path):
     config = CONFIG.changed(machine=INSTANT)
@@ -78,6 +79,7 @@ def test_plan_and_text_enter_every_bead_at_the_same_temperature(name, tmp_path):
     assert set(beads.layer) == set(range(LAYERS))
 
 
+@pytest.mark.in_turn(2)
 @pytest.mark.parametrize("name", SHAPES)
 def test_no_bead_is_entered_warmer_than_planned_and_every_layer_has_a_figure(name, tmp_path):
     plan, planned_k, nc = made(SHAPES[name], CONFIG, tmp_path / "p")

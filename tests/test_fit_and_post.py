@@ -58,6 +58,7 @@ def test_fit_writes_the_curves(stl: Path, tmp_path: Path) -> None:
     assert "'magic' is unknown" in text
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize("control", CONTROLS)
 def test_post_writes_for_every_control(stl: Path, tmp_path: Path, control: str) -> None:
     (tmp_path / "wide.toml").write_text(WIDE_TOML)

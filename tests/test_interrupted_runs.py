@@ -102,7 +102,7 @@ def test_checks_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
     killed_and_resumed("check", tmp_path, kills=3, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_runs_killed_at_random_moments_come_to_the_same_bytes(tmp_path):
     write_stl(frame(), tmp_path / "part.stl")
     (tmp_path / "ebamcheck.toml").write_text(f"{SETTINGS}layers.layer_height_mm = 6.0\n{WIDE_TOML}")

@@ -149,6 +149,7 @@ def test_a_callee_that_was_compiled_anew_has_its_callers_compiled_too(package, l
     assert call(package)[2] == "root True ['long'] 1"
 
 
+@pytest.mark.slow
 def test_a_change_of_a_callee_of_a_callee_counts(package):
     (package / "kernels.py").write_text(SOURCE.format(step=5.0, steps=STEPS))
     assert call(package) == kept(0, 5.0)

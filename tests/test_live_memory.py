@@ -68,7 +68,7 @@ def test_no_layer_leaves_anything_in_a_server_of_lines(tmp_path):
     assert abs(slope) < MOST_BLOCKS, lines.blocks
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_memory_does_not_grow_over_layers_on_a_control(tmp_path):
     pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
     with socket.socket() as found:

@@ -163,6 +163,7 @@ def test_a_door_that_comes_again_does_not_release_twice(maker, tmp_path):
     asyncio.run(play())
 
 
+@pytest.mark.slow
 def test_of_two_servers_the_last_one_writes_and_the_other_says_so(maker, tmp_path):
     async def play():
         opcua = on_a_desk()

@@ -219,6 +219,7 @@ def test_the_server_outlives_bad_input_and_ends_with_its_input(place, tmp_path):
         server.close()
 
 
+@pytest.mark.slow
 def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
     server = Server(command("live", place / "box.run", "-o", tmp_path / "b", "--timeout", 0.2), cwd=tmp_path)
     try:

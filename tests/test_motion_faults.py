@@ -214,8 +214,8 @@ FAULTS = {
 
 
 CASES = [
-    # Quick tests take every second fault, and the controls in turn; slow ones all of them.
-    pytest.param(name, control, marks=() if i % (2 * len(POSTS)) == 2 * j else pytest.mark.slow)
+    # Quick tests take every fourth fault, and the controls in turn; slow ones all of them.
+    pytest.param(name, control, marks=() if i % (4 * len(POSTS)) == 4 * j else pytest.mark.slow)
     for i, name in enumerate(FAULTS)
     for j, control in enumerate(POSTS)
 ]

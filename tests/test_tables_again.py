@@ -69,6 +69,7 @@ def test_of_a_sound_run_they_are_those_that_follow_and_the_others_are_named(made
     assert by_hash == "report.html"
 
 
+@pytest.mark.in_turn(3)
 @pytest.mark.parametrize(
     ("name", "column"),
     [
