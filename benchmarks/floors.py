@@ -165,7 +165,7 @@ def _turned_layer_s(figures: Figures) -> float | None:
 
 
 def _literal_s(figures: Figures) -> float | None:
-    """The facets above a layer, half of them on the average, read for every layer."""
+    """The facets above a layer, read for every layer: half of all on the average, in parts whose two ends are alike."""
     part_s, layers = _part_s(figures), _layers(figures)
     return None if part_s is None or layers is None else 0.5 * part_s * layers
 

@@ -32,7 +32,7 @@ class Method:
     backend, settings
         Of a backend.
     by_layer
-        Layers cost alike and nothing is shared: the time of some of them may be scaled to all.
+        Nothing is shared between layers: the time of some of them, evenly spread, may be scaled to all.
     """
 
     name: str

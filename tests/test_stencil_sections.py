@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import moderngl
 import numpy as np
 import pytest
@@ -259,6 +261,13 @@ class TestWithOpenGL:
             cut(box(), [0.5], mode=mode, pixel_mm=1e-6)
         assert len(opened) == 3
         assert all(isinstance(c.mglo, moderngl.InvalidObject) for c in opened)
+
+    def test_a_bitmap_that_no_buffer_of_the_driver_holds_is_refused(self, monkeypatch):
+        device = opengl.device
+        monkeypatch.setattr(opengl, "device", lambda context: replace(device(context), buffer_bytes=1000))
+        with pytest.raises(SettingsError, match="largest buffer"):
+            cut(box(), [0.5], mode="literal", pixel_mm=0.01)
+        assert cut(box(), [0.5], mode="literal", pixel_mm=0.1).areas()[0] == pytest.approx(1.0, abs=0.2)
 
     def test_two_prepared_parts_live_side_by_side(self):
         settings = Stencil.Settings(pixel_mm=0.1, mode="literal")

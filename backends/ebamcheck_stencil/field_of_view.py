@@ -85,7 +85,7 @@ class FieldOfView:
 
     @property
     def affine(self) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-        """Low corner (2,) in mm, where it lies from the centre of pixel (0, 0) in pixels (2,), negative, and the pixel's side."""
+        """Low corner (2,) in mm; offset (2,) from it to the centre of pixel (0, 0), in pixels; side of a pixel in mm."""
         return np.array(self.low_mm), 0.5 - MARGIN_PX - np.array(GRID_SHIFT_PX), self.pixel_mm
 
 

@@ -48,7 +48,7 @@ BLOCKS_AT_WORK = 2
 """Blocks of bitmaps that are drawn or followed at a time."""
 
 BELOW_SLACK = 2.0**-22
-"""Depth below the near plane, over the part's height, at which float32 may still put a facet on it."""
+"""Depth below the near plane, as a share of the part's height, at which float32 may still put a facet on it."""
 
 PACKED_BITS = 32
 """Bits of a word of GLSL; two of them are a word of a bitmap."""
@@ -248,7 +248,6 @@ class _StencilTarget:
         bitmaps.bind_to_storage_buffer(0)
         gl.glActiveTexture(gl.GL_TEXTURE0)
         gl.glBindTexture(gl.GL_TEXTURE_2D, self._counts)
-        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
         for switched_off in (gl.GL_DEPTH_TEST, gl.GL_CULL_FACE, gl.GL_SCISSOR_TEST, gl.GL_BLEND):
             gl.glDisable(switched_off)
         gl.glEnable(gl.GL_STENCIL_TEST)
@@ -269,8 +268,12 @@ class _StencilTarget:
             self._pack["corner"] = (window.x, window.y)
             self._pack["size"] = (window.width, window.height)
             self._window = window
+        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, self._framebuffer)
         gl.glClear(gl.GL_STENCIL_BUFFER_BIT)
         facets.render(vertices=3 * count)
+        # What is drawn into must not be read from.
+        gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, 0)
+        self._context.memory_barrier()
         self._pack["first_word"] = layer * self._view.height_px * self._row_words
         columns = self._row_words - window.x // PACKED_BITS
         self._pack.run(-(-columns // PACKING_SIDE), -(-window.height // PACKING_SIDE))

@@ -19,7 +19,7 @@ FIRST_RINGS = 64
 """Initial sizes of the output columns; they double as needed."""
 
 POINTS_PER_EDGE = 3
-"""Most points of contours for each pair of neighbours in a row of which one is solid: itself, and both ends of a run along x after it."""
+"""Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it."""
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)

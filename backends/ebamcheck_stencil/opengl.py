@@ -79,14 +79,12 @@ def _match_pyopengl(way: str | None) -> None:
 def device(context: moderngl.Context) -> Device:
     """Read the renderer and the limits of a context."""
     info = context.info
-    texture = min(
-        info["GL_MAX_RENDERBUFFER_SIZE"], info["GL_MAX_FRAMEBUFFER_WIDTH"], info["GL_MAX_FRAMEBUFFER_HEIGHT"]
-    )
+    sides = ("TEXTURE_SIZE", "RENDERBUFFER_SIZE", "FRAMEBUFFER_WIDTH", "FRAMEBUFFER_HEIGHT")
     return Device(
         renderer=str(info["GL_RENDERER"]),
         gl_version=str(info["GL_VERSION"]),
         buffer_bytes=int(info["GL_MAX_SHADER_STORAGE_BLOCK_SIZE"]),
-        texture_px=int(texture),
+        texture_px=int(min(info[f"GL_MAX_{side}"] for side in sides)),
         viewport_px=int(min(info["GL_MAX_VIEWPORT_DIMS"])),
         subpixel_bits=int(info["GL_SUBPIXEL_BITS"]),
     )

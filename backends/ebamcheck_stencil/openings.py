@@ -22,12 +22,13 @@ WEIGHT_SEED = 7
 def is_closed(faces: NDArray[np.integer[Any]]) -> bool:
     """Whether facets (F, 3) use every edge as often in one direction as in the other.
 
-    A weight for each directed edge, the negative of that of the opposite one, follows from random numbers of its ends:
-    an open surface passes for closed by a chance of about 2^-60.
+    A weight for each directed edge, the negative of that of the opposite one, follows from two random numbers of each
+    end, as their determinant: an open surface passes for closed by a chance of about 2^-63.
     """
-    numbers = np.random.default_rng(WEIGHT_SEED).integers(0, 2**64, int(faces.max(initial=-1)) + 1, np.uint64)
-    a, b, c = (numbers[faces[:, corner]] for corner in range(3))
-    return not int((a * b * (a - b) + b * c * (b - c) + c * a * (c - a)).sum())
+    size = 2, int(faces.max(initial=-1)) + 1
+    numbers = np.random.default_rng(WEIGHT_SEED).integers(0, 2**64, size, np.uint64)
+    (ax, ay), (bx, by), (cx, cy) = (numbers[:, faces[:, corner]] for corner in range(3))
+    return not int((ax * by - ay * bx + bx * cy - by * cx + cx * ay - cy * ax).sum())
 
 
 def border(faces: NDArray[np.integer[Any]]) -> NDArray[np.int64]:

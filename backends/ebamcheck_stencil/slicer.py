@@ -119,7 +119,7 @@ class Stencil:
         BackendFailed
             If the driver refuses the buffers.
         SettingsError
-            If the pixel is too small for the driver's largest viewport.
+            If the pixel is too small for the driver's largest viewport or, in literal mode, a bitmap for its largest buffer.
         """
         from ebamcheck_stencil.draw_once import draw_crossings
         from ebamcheck_stencil.drawn_once import DrawnOnce
@@ -130,7 +130,7 @@ class Stencil:
         context = opengl.open_context()
         try:
             found = opengl.device(context)
-            _check_size(view, found)
+            _check_size(view, found, checked.mode)
             largest_px = min(found.texture_px, checked.max_texture_px or found.texture_px)
             labels = _labels(part, view, checked, found)
             if checked.mode == "literal" and len(part.faces):
@@ -176,8 +176,15 @@ def _checked(settings: BackendSettings) -> Settings:
     return settings
 
 
-def _check_size(view: FieldOfView, found: opengl.Device) -> None:
-    """Refuse a field of view that is larger than any viewport of the driver."""
+def _check_size(view: FieldOfView, found: opengl.Device, mode: str) -> None:
+    """Refuse a field of view that is larger than any viewport of the driver, or whose bitmap is larger than any buffer."""
+    bitmap_bytes = view.height_px * view.stride_px // 8
+    if mode == "literal" and bitmap_bytes > found.buffer_bytes:
+        raise SettingsError(
+            f"stencil: pixel_mm {view.pixel_mm:g} makes bitmaps of {bitmap_bytes} bytes, over the largest buffer of "
+            f"{found.renderer}, {found.buffer_bytes}: give at least "
+            f"{view.pixel_mm * math.sqrt(bitmap_bytes / found.buffer_bytes):.3g}, or mode 'draw-once'"
+        )
     if view.viewport_px > found.viewport_px:
         larger = max(view.width_px, view.height_px)
         raise SettingsError(

@@ -1,4 +1,4 @@
-"""Columns too long for one thread."""
+"""Joining long columns on all threads."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ LADDER = "ladder"
 
 STENCIL = "stencil"
 LITERAL = "stencil, literal"
-"""The paper's own method: every facet is drawn for each layer."""
+"""The paper's own method: for each layer all facets above it are drawn."""
 
 STL_HEADER_BYTES, STL_FACET_BYTES = 84, 50
 """Binary STL: header and count, and each facet."""
