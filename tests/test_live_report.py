@@ -171,6 +171,7 @@ FORGED = {
     "another part": (lambda f: f.edit(2, "layer.json", r'(?s)("part": .*?"sha256": ")[0-9a-f]{8}', r"\g<1>00000000"), 2, "hash of the part"),
     "the layer before is called": (lambda f: f.current(program="layers/MAIN_K0002R1/program/MAIN_K0002R1_L0001.SPF"), LAST, "current.json"),
     "no wait before the next layer": (lambda f: f.current(wait_s=0.0), LAST, "current.json"),
+    "another wait before a layer": (lambda f: f.edit(2, "layer.json", r'"wait_s": [-+.e\d]+', '"wait_s": 4321.0'), 2, "wait before it"),
     "another hash is released": (lambda f: f.current(sha256="0"), LAST, "current.json"),
     "a current that is not there": (lambda f: f.current(program=""), LAST, "current.json"),
     "power that the main program alone sets": (lambda f: f.sub(2, r"N\d+ H2=.*\n", ""), 2, "layer by itself"),

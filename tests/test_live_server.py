@@ -115,6 +115,22 @@ def test_a_journal_whose_layer_is_not_what_comes_out_is_refused(place, maker, tm
     assert done.returncode == 1
 
 
+def test_a_journal_with_another_wait_than_comes_out_is_refused(maker, tmp_path):
+    made = Building(maker, tmp_path / "b")
+    made.start()
+    made.close()
+    entries = list(read_journal(tmp_path / "b" / JOURNAL))
+    assert [entry["kind"] for entry in entries] == ["begin", "height", "layer"]
+    for name, more_s in (("same", 0.0), ("other", 1.0)):
+        with Journal(tmp_path / name / JOURNAL) as journal:
+            for entry in entries:
+                waits = {"wait_s": entry["wait_s"] + more_s} if "wait_s" in entry else {}
+                journal.append({key: value for key, value in {**entry, **waits}.items() if key != "after"})
+    Building(maker, tmp_path / "same").close()
+    with pytest.raises(InputError, match="another wait"):
+        Building(maker, tmp_path / "other")
+
+
 @pytest.mark.parametrize("place_of_kill", ["staged", "renamed", "journalled"])
 def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, monkeypatch, place_of_kill):
     from ebamcheck.live import building as module

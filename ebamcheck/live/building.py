@@ -195,7 +195,7 @@ class Building:
             return answer
         staged, layer, certificate = made
         try:
-            entry = {"kind": "layer", "name": certificate["name"], "files": certificate["files"]}
+            entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
             if "temperature" in answer:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
             current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
@@ -327,11 +327,13 @@ class Building:
             return
         staged, layer, certificate = made
         try:
-            if certificate["files"] != entry.get("files"):
-                raise InputError(
-                    f"{self.folder / JOURNAL}: layer {reading.done} comes out as other bytes than were published: "
-                    "the software or a slicer is another one"
-                )
+            # A journal of an earlier version tells no wait.
+            for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
+                if certificate[key] != entry.get(key, certificate[key] if key == "wait_s" else None):
+                    raise InputError(
+                        f"{self.folder / JOURNAL}: layer {reading.done} comes out as {what} than was published: "
+                        "the software or a slicer is another one"
+                    )
             # Between the journal's line and the current file a kill may have come; the layer itself is there.
             current = publish(self.folder, layer, certificate)
         finally:

@@ -40,10 +40,12 @@ SAME_MM = 1e-6
 
 @dataclass(frozen=True)
 class Due:
-    """What the journal asks of a layer: its number, from 0, and the height that was measured below it."""
+    """What the journal asks of a layer: its number, from 0, the height that was measured below it, and the wait before it."""
 
     layer: int
     base_mm: float
+    wait_s: float | None
+    """Least time between the last bead below it and its first one; None where the journal is of an earlier version."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
             # A height of another layer is none that this one was laid on.
             base_mm = float(entry["height_mm"]) if entry.get("done") == layer else math.nan
         elif entry.get("kind") == "layer":
-            yield entry, Due(layer, base_mm)
+            yield entry, Due(layer, base_mm, entry.get("wait_s"))
             layer, base_mm = layer + 1, math.nan
 
 
@@ -170,6 +172,7 @@ def _other_than(
     wanted: tuple[tuple[str, object, object], ...] = (
         ("name", paper.get("name"), name),
         *((("number of the layer", paper["layer"], due.layer),) if due else ()),
+        *((("wait before it", paper.get("wait_s"), due.wait_s),) if due and due.wait_s is not None else ()),
         ("files", paper.get("files"), files),
         ("validated", paper.get("validated"), True),
         ("hash of the settings", paper.get("settings_sha256"), sha256_of_json(config.model_dump())),
