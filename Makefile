@@ -8,10 +8,10 @@ unexport PYTHONDONTWRITEBYTECODE
 
 VENV := .venv
 BIN := $(VENV)/bin
-# Three at a time: the suite is made for two cores, and a ninth of the time one of two would wait for what a test has started.
+# Four at a time: the suite is made for two cores, and much of the time a worker waits for what its test has started.
 # Tests of one file stay together and share its fixtures.
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
-PYTEST := $(BIN)/python -m pytest -q -n 3 --dist loadfile --max-worker-restart 0
+PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0
 
 .PHONY: help setup demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 

@@ -264,6 +264,7 @@ print(json.dumps([name_of(k) for k in loaded_kernels() if k.signatures and name_
 """
 
 
+@pytest.mark.slow
 def test_the_list_holds_the_kernels_of_round_parts():
     """A box has no curved region: a cone and a ring are fitted when the list is made. Where it fails: ``make kernel-list``."""
     done = subprocess.run([sys.executable, "-c", ROUND], capture_output=True, text=True, check=True)

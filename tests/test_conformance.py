@@ -222,6 +222,7 @@ def test_the_markdown_table_marks_faults_and_what_does_not_apply():
     assert rows == ["| orientation | pass | FAIL (6 of 6) |", "| bound not idle | - | - |"]
 
 
+@pytest.mark.slow
 def test_the_kit_needs_pytest_only_for_its_class():
     code = (
         "import sys; import ebamcheck.testing as t; t.conform; t.CHECKS; assert 'pytest' not in sys.modules; "
@@ -233,6 +234,7 @@ def test_the_kit_needs_pytest_only_for_its_class():
 # -- a plugin from outside -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_plugin_is_installed_found_and_passes(tmp_path):
     source = shutil.copytree(Path(__file__).parent / "example_plugin", tmp_path / "source")
     target = tmp_path / "site"

@@ -68,7 +68,7 @@ def found(workshop):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if i % 5 else ()) for i, n in enumerate(quick.NAMES)]
+    "name", [pytest.param(n, marks=pytest.mark.slow if i % 8 else ()) for i, n in enumerate(quick.NAMES)]
 )
 def test_a_planted_fault_is_found_unless_it_stands_on_the_list(name, found):
     missed = [line for line in quick.misses(found(name)) if line not in MISSED]

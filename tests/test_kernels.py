@@ -91,6 +91,7 @@ def test_a_constant_seen_through_a_module_counts(package):
     assert ask(package)[:2] == (40.0, False)
 
 
+@pytest.mark.slow
 def test_a_spoilt_file_is_compiled_anew(package):
     folder = ask(package)[2]
     for name in os.listdir(folder):
@@ -129,6 +130,7 @@ def test_a_type_that_an_older_version_had_is_no_obstacle(package):
     assert ask(package)[:2] == (2.0, True)
 
 
+@pytest.mark.slow
 def test_kernels_find_a_place_where_neither_code_nor_home_can_be_written(package, tmp_path):
     (tmp_path / "temporary").mkdir()
     (package / "__pycache__").write_text("a file where the folder would be")

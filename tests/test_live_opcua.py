@@ -234,6 +234,7 @@ def test_counts_that_are_none_release_nothing(maker, tmp_path):
     asyncio.run(play())
 
 
+@pytest.mark.slow
 def test_no_exception_ends_the_server(maker, tmp_path, monkeypatch):
     async def play():
         opcua = on_a_desk()

@@ -122,6 +122,7 @@ def test_test_tools_are_an_extra(wheel: Path):
     assert all("extra == 'test'" in line for line in tools)
 
 
+@pytest.mark.slow
 def test_every_entry_point_loads_from_the_wheel_alone(wheel: Path, tmp_path: Path):
     site = tmp_path / "site"
     with zipfile.ZipFile(wheel) as archive:

@@ -101,6 +101,7 @@ def test_a_ready_kernel_is_run_and_not_compiled(prepared):
     assert list((prepared.folder / "empty").rglob("*.nbc")) == []
 
 
+@pytest.mark.slow
 def test_kernels_for_any_processor_of_a_machine_are_run_on_this_one(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
     monkeypatch.setenv("NUMBA_CPU_FEATURES", "")

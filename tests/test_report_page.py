@@ -309,6 +309,7 @@ def test_no_part_of_the_page_is_wider_than_a_phone(copy: RunFolder, tmp_path: Pa
     assert beyond == 0
 
 
+@pytest.mark.slow
 def test_print_is_short_and_the_summary_one_page(copy: RunFolder, tmp_path: Path) -> None:
     text, _ = page_of(copy)
     assert 1 < printed_pages(copy.path / html.NAME, tmp_path) <= PAGES

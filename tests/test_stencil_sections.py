@@ -173,7 +173,7 @@ class TestWithOpenGL:
         for mesh in (turned(torus(9, 3), (1, 2, 3), 0.9), stairs):
             part = from_arrays(*mesh)
             bottom, top = part.bounds[:, 2]
-            levels = np.unique(np.concatenate([part.vertices[::7, 2], np.linspace(bottom - 1, top + 1, 9)]))
+            levels = np.unique(np.concatenate([part.vertices[::97, 2], np.linspace(bottom - 1, top + 1, 9)]))
             with Stencil().prepare(part, Stencil.Settings(pixel_mm=0.1, mode="literal")) as prepared:
                 sent = [prepared.bitmap(level) for level in levels]
                 prepared._facet_depths[:] = -np.inf

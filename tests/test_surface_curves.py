@@ -127,6 +127,7 @@ def test_no_part_loses_by_it(name: str, method: str) -> None:
     assert after["normal_max_abs_mm"].max() <= before["normal_max_abs_mm"].max() + TOLERANCE_MM
 
 
+@pytest.mark.slow
 def test_an_eighth_of_the_blocks_of_a_polyline_is_enough() -> None:
     part = LADDER.tessellate(0.01)
     layers = sliced(part, 12)

@@ -126,6 +126,7 @@ def sections_of(layers):
     return [layer_section(layers.polygons(k)) for k in range(len(layers))]
 
 
+@pytest.mark.slow
 def test_a_program_drives_the_order_that_the_whole_part_was_planned_in():
     layers = plates(10)
     plan, sections = plan_stack(layers, BRIEF), sections_of(layers)
