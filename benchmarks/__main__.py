@@ -97,7 +97,7 @@ def write_reports(raw: dict[str, Any], file: Path) -> None:
         _write(folder / f"{prefix}readme_table.md", tables.readme_text(raw))
     for series in dict.fromkeys(part["series"] for part in raw["parts"].values()):
         lines = plot.lines_of(raw, series)
-        if any(len(line.points) > 1 for line in lines):
+        if lines:
             layer_mm = next(part["layer_mm"] for part in raw["parts"].values() if part["series"] == series)
             title = f"Time of slicing {'on ' + raw['renderer'] if gpu else 'by every method'}, part {series}"
             where = f"{raw['machine']['cpu']}, {raw['machine']['cores']} cores; layers of {layer_mm:g} mm."
