@@ -328,8 +328,9 @@ class Building:
         staged, layer, certificate = made
         try:
             # A journal of an earlier version tells no wait.
+            told = {"wait_s": certificate["wait_s"], **entry}
             for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
-                if certificate[key] != entry.get(key, certificate[key] if key == "wait_s" else None):
+                if certificate[key] != told.get(key):
                     raise InputError(
                         f"{self.folder / JOURNAL}: layer {reading.done} comes out as {what} than was published: "
                         "the software or a slicer is another one"
