@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
 import pytest
+from live_boxes import maker_of, run_of_box
 from parts import box
 from program_text import CONTROLS, ProgramText, near
 from report_runs import write_stl
 
+from ebamcheck.live import metal_checks
+from ebamcheck.live.building import Building
+from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.verifying import verify_build
 from ebamcheck.pipeline.noticed_in_program import of_consumables
 from ebamcheck.preflight.report import ready
 from ebamcheck.program import program_summary, read_program
@@ -106,3 +112,66 @@ def test_the_place_is_a_motion_that_feeds(control, tmp_path):
     found = text.failed_by_text()[SPOOL]
     program = read_program(text.files.main, text.config)
     assert any(near(found.where, program.where(int(row))) for row in np.flatnonzero(program.wire))
+
+
+# -- builds layer by layer ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """Folder with a run of a box of seven layers."""
+    return run_of_box(tmp_path_factory, (30, 24, 12))
+
+
+def three_layers(place, folder, **machine):
+    """Answers of a build to its first three heights, with what the machine holds of a layer's own."""
+    with maker_of(place) as found:
+        config = found.config.changed(machine=machine)
+        with LayerMaker(found.part, config, found.primary) as maker:
+            building = Building(maker, folder)
+            answers = [building.start()]
+            for done in (1, 2):
+                if answers[-1]["answer"] == "published":
+                    answers.append(building.height({"done": done, "height_mm": 12.0 / 7.0 * done}))
+            building.close()
+    return answers
+
+
+@pytest.fixture(scope="module")
+def of_a_layer(place, tmp_path_factory):
+    """Wire, kg, and hours under beam of the first layer, by its certificate."""
+    folder = tmp_path_factory.mktemp("amounts") / "b"
+    three_layers(place, folder, spool_kg=1e3, cathode_h=1e3)
+    spent = [
+        json.loads((folder / "layers" / f"MAIN_K000{k}R1" / "layer.json").read_text())["spent"]
+        for k in (1, 2, 3)
+    ]
+    for name in ("wire_kg", "beam_h"):
+        assert [one[name] for one in spent] == pytest.approx([k * spent[0][name] for k in (1, 2, 3)], rel=0.1)
+    return {"spool_kg": spent[0]["wire_kg"], "cathode_h": spent[0]["beam_h"]}
+
+
+@pytest.mark.parametrize(("setting", "name"), [("spool_kg", SPOOL), ("cathode_h", CATHODE)])
+def test_a_build_keeps_back_the_layer_in_which_it_would_end(setting, name, place, of_a_layer, tmp_path):
+    holds = 2.5 * of_a_layer[setting]
+    *before, last = three_layers(place, tmp_path / "b", **{setting: holds})
+    assert [answer["answer"] for answer in before] == ["published"] * 2
+    assert last["answer"] == "kept"
+    assert name in last["reason"]
+    assert "which the layers below took" in last["reason"]
+    *_, last = three_layers(place, tmp_path / "c", **{setting: holds}, optional_stop=True)
+    assert last["answer"] == "published"
+    assert any("before this layer" in said for said in last["said"])
+    assert all(layer.passed for layer in verify_build(tmp_path / "c", place / "box.stl"))
+
+
+def test_verify_adds_up_what_a_build_took(place, of_a_layer, tmp_path, monkeypatch):
+    """A server that takes every layer to begin with a full spool is found after the fact."""
+    monkeypatch.setattr(
+        metal_checks, "consumed", lambda nc, config, spent: consumed(nc, config), raising=True
+    )
+    answers = three_layers(place, tmp_path / "b", spool_kg=2.5 * of_a_layer["spool_kg"])
+    assert [answer["answer"] for answer in answers] == ["published"] * 3
+    found = verify_build(tmp_path / "b", place / "box.stl")
+    assert [layer.passed for layer in found] == [True, True, False]
+    assert SPOOL in found[-1].why

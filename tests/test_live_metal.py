@@ -15,6 +15,7 @@ from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.consumables import FRESH
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.toolpath.bead_ends import planned_path
 
@@ -57,7 +58,7 @@ def test_layers_one_by_one_are_the_whole_program(stack):
         for name in FIGURES:
             assert found.layers[name].iloc[0] == pytest.approx(whole.layers[name].iloc[k], abs=1e-9), name
         last = deposit_checks(layer, found, config, metal.below)
-        metal = metal.with_layer(found.layers, found.surface, config)
+        metal = metal.with_layer(found.layers, found.surface, FRESH, config)
     # What holds for the whole part is said of it when its last layer is judged.
     of_whole = {check.name: check for check in deposit_checks(nc, whole, CONFIG)}
     assert metal.below.layers == 4

@@ -265,7 +265,8 @@ class Building:
                     certificate = certificate_of(
                         made, self.maker.part, self.maker.primary, self.maker.witness, told
                     )
-                    answer = {"answer": "published", "layers_left": len(plan), "said": list(plan.said),
+                    said = [*plan.said, *made.metal.spent.to_do()]
+                    answer = {"answer": "published", "layers_left": len(plan), "said": said,
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
                               "islands": made.islands, "tries": number, **told}  # fmt: skip
                     return answer, (staged, made, certificate)

@@ -1,8 +1,8 @@
-"""The metal of a part that is half built: how uneven its surface is, and the sums that hold for all of its layers."""
+"""The metal of a part that is half built: how uneven its surface is, the sums that hold for all of its layers, and what they used up."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
@@ -11,6 +11,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.live.height_map import MapFigures
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface, target_of
+from ebamcheck.program.checking.consumables import FRESH, Spent
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.settings.config import Config
@@ -26,10 +27,13 @@ class MetalSoFar:
         Sums over the layers that stand.
     surface
         Their surface by the text of their programs; None: taken as level.
+    spent
+        What they took of the spool and the cathode that are in use, where the profile says how much these hold.
     """
 
     below: MetalBelow = field(default_factory=MetalBelow)
     surface: Surface | None = None
+    spent: Spent = FRESH
 
     @classmethod
     def none(cls, part: Part, config: Config) -> MetalSoFar:
@@ -46,7 +50,7 @@ class MetalSoFar:
 
     def measured(self) -> MetalSoFar:
         """Return the same when its height was measured: its surface is on average there, and as uneven as it was."""
-        return self if self.surface is None else MetalSoFar(self.below, self.surface.measured())
+        return self if self.surface is None else replace(self, surface=self.surface.measured())
 
     @classmethod
     def on(cls, below: MetalBelow, section: BaseGeometry, part: Part, config: Config) -> MetalSoFar:
@@ -61,8 +65,8 @@ class MetalSoFar:
         """Return it with the surface that was measured, of which the next layer is to mend a share."""
         if self.surface is None:
             return self
-        return MetalSoFar(self.below, self.surface.with_map(figures.over_mm).mending(mended))
+        return replace(self, surface=self.surface.with_map(figures.over_mm).mending(mended))
 
-    def with_layer(self, layers: pd.DataFrame, surface: Surface, config: Config) -> MetalSoFar:
-        """Return it with a layer more, of which `layers` has the figures."""
-        return MetalSoFar(self.below.and_layers(layers, config.process), surface)
+    def with_layer(self, layers: pd.DataFrame, surface: Surface, spent: Spent, config: Config) -> MetalSoFar:
+        """Return it with a layer more, of which `layers` has the figures; `spent` is what is used up with it."""
+        return MetalSoFar(self.below.and_layers(layers, config.process), surface, spent)

@@ -90,6 +90,7 @@ def certificate_of(
                 "witness": witness,
                 "islands": made.islands,
                 "metal_so_far": asdict(made.metal.below),
+                "spent": asdict(made.metal.spent),
                 "wait_s": made.wait_s,
                 "layer_s": made.deposit_s,
                 "leave_k": made.heat.surface_k,

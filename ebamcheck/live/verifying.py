@@ -25,6 +25,7 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.pipeline.certificate_checks import part_hash
 from ebamcheck.pipeline.verify import verify
+from ebamcheck.program.checking.consumables import FRESH, Spent, with_layer
 from ebamcheck.settings.config import Config, load_config
 
 VERIFIED = "verified.json"
@@ -104,10 +105,11 @@ def verify_build(
     """
     if not part.is_file():
         raise InputError(f"{part}: cannot be read: there is no such file")
-    found = []
+    found, spent = [], FRESH
     for entry, due in [*_due(folder)]:
-        found.append(_verified(folder, entry, due, part))
-        told(found[-1])
+        layer, spent = _verified(folder, entry, due, part, spent if due else FRESH)
+        found.append(layer)
+        told(layer)
     if found and is_build(folder) and found[-1].passed and (why := _not_current(folder, found[-1].name)):
         found[-1] = replace(found[-1], why=why)
         told(found[-1])
@@ -130,25 +132,30 @@ def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
             layer, base_mm = layer + 1, math.nan
 
 
-def _verified(folder: Path, entry: dict[str, Any], due: Due | None, part: Path) -> VerifiedLayer:
+def _verified(
+    folder: Path, entry: dict[str, Any], due: Due | None, part: Path, spent: Spent
+) -> tuple[VerifiedLayer, Spent]:
+    """One layer, and what is taken of spool and cathode when it is done; `spent` is that before it."""
     name, files = str(entry["name"]), dict(entry["files"])
     told_by = "the journal" if is_build(folder) else f"its {CERTIFICATE}"
     place = folder / LAYERS / name
     for file, sha256 in files.items():
         path = place / PROGRAM / file
         if not path.is_file() or sha256_of_file(path) != sha256:
-            return VerifiedLayer(name, 0, f"{path}: is not the file that {told_by} names", files)
+            return VerifiedLayer(name, 0, f"{path}: is not the file that {told_by} names", files), spent
     try:
         config = load_config(place / SETTINGS)
         if why := _other_than(_certificate(place), name, files, due, config, part):
-            return VerifiedLayer(name, 0, why, files)
+            return VerifiedLayer(name, 0, why, files), spent
         checks = verify(place / PROGRAM, part, config)
     except EbamcheckError as error:
-        return VerifiedLayer(name, 0, str(error), files)
+        return VerifiedLayer(name, 0, str(error), files), spent
     wrong = [check.in_words() for check in checks if not check.passed]
     if len(checks) < FEWEST_CHECKS and not wrong:
         wrong = [f"{len(checks)} checks alone could be made"]
-    return VerifiedLayer(name, len(checks), "; ".join(wrong), files)
+    lasts, spent = with_layer(checks, config, spent)
+    wrong += [check.in_words() for check in lasts if not check.passed]
+    return VerifiedLayer(name, len(checks), "; ".join(wrong), files), spent
 
 
 def _certificate(place: Path) -> dict[str, Any]:

@@ -21,6 +21,15 @@ from ebamcheck.settings.config import Config
 SPOOL, CATHODE = "wire on the spool", "life of the cathode"
 """Names of the checks."""
 
+NEW = {SPOOL: "on a new spool", CATHODE: "in a new cathode"}
+"""What is done before a layer for which they do not last."""
+
+SAID = {
+    SPOOL: (SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"),
+    CATHODE: (CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"),
+}
+"""Name, words, unit and setting of each, as :class:`Consumed` has them."""
+
 KG_MM3 = 1e-9
 """Cubic metres in a cubic millimetre, for densities in kg/m3."""
 
@@ -28,6 +37,27 @@ HOUR_S = 3600.0
 
 TOLD_LAYERS = 6
 """Layers that a text names; of more the number."""
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What the layers below took of the spool that is on, and of the cathode that is in.
+
+    Parameters
+    ----------
+    wire_kg, beam_h
+        Wire, and time under beam.
+    new
+        Names of the checks of what is put on new before the last of these layers.
+    """
+
+    wire_kg: float = 0.0
+    beam_h: float = 0.0
+    new: tuple[str, ...] = ()
+
+    def to_do(self) -> list[str]:
+        """What the operator has to do before the last layer, in words."""
+        return [f"put {NEW[name]} before this layer" for name in self.new]
 
 
 @dataclass(frozen=True)
@@ -56,6 +86,10 @@ class Consumed:
         Layer in which it ends before a stop; None where it lasts.
     where
         ``FILE:line`` of the motion in which it ends.
+    spent
+        How much of the one that is there was used before the program.
+    in_use
+        How much of the last one is used when the program is done.
     """
 
     name: str
@@ -68,10 +102,14 @@ class Consumed:
     changes: tuple[int, ...]
     ends_in: int | None
     where: str
+    spent: float
+    in_use: float
 
     def check(self) -> Check:
         """Whether what is there lasts from each stop to the next."""
-        text = f"the build takes {self.total:.4g} {self.what}, {self.holder} {self.holds:g} {self.unit} ({self.setting})"
+        text = f"the {'layer' if self.spent > 0.0 else 'build'} takes {self.total:.4g} {self.what}, {self.holder} {self.holds:g} {self.unit} ({self.setting})"
+        if self.spent > 0.0:
+            text += f", of which the layers below took {self.spent:.4g} {self.unit}"
         if self.changes:
             text += f"; a new one before layer{'s' if len(self.changes) > 1 else ''} {self.layers()}"
         if self.ends_in is not None:
@@ -87,13 +125,27 @@ class Consumed:
         )
 
 
+FRESH = Spent()
+"""Nothing: a program from the plate up begins with a full spool and a new cathode."""
+
+
+def spent_after(found: Sequence[Consumed]) -> Spent:
+    """What is taken of spool and cathode when a program is done; nothing of one that is not weighed."""
+    in_use = {one.name: one.in_use for one in found}
+    new = tuple(one.name for one in found if one.changes)
+    return Spent(in_use.get(SPOOL, 0.0), in_use.get(CATHODE, 0.0), new)
+
+
 def consumables_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check that spool and cathode last, each where the profile says how much it holds."""
     return [found.check() for found in consumed(nc, config)]
 
 
-def consumed(nc: NCProgram, config: Config) -> list[Consumed]:
-    """What a program uses up of the things of which the profile says how much they hold."""
+def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consumed]:
+    """What a program uses up of the things of which the profile says how much they hold.
+
+    With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there.
+    """
     machine, found = config.machine, []
     if machine.spool_kg is not None:
         area_mm2 = math.pi * config.process.wire_diameter_mm**2 / 4.0
@@ -104,13 +156,27 @@ def consumed(nc: NCProgram, config: Config) -> list[Consumed]:
             kg_mm * np.where(feeds, motion_seconds(nc, config), 0.0) * np.where(feeds, nc.wire_mm_s, 0.0)
         )
         none = np.zeros(max(len(nc.layer_files), 1))
-        said = SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"
-        found.append(_used(nc, config, wire_kg, none, machine.spool_kg, said))
+        found.append(_used(nc, config, (wire_kg, none), machine.spool_kg, SPOOL, spent.wire_kg))
     if machine.cathode_h is not None:
         beam_h = np.where(nc.beam, motion_seconds(nc, config), 0.0) / HOUR_S
-        said = CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"
-        found.append(_used(nc, config, beam_h, _preheating_h(nc, config), machine.cathode_h, said))
+        scans = _preheating_h(nc, config)
+        found.append(_used(nc, config, (beam_h, scans), machine.cathode_h, CATHODE, spent.beam_h))
     return found
+
+
+def with_layer(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[list[Check], Spent]:
+    """Check that spool and cathode last for a layer with what those below took, by its checks as a program by itself."""
+    machine, by_name, found = config.machine, {check.name: check for check in checks}, []
+    for name, holds, used in (
+        (SPOOL, machine.spool_kg, spent.wire_kg),
+        (CATHODE, machine.cathode_h, spent.beam_h),
+    ):
+        if holds is not None and (alone := by_name.get(name)) is not None:
+            changes, ends_in, in_use = _changes([alone.value], holds, machine.optional_stop, used)
+            found.append(
+                Consumed(*SAID[name], holds, alone.value, changes, ends_in, alone.where, used, in_use)
+            )
+    return [one.check() for one in found], spent_after(found)
 
 
 def _preheating_h(nc: NCProgram, config: Config) -> Floats:
@@ -126,48 +192,54 @@ def _preheating_h(nc: NCProgram, config: Config) -> Floats:
 def _used(
     nc: NCProgram,
     config: Config,
-    by_motion: Floats,
-    before: Floats,
+    amounts: tuple[Floats, Floats],
     holds: float,
-    said: tuple[str, str, str, str, str],
+    name: str,
+    spent: float,
 ) -> Consumed:
     """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing.
 
-    `said` are name, words, unit and setting of :class:`Consumed`, in its order. A time that nobody knows is endless.
+    A time that nobody knows is endless.
     """
+    by_motion, before = amounts
     layer, count = _layer_of(nc), before.size
     used = np.where(np.isnan(by_motion), np.inf, by_motion)
     in_layer = before + np.bincount(layer, used, minlength=count)
-    changes, ends_in = _changes(in_layer.tolist(), holds, config.machine.optional_stop)
+    changes, ends_in, in_use = _changes(in_layer.tolist(), holds, config.machine.optional_stop, spent)
     where = ""
     if ends_in is not None:
         first = changes[-1] if changes else 0
         since = np.where(layer >= first, used, 0.0).cumsum() + before[first : ends_in + 1].sum()
+        since += 0.0 if changes else spent
         rows = np.flatnonzero((layer == ends_in) & (since > holds))
         where = nc.where(int(rows[0])) if rows.size else ""
-    return Consumed(*said, holds, float(in_layer.sum()), changes, ends_in, where)
+    return Consumed(*SAID[name], holds, float(in_layer.sum()), changes, ends_in, where, spent, in_use)
 
 
-def _changes(in_layer: Sequence[float], holds: float, stops: bool) -> tuple[tuple[int, ...], int | None]:
-    """Layers before which a new one is put on, as late as may be, and the layer in which it ends nevertheless.
+def _changes(
+    in_layer: Sequence[float], holds: float, stops: bool, spent: float = 0.0
+) -> tuple[tuple[int, ...], int | None, float]:
+    """Layers before which a new one is put on, as late as may be, the layer in which it ends nevertheless, and what of the last is used.
 
     Examples
     --------
     >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=True)
-    ((2,), None)
+    ((2,), None, 6.0)
     >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=False)
-    ((), 2)
+    ((), 2, 8.0)
+    >>> _changes([3.0], 6.0, stops=True, spent=4.0)
+    ((0,), None, 3.0)
     """
     changes: list[int] = []
-    left = holds
+    used = spent
     for k, amount in enumerate(in_layer):
-        if amount > left and stops and k > 0:
+        if used + amount > holds and stops and used > 0.0:
             changes.append(k)
-            left = holds
-        if amount > left:
-            return tuple(changes), k
-        left -= amount
-    return tuple(changes), None
+            used = 0.0
+        used += amount
+        if used > holds:
+            return tuple(changes), k, used
+    return tuple(changes), None, used
 
 
 def _layer_of(nc: NCProgram) -> Ints:
