@@ -13,9 +13,9 @@ from ebamcheck.live.making import metal_checks
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
+from ebamcheck.program.checking.consumables import FRESH
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
-from ebamcheck.program.checking.consumables import FRESH
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.toolpath.bead_ends import planned_path
 

@@ -9,7 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.filling.coverage import BareSamples, bare_samples
+from ebamcheck.scan.filling.coverage import BareSamples, bare_samples, ground
 
 MARGIN = 2
 """Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones."""
@@ -52,7 +52,7 @@ def widest_part(
         if most_mm[n] <= widest_mm:
             break
         near = np.sort(tree.query(boxes[n], predicate="dwithin", distance=0.5 * bead_width_mm))
-        beads = shapely.union_all(shapely.buffer(lines[near], 0.5 * bead_width_mm))
+        beads = ground(lines[near], bead_width_mm)
         left = shapely.difference(shapely.intersection(region, boxes[n]), beads)
         for part in valid_polygons(left):
             across_mm = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(part)))

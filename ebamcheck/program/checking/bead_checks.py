@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, lines_of, row_faults
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
-from ebamcheck.scan.filling.coverage import covered_fraction
+from ebamcheck.scan.filling.coverage import covered_fraction, ground
 from ebamcheck.scan.islands.regions import CRUMB, inset, layer_section
 from ebamcheck.settings.config import Config
 
@@ -205,20 +208,21 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
     rows = np.flatnonzero(nc.deposit)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     width = config.process.bead_width_mm
-    worst, layer, area, laid = 1.0, -1, 0.0, 0.0
-    for k in range(len(layers)):
-        section = shapely.union_all(layers.polygons(k))
-        if section.is_empty:
-            continue
-        mine = rows[index == k]
-        covered = covered_fraction(section, _segments(nc, mine), width)
-        area += covered * section.area
-        laid += float(nc.lengths[mine].sum()) * width
-        if covered < worst or layer < 0:
-            worst, layer = covered, k
+    sections = [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
+    solid = [k for k, section in enumerate(sections) if not section.is_empty]
+
+    def work(start: int, stop: int) -> list[float]:
+        return [
+            covered_fraction(sections[k], _segments(nc, rows[index == k]), width) for k in solid[start:stop]
+        ]
+
+    covered = [share for block in run_blocks(work, len(solid)) for share in block]
+    laid = width * float(nc.lengths[rows[np.isin(index, solid)]].sum())
+    area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
+    worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
     if layer < 0:
         return Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")
-    where, gap = _gap(nc, rows[index == layer], shapely.union_all(layers.polygons(layer)), width)
+    where, gap = _gap(nc, rows[index == layer], sections[layer], width)
     text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
     return Check("coverage", worst >= limit, worst, limit, "of the area", where, text)
 
@@ -242,25 +246,37 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
     limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
     rows = np.flatnonzero(nc.deposit)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    known = [0.0]
+
+    def work(start: int, stop: int) -> list[tuple[float, int, BaseGeometry]]:
+        found: list[tuple[float, int, BaseGeometry]] = []
+        for k in range(start, stop):
+            inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
+            mine = rows[index == k]
+            if inner.is_empty or not mine.size:
+                continue
+            # A gap as wide as the widest so far is found, too: whichever thread comes first, the lowest one is told.
+            across, bare = widest_part(inner, _segments(nc, mine), width, math.nextafter(known[0], 0.0))
+            if bare is not None:
+                known[0] = max(known[0], across)
+                found.append((across, -k, bare))
+        return found
+
+    gaps = [gap for block in run_blocks(work, len(layers)) for gap in block]
     worst, where, place = 0.0, "", ""
-    for k in range(len(layers)):
-        inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
-        mine = rows[index == k]
-        if inner.is_empty or not mine.size:
-            continue
-        across, bare = widest_part(inner, _segments(nc, mine), width, worst)
-        if bare is not None:
-            centre = bare.representative_point()
-            worst, where = across, nc.where(_nearest(nc, mine, centre))
-            place = f" at ({centre.x:.3f}, {centre.y:.3f})"
+    if gaps:
+        worst, layer, bare = max(gaps, key=lambda gap: gap[:2])
+        centre = bare.representative_point()
+        where = nc.where(_nearest(nc, rows[index == -layer], centre))
+        place = f" at ({centre.x:.3f}, {centre.y:.3f})"
     text = f"widest gap between beads{place}: {worst:.4g} mm"
     return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
 
 
 def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> BaseGeometry:
     """What beads along motions leave of a region."""
-    lines = shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2))
-    return region.difference(shapely.union_all(shapely.buffer(lines, 0.5 * width_mm)))
+    lines = np.asarray(shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2)), object)
+    return region.difference(ground(lines, width_mm))
 
 
 def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
