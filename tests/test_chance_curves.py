@@ -89,8 +89,13 @@ def test_seeds_that_break_the_law(seed: int) -> None:
     assert verdict.held, str(verdict)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("first", range(100, 160, 10))
+@pytest.mark.parametrize(
+    "first",
+    [
+        *(pytest.param(first, marks=pytest.mark.slow) for first in (100, 110, 120)),
+        *(pytest.param(first, marks=pytest.mark.long) for first in (130, 140, 150)),
+    ],
+)
 def test_no_curve_is_farther_from_its_part_than_the_contour(first: int) -> None:
     verdicts = [judge(chance_case(seed)) for seed in range(first, first + 10) if seed not in BREAKING]
     assert not [str(v) for v in verdicts if not v.held]

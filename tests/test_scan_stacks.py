@@ -141,7 +141,7 @@ def test_a_coordinate_that_is_not_finite_is_refused():
         plan_scan([shapely.box(0, 0, 1, 1), shapely.Polygon([(0, 0), (1, 0), (math.inf, 1)])], PROFILE)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ten_thousand_islands():
     config = PROFILE.changed(scan={"hexagon_side_mm": 2.5})
     plan = plan_scan(disc(0, 0, 235).difference(disc(50, 50, 40)), config)
