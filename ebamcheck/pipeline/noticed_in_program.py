@@ -57,6 +57,8 @@ METAL: Mapping[str, tuple[str, str]] = {
 LACKING: Mapping[str, str] = {
     name: f"look at {what} in deposit.csv, and whether beads are at the most wire of the feeder (process.wire_speed_max_mm_s)"
     for name, what in {"metal": "the layers with the least metal", "metal of layers": "that layer"}.items()
+} | {
+    "surface": f"at a corner whose tip no round bead fills, allow for machining (process.machining_allowance_mm); {METAL['surface'][1]}"
 }
 """Remedies where the metal of a check lacks, other than those of one that has too much."""
 
@@ -69,7 +71,7 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         code, remedy = METAL[check.name]
         # Excess and lack of metal are one check; its words say which.
         lacks = code == "metal-excess" and (
-            "too low" in check.text.split("(at most")[0] or _lacks(check.text)
+            "too low" in check.text.split("(over all layers")[0] or _lacks(check.text)
         )
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)

@@ -115,7 +115,8 @@ class Consumed:
         if self.ends_in is not None:
             text += f"; it ends in layer {self.ends_in + 1}"
         lasts = self.ends_in is None
-        return Check(self.name, lasts, self.total, self.holds, self.unit, self.where, text, self.ends_in)
+        used = self.spent + self.total
+        return Check(self.name, lasts, used, self.holds, self.unit, self.where, text, self.ends_in)
 
     def layers(self) -> str:
         """Layers before which a new one is put on, by their numbers in the program."""

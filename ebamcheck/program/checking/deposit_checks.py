@@ -171,7 +171,7 @@ def _reach(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     text = f"metal reaches {row['reach_mm']:.2f} mm beside the part: {_named(row, 'reach')}"
     wall, remedy = "", ""
     if row["reach_mm"] > limit:
-        text += "; a wall or a hole there is narrower than the bead"
+        text += "; a wall, a hole or a corner there is narrower than the bead"
         wall, remedy = _of_wall(solid, k, config)
     where = places.of(int(row["layer"]))
     reach_mm = float(row["reach_mm"])
@@ -271,7 +271,7 @@ def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     row = solid.iloc[k]
     text = (
         f"the surface comes to lie {values[k]:.2f} mm too {side}: {_named(row, side)}"
-        f" (at most {low.max():.2f} mm too low, {high.max():.2f} mm too high)"
+        f" (over all layers {low.max():.2f} mm too low to {high.max():.2f} mm too high)"
     )
     where = places.of(int(row["layer"]))
     return Check("surface", bool(values[k] <= limit), float(values[k]), limit, "mm", where, text)
