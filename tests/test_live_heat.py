@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from command_line import write_stl
+from live_boxes import maker_of, run_of_box
 
 import ebamcheck
+from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.making import LayerMaker, Wanted
+from ebamcheck.live.verifying import verify_build
 from ebamcheck.program.checking.interpass_checks import INTERPASS
 from ebamcheck.settings.config import Config
 from tests.parts import box
@@ -29,3 +34,42 @@ def test_the_first_bead_is_entered_as_warm_as_planned(tmp_path):
             if layer:
                 assert entry.value == pytest.approx(made.heat.last.mean_k[0], abs=0.5)
             heat = made.heat
+
+
+# -- over all layers, by their texts ------------------------------------------------------------------
+
+
+class Forgetful(Building):
+    """A server that takes every layer to lie on cold metal."""
+
+    def _take(self, reading, answer, layer):
+        super()._take(reading, answer, layer)
+        self.heat = HeatSoFar.cold(self.maker.config)
+
+
+class Impatient(Building):
+    """A server that tells no wait before a layer, in the journal as in the certificates."""
+
+    def _made(self, reading):
+        answer, made = super()._made(reading)
+        if made is None:
+            return answer, made
+        staged, layer, certificate = made
+        return answer, (staged, replace(layer, wait_s=0.0), {**certificate, "wait_s": 0.0})
+
+
+@pytest.mark.parametrize(("server", "found"), [(Building, False), (Forgetful, True), (Impatient, True)])
+def test_verify_follows_the_heat_of_all_layers(server, found, tmp_path_factory, tmp_path):
+    place = run_of_box(tmp_path_factory, (30, 24, 12))
+    with maker_of(place) as maker:
+        building = server(maker, tmp_path / "b")
+        answer = building.start()
+        for done in range(1, 7):
+            height_mm = answer["base_mm"] + answer["thickness_mm"]
+            answer = building.height({"done": done, "height_mm": height_mm})
+            assert answer["answer"] == "published"
+        building.close()
+    layers = verify_build(tmp_path / "b", place / "box.stl")
+    warm = [layer.name for layer in layers if "heat over all layers" in layer.why]
+    assert bool(warm) == found
+    assert [layer.name for layer in layers if not layer.passed] == warm

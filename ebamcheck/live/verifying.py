@@ -11,6 +11,7 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
+from ebamcheck.live.heat_over_layers import LayerText, layer_text, too_warm
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.publishing import (
     CERTIFICATE,
@@ -110,11 +111,35 @@ def verify_build(
         layer, spent = _verified(folder, entry, due, part, spent if due else FRESH)
         found.append(layer)
         told(layer)
+    for k, why in _too_warm(folder, found).items():
+        found[k] = replace(found[k], why="; ".join(text for text in (found[k].why, why) if text))
+        told(found[k])
     if found and is_build(folder) and found[-1].passed and (why := _not_current(folder, found[-1].name)):
         found[-1] = replace(found[-1], why=why)
         told(found[-1])
     write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
     return found
+
+
+def _too_warm(folder: Path, found: list[VerifiedLayer]) -> dict[int, str]:
+    """Layers of a build that are entered too warm by the texts of those below, as far up as these tell it.
+
+    A layer whose surface was measured begins on other heat than that of the texts, and so do those above it.
+    """
+    texts: list[LayerText] = []
+    config = Config()
+    for layer in found if is_build(folder) else ():
+        place = folder / LAYERS / layer.name
+        try:
+            config, paper = load_config(place / SETTINGS), _certificate(place)
+        except EbamcheckError:  # what is wrong with it was found before
+            break
+        wait_s = paper.get("wait_s")
+        text = None if wait_s is None else layer_text(place / PROGRAM, float(wait_s), config)
+        if text is None or "temperature" in paper:
+            break
+        texts.append(text)
+    return too_warm(texts, config)
 
 
 def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
