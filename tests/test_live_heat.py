@@ -1,4 +1,4 @@
-"""Heat of a live layer: its text alone is entered as warm as its plan says, on what the layer below left."""
+"""Heat and metal of live layers: each is entered as warm as its plan says, on what those below left, and all together are judged again."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import ebamcheck
 from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.making import LayerMaker, Wanted
+from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.verifying import verify_build
 from ebamcheck.program.checking.interpass_checks import INTERPASS
 from ebamcheck.settings.config import Config
@@ -47,6 +48,14 @@ class Forgetful(Building):
         self.heat = HeatSoFar.cold(self.maker.config)
 
 
+class Levelled(Building):
+    """A server that takes every layer to lie on a level plate."""
+
+    def _take(self, reading, answer, layer):
+        super()._take(reading, answer, layer)
+        self.metal = MetalSoFar.none(self.maker.part, self.maker.config)
+
+
 class Impatient(Building):
     """A server that tells no wait before a layer, in the journal as in the certificates."""
 
@@ -58,8 +67,10 @@ class Impatient(Building):
         return answer, (staged, replace(layer, wait_s=0.0), {**certificate, "wait_s": 0.0})
 
 
-@pytest.mark.parametrize(("server", "found"), [(Building, False), (Forgetful, True), (Impatient, True)])
-def test_verify_follows_the_heat_of_all_layers(server, found, tmp_path_factory, tmp_path):
+@pytest.mark.parametrize(
+    ("server", "found"), [(Building, ""), (Forgetful, "heat"), (Impatient, "heat"), (Levelled, "metal")]
+)
+def test_verify_follows_heat_and_metal_over_all_layers(server, found, tmp_path_factory, tmp_path):
     place = run_of_box(tmp_path_factory, (30, 24, 12))
     with maker_of(place) as maker:
         building = server(maker, tmp_path / "b")
@@ -70,6 +81,6 @@ def test_verify_follows_the_heat_of_all_layers(server, found, tmp_path_factory, 
             assert answer["answer"] == "published"
         building.close()
     layers = verify_build(tmp_path / "b", place / "box.stl")
-    warm = [layer.name for layer in layers if "heat over all layers" in layer.why]
-    assert bool(warm) == found
-    assert [layer.name for layer in layers if not layer.passed] == warm
+    wrong = [layer for layer in layers if not layer.passed]
+    assert bool(wrong) == bool(found)
+    assert all(layer.why.startswith(f"{found} over all layers: ") for layer in wrong)

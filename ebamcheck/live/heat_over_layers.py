@@ -7,9 +7,10 @@ would be cool by itself and all would melt. So the texts are followed once more,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
@@ -25,22 +26,26 @@ from ebamcheck.settings.config import Config
 
 @dataclass(frozen=True, eq=False)
 class LayerText:
-    """What the text of one layer says of its heat: section, height, and of each bead (P,) the time with the beam off before it, its
+    """What the text of one layer says of its heat: section, height, settings, and of each bead (P,) the time with the beam off before it, its
     own time, s, and the heat that the part takes up, J."""
 
     section: BaseGeometry
     height_mm: float
+    config: Config
     off_s: Floats
     time_s: Floats
     heat_j: Floats
 
 
-def layer_text(program: Path, wait_s: float, config: Config) -> LayerText | None:
-    """Read one layer, which begins a time after the one below; None where its text does not say how warm it makes the part.
+def layer_text(program: Path, paper: Mapping[str, Any], config: Config) -> LayerText | None:
+    """Read one layer, whose certificate tells the wait before it; None where its text does not say how warm it makes the part.
 
-    A text that cannot be read says nothing, and one that preheats has its temperatures judged where it is made.
+    A text that cannot be read says nothing, and one that preheats has its temperatures judged where it is made. On a surface
+    that was measured it begins with other heat than that of the texts below.
     """
-    height_mm = config.layer_height_mm
+    height_mm, wait_s = config.layer_height_mm, paper.get("wait_s")
+    if not isinstance(wait_s, int | float) or "temperature" in paper:
+        return None
     text, _ = read_checked(program, config)
     if text is None:
         return None
@@ -51,16 +56,19 @@ def layer_text(program: Path, wait_s: float, config: Config) -> LayerText | None
     off_s = beads.move_s + beads.wait_s
     off_s[0] += wait_s
     section = sections_of_text(text, config, None)[0]
-    return LayerText(section, height_mm, off_s, beads.time_s, beads.energy_j * config.material.absorptivity)
+    return LayerText(
+        section, height_mm, config, off_s, beads.time_s, beads.energy_j * config.material.absorptivity
+    )
 
 
-def too_warm(layers: Sequence[LayerText], config: Config) -> dict[int, str]:
+def too_warm(layers: Sequence[LayerText]) -> dict[int, str]:
     """Layers of a build from the plate up that a bead enters above the limit, and how warm it is, in words.
 
     The limit has what two balances may differ by on top.
     """
     if not layers:
         return {}
+    config = layers[0].config
     counts = [layer.off_s.size for layer in layers]
     off_s, time_s, heat_j = (
         np.concatenate([getattr(layer, name) for layer in layers]) for name in ("off_s", "time_s", "heat_j")

@@ -13,6 +13,7 @@ from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.live.heat_over_layers import LayerText, layer_text, too_warm
 from ebamcheck.live.journal import read_journal
+from ebamcheck.live.metal_over_layers import MetalAgain
 from ebamcheck.live.publishing import (
     CERTIFICATE,
     CURRENT,
@@ -25,6 +26,7 @@ from ebamcheck.live.publishing import (
     write_synced,
 )
 from ebamcheck.pipeline.certificate_checks import part_hash
+from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.program.checking.consumables import FRESH, Spent, with_layer
 from ebamcheck.settings.config import Config, load_config
@@ -111,7 +113,7 @@ def verify_build(
         layer, spent = _verified(folder, entry, due, part, spent if due else FRESH)
         found.append(layer)
         told(layer)
-    for k, why in _too_warm(folder, found).items():
+    for k, why in _over_layers(folder, found, part):
         found[k] = replace(found[k], why="; ".join(text for text in (found[k].why, why) if text))
         told(found[k])
     if found and is_build(folder) and found[-1].passed and (why := _not_current(folder, found[-1].name)):
@@ -121,25 +123,31 @@ def verify_build(
     return found
 
 
-def _too_warm(folder: Path, found: list[VerifiedLayer]) -> dict[int, str]:
-    """Layers of a build that are entered too warm by the texts of those below, as far up as these tell it.
-
-    A layer whose surface was measured begins on other heat than that of the texts, and so do those above it.
-    """
-    texts: list[LayerText] = []
-    config = Config()
-    for layer in found if is_build(folder) else ():
+def _over_layers(folder: Path, found: list[VerifiedLayer], part: Path) -> Iterator[tuple[int, str]]:
+    """What is wrong with layers of a build together: heat and metal on those below, as far up as their texts tell it."""
+    if not is_build(folder):
+        return
+    heat: list[LayerText] = []
+    metal, knows_heat, knows_metal = None, True, True
+    for k, layer in enumerate(found):
+        if not layer.passed:  # what it tells counts for nothing
+            break
         place = folder / LAYERS / layer.name
         try:
             config, paper = load_config(place / SETTINGS), _certificate(place)
-        except EbamcheckError:  # what is wrong with it was found before
+            metal = metal or MetalAgain(placed_part(part, config)[0], config)
+        except EbamcheckError:
             break
-        wait_s = paper.get("wait_s")
-        text = None if wait_s is None else layer_text(place / PROGRAM, float(wait_s), config)
-        if text is None or "temperature" in paper:
-            break
-        texts.append(text)
-    return too_warm(texts, config)
+        if knows_heat:
+            text = layer_text(place / PROGRAM, paper, config)
+            heat += [text] if text else []
+            knows_heat = text is not None
+        if knows_metal:
+            wrong = metal.with_layer(place / PROGRAM, paper, config)
+            knows_metal = wrong is not None
+            if wrong:
+                yield k, wrong
+    yield from too_warm(heat).items()
 
 
 def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
