@@ -18,6 +18,7 @@ from ebamcheck.live.metal_checks import metal_checks
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program.checking.verification import read_checked
 from ebamcheck.program.reading.roles import by_height
 from ebamcheck.settings.config import Config
@@ -43,7 +44,7 @@ class MetalAgain:
             return None
         try:
             witness = witness_backend(str(paper["primary"]))
-            section = slice_part(self._part, [float(paper["cut_mm"])], witness)
+            section = slice_part(self._part, cut_heights(self._part, config), witness)
             told = paper["metal_so_far"]
         except (EbamcheckError, KeyError, TypeError, ValueError):
             return None
