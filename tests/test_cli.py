@@ -119,6 +119,24 @@ def test_slice_writes_layers_that_read_back(place, here, suffix):
     assert layers.areas() == pytest.approx([AREA_MM2] * 3)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"), [("open", "has open paths"), ("turned", "has no contour on any layer")]
+)
+def test_slice_warns_of_a_part_without_an_inside(place, here, change, said):
+    data = (place / "frame.stl").read_bytes()
+    count = int(np.frombuffer(data, np.uint32, 1, 80)[0])
+    facets = np.frombuffer(data, np.uint8, 50 * count, 84).reshape(count, 50).copy()
+    if change == "open":
+        facets = facets[:-1]
+    else:
+        facets[:, 24:48] = np.concatenate([facets[:, 36:48], facets[:, 24:36]], axis=1)
+    (place / "bad.stl").write_bytes(data[:80] + np.uint32(len(facets)).tobytes() + facets.tobytes())
+    told = here("slice", "bad.stl", "--backend", "planecut", "--layer-height", "12", "-o", "bad.cli")
+    assert told.returncode == 0
+    assert told.stdout.startswith("1 layer, ")
+    assert said in told.stderr
+
+
 def test_slice_takes_heights_direction_and_backend_settings(place, here):
     told = here(
         "slice", "frame.stl", "--backend", "planecut", "--heights", "7,3", "--direction", "1,0,0",

@@ -2,8 +2,10 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 from command_line import FAST, ebamcheck, write_stl
@@ -15,7 +17,7 @@ from ebamcheck.pipeline.gates import deposit_gate
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.program import Check, program_summary, read_program
 from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, deposit_checks
+from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, _outside, deposit_checks
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.wire_checks import wire_check
 from ebamcheck.program.language.control import control as control_named
@@ -128,6 +130,15 @@ def test_a_bead_beside_the_part_is_found_whatever_a_comment_says(square):
     assert "reach of metal" in failed
     # Cells end two beads beside the part: what lies beyond counts as outside, too.
     assert square.checks()["reach of metal"].value > 11.0
+
+
+def test_a_sum_that_rounding_puts_under_0_is_no_metal_beside_the_part():
+    solid = pd.DataFrame({"layer": [0], "z_mm": [1.5], "outside_mm3": [-1e-13], "laid_mm3": [100.0]})
+    built = SimpleNamespace(outside_mm3=-1e-13, laid_mm3=100.0)
+    check = _outside(solid, built, False, Config(), SimpleNamespace(of=lambda layer: ""))
+    assert check.passed
+    assert check.text.startswith("0.00 % of the metal lies beside the part, most 0.00 % of a layer")
+    assert str(check.value) == "0.0"
 
 
 def test_a_contour_laid_twice_is_found(square):

@@ -25,7 +25,7 @@ from ebamcheck.json_values import (
 from ebamcheck.pipeline import noticed, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
-from ebamcheck.pipeline.noticed_in_program import of_checks
+from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
 from ebamcheck.program import Check
@@ -289,3 +289,9 @@ def test_nothing_with_a_fault_is_validated(tmp_path, monkeypatch):
     assert "✘ NOT VALIDATED" in page
     assert "a wall of 0.8 mm" in page.partition('id="part"')[0]
     assert "nothing failed" not in page
+
+
+def test_sections_off_an_open_mesh_are_no_mistake_of_the_program():
+    """An open mesh has sections that differ from it, too: the mesh is to be mended before anything is reported."""
+    for remedy in (REMEDIES["sections of the mesh"], METAL["sections of the mesh"][1]):
+        assert remedy.startswith("mend the mesh")

@@ -108,6 +108,20 @@ def test_every_check_that_does_not_pass_has_a_remedy(tmp_path):
     assert all(check.name in text and check.remedy in text for check in bad)
 
 
+@pytest.mark.parametrize(("change", "told", "remedy"), [
+    ("open", "open edges", "close the mesh"),
+    ("turned", "every facet faces inwards", "turn them in the model, or use --fix-orientation"),
+])  # fmt: skip
+def test_a_faulty_mesh_is_told_its_own_remedy_once(tmp_path, change, told, remedy):
+    part = box((0, 0, 0), (40, 40, 30))
+    faces = part.faces[:-1] if change == "open" else part.faces[:, ::-1]
+    file = stl(tmp_path, from_arrays(part.vertices, faces))
+    mesh = next(check for check in ready(file, Config()).preflight.checks if check.name == "mesh")
+    assert told in mesh.text
+    assert mesh.remedy == remedy
+    assert remedy not in mesh.text
+
+
 def test_a_part_beside_the_travel_is_told_where_to_go(tmp_path):
     part = stl(tmp_path, box((5000, 0, 0), (5100, 60, 40)))
     with pytest.raises(

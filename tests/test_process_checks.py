@@ -88,6 +88,10 @@ def test_seams_on_top_of_each_other_are_named(tmp_path):
     assert apart["seams"].value == pytest.approx(40.0)
 
 
+def area_of(check):
+    return float(check.text.split(", ")[1].split(" mm2")[0])
+
+
 @pytest.mark.parametrize("reach", [0.5, 1.5, 4.0])
 def test_the_angle_of_an_overhang(tmp_path, reach):
     wider = SQUARE + np.where(SQUARE > 20, reach, 0.0) * (1, 0)
@@ -96,7 +100,7 @@ def test_the_angle_of_an_overhang(tmp_path, reach):
     assert found["overhang"].value == pytest.approx(angle, abs=1e-6)
     assert found["overhang"].passed == (angle <= 45.0 + 1e-9)
     if angle > 46:
-        assert f"{(reach - 1.5) * 40:.6g} mm2" in found["overhang"].text
+        assert area_of(found["overhang"]) == pytest.approx((reach - 1.5) * 46, rel=1e-5)
         assert found["overhang"].where.startswith("MAIN_L0002.SPF:")
 
 
@@ -108,7 +112,9 @@ def test_where_no_angle_is_set_no_bead_has_nothing_under_it(tmp_path, reach):
     assert found["overhang"].limit == pytest.approx(math.degrees(math.atan2(6.0, 1.5)), abs=1e-6)
     assert found["overhang"].passed == (reach < 6.0)
     if reach > 6.0:
-        assert f"{(reach - 6.0) * 40:.6g} mm2" in found["overhang"].text
+        assert area_of(found["overhang"]) == pytest.approx(
+            {6.1: 0.1 * 46, 20.0: 14 * 46 - 8 * 34}[reach], rel=1e-5
+        )
         assert found["overhang"].where.startswith("MAIN_L0002.SPF:")
 
 
@@ -116,6 +122,59 @@ def test_an_angle_that_is_set_holds_beyond_the_width_of_a_bead(tmp_path):
     found, _ = checks_of(tmp_path, [SQUARE, SQUARE * 1.5], {"largest_overhang_deg": 89.0})
     assert found["overhang"].passed
     assert found["overhang"].value > 80.0
+
+
+def rings_of_stack(tmp_path, rings, islands=(), process=None):
+    """Check `overhang` of layers of several polyline rings each."""
+    heights = (np.arange(len(rings)) + 0.5) * 1.5
+    config = Config().changed(process={"bead_width_mm": 6.0, **(process or {})})
+    curves = make_curves(
+        heights, [[[(r, None)] for r in layer] for layer in rings], [True] * sum(map(len, rings))
+    )
+    files = write_program(curves, make_plan(heights, list(islands)), config, tmp_path / "p")
+    nc = read_program(files.main, config)
+    return {c.name: c for c in verify_program(nc, config=config, heights=heights)}["overhang"]
+
+
+def box(x0, y0, x1, y1):
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0)], float)
+
+
+@pytest.mark.parametrize("span", [11.9, 12.1, 36.0])
+def test_a_roof_over_a_hole_reaches_out_by_half_of_its_span(tmp_path, span):
+    """Beads around the hole run half a bead's width beside it; those of the roof are hatch over it."""
+    hole = box(-span / 2 - 3, -span / 2 - 3, span / 2 + 3, span / 2 + 3)[::-1]
+    side = span / 2 + 9
+    lines = [(-side, y, side, y) for y in np.linspace(-side, side, 20)[1:-1]]
+    outer = box(-side, -side, side, side)
+    found = rings_of_stack(tmp_path, [[outer, hole], [outer]], [(1, lines)])
+    assert found.value == pytest.approx(math.degrees(math.atan2(span / 2, 1.5)), abs=0.02) or span < 12.0
+    assert found.passed == (span < 12.0)
+    assert found.passed or found.where.startswith("MAIN_L0002.SPF:")
+
+
+@pytest.mark.parametrize("gap", [11.9, 12.1, 60.0])
+def test_a_bead_between_two_posts_reaches_out_by_half_of_its_span(tmp_path, gap):
+    """The beam is one bead wide, so that it has no contour; posts end half a bead's width beside their contours."""
+    posts = [box(-30 - gap / 2, -3, -gap / 2 - 3, 3), box(gap / 2 + 3, -3, 30 + gap / 2, 3)]
+    beam = [(-30.0 - gap / 2, 0.0, 30.0 + gap / 2, 0.0)]
+    found = rings_of_stack(tmp_path, [posts, []], [(1, beam)])
+    assert found.passed == (gap < 12.0)
+    if not found.passed:
+        assert found.value == pytest.approx(math.degrees(math.atan2(gap / 2, 1.5)), abs=0.05)
+        assert found.where.startswith("MAIN_L0002.SPF:")
+
+
+def test_a_bead_that_runs_round_between_two_contours_hides_no_hole(tmp_path):
+    rings = [circle(40.0), circle(37.5), circle(33.0)[::-1]]
+    found = rings_of_stack(tmp_path, [rings, rings])
+    assert found.passed
+    assert found.value == pytest.approx(0.0, abs=0.01)
+
+
+def circle(radius):
+    turn = np.linspace(0.0, 2.0 * np.pi, 97)
+    return radius * np.column_stack([np.cos(turn), np.sin(turn)])
 
 
 # -- beads -------------------------------------------------------------------------------------------

@@ -321,6 +321,12 @@ def test_print_is_short_and_the_summary_one_page(copy: RunFolder, tmp_path: Path
     assert printed_pages(alone, tmp_path) == 1
 
 
+def test_places_of_findings_have_room_for_a_name_of_a_setting(whole: RunFolder) -> None:
+    """Without a least width the other columns left thirty pixels, and every name stood in pieces of six letters."""
+    rooms = re.findall(r"\.found td:nth-child\(4\) \{ min-width: (\d+)px; \}", page_of(whole)[0])
+    assert [int(px) for px in rooms] == [140, 80]
+
+
 def test_page_has_rules_for_darkness_and_print_and_needs_no_network(whole: RunFolder) -> None:
     text, page = page_of(whole)
     assert "prefers-color-scheme: dark" in text

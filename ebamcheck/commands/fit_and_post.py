@@ -45,6 +45,7 @@ from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
 from ebamcheck.program.writing.entry import begin_at_layer, check_entry
 from ebamcheck.scan import plan_stack
 from ebamcheck.settings.process_window import checked_window
+from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
 
 ALL = "all"
@@ -176,7 +177,9 @@ def post_command(
         post = case_post(config.machine.control)
         files = post(beads, plan, config, output, header=header, layer=layer)
     blocks = sum(files.blocks.values())
-    typer.echo(f"{files.main}: {len(files.names)} files, {blocks} blocks for {config.machine.control}")
+    typer.echo(
+        f"{files.main}: {counted(len(files.names), 'file')}, {counted(blocks, 'block')} for {config.machine.control}"
+    )
     if not is_read:
         script = next(name for name in files.names if name in SCRIPTS)
         typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / script} runs it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -22,6 +23,9 @@ from ebamcheck.commands.options import (
     within_work,
 )
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.showing.short_text import counted
+
+_log = logging.getLogger(__name__)
 
 SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
 """Formats that are written; looked at before the work, not after it."""
@@ -87,7 +91,17 @@ def slice_command(
             limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
             points = config.slicing.block_points
             made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
-    print(
-        f"{len(wanted)} layers, {made.rings} rings, {made.open_paths} open paths, {made.points} points: {output}"
-    )
+    if made.open_paths or not made.rings:
+        what = "has open paths" if made.open_paths else "has no contour on any layer"
+        _log.warning("%s %s: `ebamcheck inspect` tells whether its mesh is open or inside out", part, what)
+    counts = [
+        counted(number, one)
+        for number, one in (
+            (len(wanted), "layer"),
+            (made.rings, "ring"),
+            (made.open_paths, "open path"),
+            (made.points, "point"),
+        )
+    ]
+    print(f"{', '.join(counts)}: {output}")
     return ExitCode.PASS

@@ -16,7 +16,7 @@ from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.consumables import consumed
 from ebamcheck.program.checking.deposit_checks import HEIGHTS, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, MISTAKE, NARROWER
+from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, MISTAKE, NARROWER, OFF_MESH
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -44,7 +44,7 @@ METAL: Mapping[str, tuple[str, str]] = {
         "look at that place in the picture of the metal; " + HATCH,
     ),
     SOLID: ("level-within-layer", LEVELS),
-    SECTIONS: ("sections-off-mesh", MISTAKE),
+    SECTIONS: ("sections-off-mesh", OFF_MESH),
     HEIGHTS: ("height-off-part", MISTAKE),
     PART_FILE: ("part-off-file", MISTAKE),
     "surface": (

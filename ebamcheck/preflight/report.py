@@ -154,11 +154,12 @@ def _checks(
 def _mesh(found: Inspection) -> PreflightCheck:
     """Closed, consistent, the right way out: a fault here shuts a gate, and slicing shows what comes of it."""
     bodies = counted(found.bodies, "body", "bodies")
-    text = f"{counted(found.facets, 'facet')}, {bodies}: {found.verdict}, {found.why}"
+    # What is to be done stands behind what was found, where the verdict knows more than that the mesh is to be mended.
+    why, _, remedy = found.why.partition("; ")
+    text = f"{counted(found.facets, 'facet')}, {bodies}: {found.verdict}, {why}"
     if found.passed:
         return PreflightCheck("mesh", "pass", text, 0.0, 0.0, "faults")
-    remedy = "mend the mesh, or --fix-orientation where facets are turned over"
-    return PreflightCheck("mesh", "fault", text, 1.0, 0.0, "faults", remedy)
+    return PreflightCheck("mesh", "fault", text, 1.0, 0.0, "faults", remedy or "mend the mesh")
 
 
 def _units(found: Inspection, config: Config) -> Iterator[PreflightCheck]:

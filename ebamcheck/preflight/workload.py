@@ -139,6 +139,7 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Preflight
         ("memory", "of memory", work.memory_mb, memory_mb, "MB"),
         ("time", "of computation", work.time_s, limits.most_time_s, "s"),
     ):
+        what = what.removesuffix("s") if figure == 1.0 and unit == what.split()[-1] else what
         text = f"{'about ' if name not in ('layers', 'points') else ''}{_amount(figure, unit)} {what}"
         if name == "islands" and not work.islands:
             continue

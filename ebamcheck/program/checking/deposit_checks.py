@@ -143,8 +143,9 @@ def _off_layers(solid: pd.DataFrame, config: Config) -> Floats:
 
 def _outside(solid: pd.DataFrame, built: MetalBelow, alone: bool, config: Config, places: _Places) -> Check:
     limit = config.process.outside_share
-    outside, laid = solid["outside_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
-    whole = built.outside_mm3 / max(built.laid_mm3, 1e-9)
+    # A sum whose parts cancel may be under 0 by its rounding.
+    outside, laid = np.maximum(solid["outside_mm3"].to_numpy(), 0.0), solid["laid_mm3"].to_numpy()
+    whole = max(built.outside_mm3, 0.0) / max(built.laid_mm3, 1e-9)
     share = np.divide(outside, laid, out=np.zeros_like(laid), where=laid > 0.0)
     k = int(np.argmax(share))
     text = (

@@ -1,4 +1,4 @@
-"""Checks that a process engineer asks for: directions of travel, places to keep out of, seams, overhangs."""
+"""Checks that a process engineer asks for: directions of travel, places to keep out of, seams."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import math
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, worst_check
-from ebamcheck.program.checking.near_sides import side_distances, sides_of
+from ebamcheck.program.checking.overhang import overhang_check
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.settings.config import Config
@@ -26,16 +25,10 @@ DIRECTION_ROUNDING_DEG = 0.01
 KEEP_OUT_STEP_MM = 0.2
 """Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um."""
 
-OUTLINE_STEP_MM = 0.25
-"""Places along the contours at which an overhang is measured."""
-
-FIRST_ASKED = 16
-"""Places of a section that are asked first whether they reach out over the one below, those farthest from its border."""
-
 
 def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check what the settings of the process ask of the path; what they do not limit is measured all the same."""
-    checks = [_seams(nc, config), _overhang(nc, config)]
+    checks = [_seams(nc, config), overhang_check(nc, config)]
     if config.process.travel_sectors_deg:
         checks.append(_sectors(nc, config))
     if config.process.keep_out:
@@ -150,60 +143,3 @@ def _seams(nc: NCProgram, config: Config) -> Check:
         return Check("seams", True, 0.0, least, "mm", "", "no contour starts over another layer's")
     text = f"starts of contours at least {worst:.6g} mm from those of the layer below"
     return Check("seams", worst >= least, worst, least, "mm", where, text)
-
-
-# -- overhangs ---------------------------------------------------------------------------------------
-
-
-def _overhang(nc: NCProgram, config: Config) -> Check:
-    """Angle from the vertical by which the contours of a layer reach out over those below, where it is most over its limit.
-
-    Where no angle is set, a layer may reach out by the width of a bead: one farther out has nothing under it.
-    """
-    limit, width_mm = config.process.largest_overhang_deg, config.process.bead_width_mm
-    contours = nc.contours(OUTLINE_STEP_MM)
-    heights = nc.layer_heights
-    worst = 0.0
-    allowed = limit or math.degrees(math.atan2(width_mm, config.layer_height_mm))
-    row, area = -1, 0.0
-    below: BaseGeometry = shapely.MultiPolygon()
-    for k in range(len(contours)):
-        section = shapely.union_all(contours.polygons(k))
-        rise = float(heights[k] - heights[k - 1]) if k else 0.0
-        # A height that is not known is not above.
-        if rise > 0.0 and not section.is_empty and not below.is_empty:
-            within = limit or math.degrees(math.atan2(width_mm, rise))
-            angle, place = _reach_deg(section, below, rise)
-            if angle > within:
-                held = below.buffer(rise * math.tan(math.radians(within)) if limit else width_mm)
-                area += float(section.difference(held).area)
-            if row < 0 or angle / within > worst / allowed:
-                worst, allowed, row = angle, within, _nearest_row(nc, k, place)
-        if not section.is_empty:
-            below = section
-    text = f"layers reach out by up to {worst:.4g} deg from the vertical over the one below"
-    if worst > allowed:
-        text += f", {area:.6g} mm2 of them " + ("unsupported" if limit else "farther than a bead is wide")
-    return Check("overhang", worst <= allowed, worst, allowed, "deg", nc.where(row) if row >= 0 else "", text)
-
-
-def _reach_deg(section: BaseGeometry, below: BaseGeometry, rise_mm: float) -> tuple[float, Floats]:
-    """Angle of the farthest place of a section from the one below it, and that place (2,)."""
-    places = np.ascontiguousarray(shapely.get_coordinates(section))
-    away = side_distances(places, sides_of(below.boundary))
-    shapely.prepare(below)
-    # Distances are cheap, and whether a place lies within takes long: the farthest ones are asked first.
-    order, tried = np.argsort(-away, kind="stable"), 0
-    while tried < len(order):
-        some = order[tried : 2 * tried + FIRST_ASKED]
-        outer = some[~np.asarray(shapely.intersects_xy(below, places[some, 0], places[some, 1]))]
-        if outer.size:
-            k = int(outer[0])
-            return math.degrees(math.atan2(float(away[k]), max(rise_mm, 0.0))), places[k]
-        tried += len(some)
-    return 0.0, places[0]
-
-
-def _nearest_row(nc: NCProgram, layer: int, place: Floats) -> int:
-    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & (nc.layer == layer))
-    return int(rows[np.argmin(np.linalg.norm(nc.end[rows, :2] - place, axis=1))])

@@ -36,6 +36,9 @@ LEVELS = (
 )
 COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
 MISTAKE = "no setting mends it: this program has a mistake in reading, slicing, layers or heat model; report it with the part"
+OFF_MESH = (
+    f"mend the mesh, or the slicer, where the gate input or agreement is shut; where both are open, {MISTAKE}"
+)
 WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
 
 REMEDIES: Mapping[str, str] = {
@@ -66,7 +69,7 @@ REMEDIES: Mapping[str, str] = {
         HATCH,
     ),
     "metal of the solid": LEVELS,
-    "sections of the mesh": MISTAKE,
+    "sections of the mesh": OFF_MESH,
     "layers of the part": MISTAKE,
     "balance of the heat": MISTAKE,
     "part of the file": MISTAKE,
