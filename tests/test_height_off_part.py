@@ -31,3 +31,26 @@ def test_within_the_tolerance_of_the_metal_nothing_is_said(off, said):
 
 def test_layers_on_what_stands_are_not_the_whole_part():
     assert not told(20.0, [0.8], Config().changed(layers={"base_mm": 10.0}))
+
+
+@pytest.mark.parametrize(
+    ("part_mm", "severity"),
+    [
+        (22.0, "fault"),
+        (21.2, "fault"),
+        (20.9, "warning"),
+        (19.2, "warning"),
+        (18.8, "fault"),
+        (18.0, "fault"),
+    ],
+)
+def test_layers_that_are_missing_or_too_many_are_a_fault(part_mm, severity):
+    """Ten layers of 2 mm: no heights but listed ones leave off half a layer, or go on as far above the part."""
+    config = Config().changed(layers={"layer_height_mm": 2.0})
+    assert [one.severity for one in told(part_mm, 1.0 + 2.0 * np.arange(10), config)] == [severity]
+
+
+def test_a_thin_plate_with_a_listed_cut_gets_no_layer_of_twice_its_height():
+    (found,) = told(0.8, [0.4])
+    assert found.severity == "fault"
+    assert "heights_mm" in found.remedy

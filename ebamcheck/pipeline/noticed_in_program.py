@@ -27,6 +27,9 @@ LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_sp
 
 LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
 
+ROUNDING_MM = 1e-6
+"""Sum of the roundings of heights, far under any layer."""
+
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", COARSE),
     "reach of metal": ("bead-out-of-section", COARSE),
@@ -246,7 +249,8 @@ def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
 def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Finding]:
     """A program that ends beside the top of the part by more of its height than the metal may be off.
 
-    What the metal is held against are sections times the heights of layers, so that no gate sees it.
+    What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
+    may be off; by more, layers are missing or too many, as only listed heights (`layers.heights_mm`) have it: that is a fault.
 
     Parameters
     ----------
@@ -257,20 +261,24 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
     """
     if not len(heights) or config.base_mm > 0.0:
         return
-    ends_mm = float(deposition_heights(heights, config.layer_height_mm)[-1])
+    tops_mm = deposition_heights(heights, config.layer_height_mm)
+    ends_mm = float(tops_mm[-1])
+    half_mm = 0.5 * float(np.diff(tops_mm, prepend=0.0)[-1])
     limit = config.process.mass_tolerance * part_mm
     ends = "the only layer ends" if len(heights) == 1 else f"{len(heights)} layers end"
     if abs(ends_mm - part_mm) > limit:
+        listed = abs(ends_mm - part_mm) > half_mm + ROUNDING_MM
         yield Finding(
-            "warning",
+            "fault" if listed else "warning",
             "height-off-part",
             f"{ends} at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
             "layers.layer_height_mm",
             abs(ends_mm - part_mm),
             limit,
             "mm",
-            "give a layer height of which the part has a whole number (layers.layer_height_mm), or leave metal for machining",
-        )
+            "list heights for all of the part (layers.heights_mm), and what stands below them (layers.base_mm)" if listed
+            else "give a layer height of which the part has a whole number (layers.layer_height_mm), or leave metal for machining",
+        )  # fmt: skip
 
 
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
