@@ -73,6 +73,8 @@ REMEDIES: Mapping[str, str] = {
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
     **dict.fromkeys(("preheat calls", "preheat state", "preheat path", "preheat count"), AGAIN),
+    "preheat lines": "make the program again (ebamcheck run): its scan does not follow preheat.spacing_mm",
+    "preheat balance": "two models of one heat do not agree: tell the authors; until then do not preheat (preheat.when)",
     "preheat temperature": "more passes or current (preheat.most_passes, preheat.current_ma), a shorter wait (preheat.soak_s), or a lower target_k",
     "preheat overheating": "fewer passes (preheat.passes), less current (preheat.current_ma), or a greater preheat.over_k",
     "preheat evenness": "a narrower preheat.spacing_mm, preheat.pattern 'crossed', a longer preheat.soak_s, or a greater evenness_k",
