@@ -37,6 +37,8 @@ from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
+from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
@@ -163,6 +165,7 @@ class LayerMaker:
         # What every layer has alike is made once, and written out once.
         self._of_part = config.part.model_copy(update={"direction": part.direction})
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
+        self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None
         """What stands of a part that is turned between layers; None: it is not."""
         self._open = ExitStack()
@@ -283,6 +286,7 @@ class LayerMaker:
             read = control(config.machine.control).load("reader")
             program, _ = matched(read(files.main, config), path)
             weighing = self._aside.submit(metal_checks, program, witness, stands, config)
+            crossing = self._aside.submit(sections_check, self.part, witness, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
@@ -299,7 +303,8 @@ class LayerMaker:
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
             of_metal, stands = weighing.result()
-            checks += [*of_metal, *form_checks(program, config)]
+            height = layer_check(self.part, float(witness.heights[0]), wanted.base_mm, wanted.thickness_mm)
+            checks += [*of_metal, *form_checks(program, config), self._of_file, height, crossing.result()]
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
