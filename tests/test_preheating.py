@@ -422,7 +422,9 @@ def half_of_the_rows(monkeypatch):
 
 def rows_twice_as_far(monkeypatch):
     right = preheat_lines._rows
-    monkeypatch.setattr(preheat_lines, "_rows", lambda region, spacing, shift: right(region, 2.0 * spacing, shift))
+    monkeypatch.setattr(
+        preheat_lines, "_rows", lambda region, spacing, shift: right(region, 2.0 * spacing, shift)
+    )
 
 
 def clamps_left_out(monkeypatch):

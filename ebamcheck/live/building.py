@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.live.ground import Ground
+from ebamcheck.live.heat_over_layers import LayerText, layer_text
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
@@ -34,6 +35,7 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.live.pyrometer import fault_of_warmth, warmth_of
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
+from ebamcheck.live.released_layer import FOLLOWED, ended_early, entered_too_warm
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -80,6 +82,8 @@ class Building:
         self.heat = HeatSoFar.cold(maker.config)
         self.metal = MetalSoFar.none(maker.part, maker.config)
         self.finished = False
+        self._texts: list[LayerText] | None = []
+        self._text: LayerText | None = None
         self.heights = HeightsTable(folder)
         self._planned_tops_mm = self.rule.plan(0.0).tops_mm
         self._told: Answer = {}
@@ -155,6 +159,9 @@ class Building:
             return self._refused(
                 Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
             )
+        if "height_map" not in message and reading.height_mm != message.get("height_mm"):
+            said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
+            return self._refused(Refusal("not-as-said", said))
         fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
         if fault is None and reading.warmth is not None:
             why = fault_of_warmth(self.heat, reading.warmth, self.maker.config)
@@ -228,6 +235,9 @@ class Building:
             self.finished = True
             return
         self.heat, self.metal = layer.heat, layer.metal
+        # Above a layer whose text does not tell its heat, none does.
+        known = self._texts is not None and self._text is not None
+        self._texts = [*(self._texts or [])[-FOLLOWED:], self._text] if known and self._text else None
         cusp_mm = float(answer["cusp_mm"])
         self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm, cusp_mm)
 
@@ -238,6 +248,8 @@ class Building:
         top_mm = self.rule.slopes.top_mm
         if not len(plan):
             off_mm = base_mm - top_mm
+            if early := ended_early(self.maker.height_mm, base_mm, self.maker.config):
+                return _kept(reading, early), None
             return {"answer": "done", "done": reading.done, "height_mm": base_mm, "off_mm": off_mm,
                     "said": list(plan.said)}, None  # fmt: skip
         limits, why = self.rule.outer, ""
@@ -266,6 +278,9 @@ class Building:
                         made, self.maker.part, self.maker.primary, self.maker.witness, told
                     )
                     said = [*plan.said, *made.metal.spent.to_do()]
+                    warm = self._entered_too_warm(staged / PROGRAM, made, certificate)
+                    if warm:
+                        raise InputError(warm)
                     answer = {"answer": "published", "layers_left": len(plan), "said": said,
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
                               "islands": made.islands, "tries": number, **told}  # fmt: skip
@@ -275,6 +290,17 @@ class Building:
                 why = why or failure_of(error)
             shutil.rmtree(staged, ignore_errors=True)
         return _kept(reading, why), None
+
+    def _entered_too_warm(self, program: Path, made: MadeLayer, certificate: Mapping[str, Any]) -> str:
+        """Why a layer that passed is not to be released: with the wait that is told, its beads are entered too warm; empty where not.
+
+        The gates judge the wait that was planned. Heat that was measured, or put in by a scan, is not in the texts.
+        """
+        self._text = None
+        if self._texts is None or "temperature" in certificate:
+            return ""
+        self._text = layer_text(program, float(certificate["wait_s"]), made.config)
+        return "" if self._text is None else entered_too_warm(self._texts, self._text, made.config)
 
     def _refused(self, refusal: Refusal) -> Answer:
         """Answer to a reading that is not used; the journal knows of it."""

@@ -25,6 +25,7 @@ from ebamcheck.live.publishing import (
     read_current,
     write_synced,
 )
+from ebamcheck.live.released_layer import current_off, ended_early
 from ebamcheck.pipeline.certificate_checks import part_hash
 from ebamcheck.pipeline.mesh_sections import layer_check
 from ebamcheck.pipeline.placement import placed_part
@@ -198,7 +199,9 @@ def _height(file: Path, config: Config) -> Check:
     """Whether the one layer of a program is cut where it comes to lie; of the lowest one the settings alone do not ask for it."""
     part = placed_part(file, config)[0]
     heights = config.layers.heights_mm
-    return layer_check(part, heights[0] if len(heights) == 1 else math.nan, config.base_mm, config.layer_height_mm)
+    return layer_check(
+        part, heights[0] if len(heights) == 1 else math.nan, config.base_mm, config.layer_height_mm
+    )
 
 
 def _certificate(place: Path) -> dict[str, Any]:
@@ -252,31 +255,21 @@ def _not_current(folder: Path, name: str) -> str:
         current = read_current(folder) or {}
     except ValueError:
         return f"{CURRENT}: cannot be read"
-    paper = _certificate(folder / LAYERS / name)
-    wanted = {key: paper.get(key) for key in ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")}
-    program = folder / str(current.get("program"))
-    inside = program.parent == folder / LAYERS / name / PROGRAM and program.is_file()
-    wanted |= {"name": name, "sha256": sha256_of_file(program) if inside else None}
-    wrong = [key for key, value in wanted.items() if value is None or current.get(key) != value]
+    place, paper = folder / LAYERS / name, _certificate(folder / LAYERS / name)
+    wrong = current_off(place / PROGRAM, folder / str(current.get("program")), current, paper)
     if wrong or current != current_of(paper):
         return f"{CURRENT}: is not that of {name}, the layer that was published last: {', '.join(wrong) or 'values'}"
     return ""
 
 
 def _ended_early(folder: Path, name: str, file: Path) -> str:
-    """Why a build that is said to be done is not; empty where it is, or goes on.
-
-    What is left may be no layer any more: less than the process can lay, by `process.layer_over_bead`.
-    """
+    """Why a build that is said to be done is not; empty where it is, or goes on."""
     ends = [entry for entry in read_journal(folder / JOURNAL) if entry.get("kind") == "done"]
     if not ends:
         return ""
     config = load_config(folder / LAYERS / name / SETTINGS)
-    high_mm, at_mm = float(placed_part(file, config)[0].size[2]), float(ends[-1]["height_mm"])
-    least_mm = config.process.layer_over_bead[0] * config.process.bead_height_mm
-    if high_mm - at_mm < least_mm:
-        return ""
-    return f"{JOURNAL}: the build is said to be done at {at_mm:.3f} mm, the part is {high_mm:.3f} mm high"
+    why = ended_early(float(placed_part(file, config)[0].size[2]), float(ends[-1]["height_mm"]), config)
+    return f"{JOURNAL}: {why}" if why else ""
 
 
 def read_verified(folder: Path) -> dict[str, VerifiedLayer]:

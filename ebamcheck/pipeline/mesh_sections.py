@@ -127,7 +127,8 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
     low_mm, top_mm = part.bounds[:, 2].tolist()
     off = {
         "the layer is not cut at its middle": abs(cut_mm - low_mm - base_mm - 0.5 * thickness_mm),
-        f"the layer begins over the top of the part, at {top_mm - low_mm:.3f} mm": base_mm - (top_mm - low_mm),
+        f"the layer begins over the top of the part, at {top_mm - low_mm:.3f} mm": base_mm
+        - (top_mm - low_mm),
     }
     if math.isnan(cut_mm):
         off = {"the layer has no cut of its own": np.inf}

@@ -90,7 +90,9 @@ def file_check(part: Part, config: Config) -> Check:
             "does not stand as the slicing direction says for the one": abs(found[2] - wanted[2]) / size,
         }
     if max(off.values(), default=0.0) <= SAME_SIZE:
-        off["does not stand where direction, turn and place say for the one"] = _beside_mm(part, bodies, config) / size
+        off["does not stand where direction, turn and place say for the one"] = (
+            _beside_mm(part, bodies, config) / size
+        )
     what = max(off, key=lambda name: off[name])
     good = f"{path.name} in {config.part.units}, {found[0]:.6g} mm high"
     text = (
@@ -135,7 +137,9 @@ def _beside_mm(part: Part, bodies: list[_Body], config: Config) -> float:
                 return np.inf
             there = part.vertices[rows]
             off = np.abs(there - corners).max(axis=(1, 2), initial=0.0)
-            if config.part.fix_orientation:  # facets that are turned over have their corners the other way round
+            if (
+                config.part.fix_orientation
+            ):  # facets that are turned over have their corners the other way round
                 off = np.minimum(off, np.abs(there - corners[:, ::-1]).max(axis=(1, 2), initial=0.0))
             off_mm = max(off_mm, float(off.max(initial=0.0)))
     return off_mm if first == len(part.faces) else np.inf
@@ -147,7 +151,7 @@ def _standing(body: _Body) -> Iterator[Floats]:
     The shortest turn that takes one direction to another is a half turn about the first and one about the middle between them.
     """
     up = np.asarray(body.direction, np.float64) / np.linalg.norm(body.direction)
-    middle = up + [0.0, 0.0, 1.0]
+    middle = up + np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(middle) > 1e-7:
         middle /= np.linalg.norm(middle)
         upright = (2.0 * np.outer(middle, middle) - np.eye(3)) @ (2.0 * np.outer(up, up) - np.eye(3))
