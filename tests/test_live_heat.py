@@ -9,6 +9,7 @@ from command_line import write_stl
 from live_boxes import maker_of, run_of_box
 
 import ebamcheck
+from ebamcheck.live import building as building_module
 from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.making import LayerMaker, Wanted
@@ -71,6 +72,10 @@ class Impatient(Building):
     ("server", "found"), [(Building, ""), (Forgetful, "heat"), (Impatient, "heat"), (Levelled, "metal")]
 )
 def test_verify_follows_heat_and_metal_over_all_layers(server, found, tmp_path_factory, tmp_path):
+@pytest.mark.parametrize(("server", "found"), [(Building, False), (Forgetful, True), (Impatient, True)])
+def test_verify_follows_the_heat_of_all_layers(server, found, monkeypatch, tmp_path_factory, tmp_path):
+    # A server that looks at it itself releases no such layer (test_live_made_wrong.py).
+    monkeypatch.setattr(building_module, "entered_too_warm", lambda *_: "")
     place = run_of_box(tmp_path_factory, (30, 24, 12))
     with maker_of(place) as maker:
         building = server(maker, tmp_path / "b")

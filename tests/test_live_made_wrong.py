@@ -69,7 +69,9 @@ def cut_at_the_bottom(monkeypatch):
 
     def wrong(self, wanted, *given):
         config, cut_mm = right(self, wanted, *given), self.bottom_mm + wanted.base_mm + 1e-3
-        return config.model_copy(update={"layers": config.layers.model_copy(update={"heights_mm": (cut_mm,)})})
+        return config.model_copy(
+            update={"layers": config.layers.model_copy(update={"heights_mm": (cut_mm,)})}
+        )
 
     monkeypatch.setattr(LayerMaker, "config_of", wrong)
 
@@ -81,7 +83,9 @@ def cut_without_the_bottom(monkeypatch):
 def no_wait(monkeypatch):
     right = building_module.replace
     monkeypatch.setattr(
-        building_module, "replace", lambda made, **to: right(made, **({"wait_s": 0.0} if "wait_s" in to else to))
+        building_module,
+        "replace",
+        lambda made, **to: right(made, **({"wait_s": 0.0} if "wait_s" in to else to)),
     )
 
 
@@ -104,14 +108,18 @@ def another_wait_is_told(monkeypatch):
 def another_file_is_called(monkeypatch):
     right = publishing.current_of
     monkeypatch.setattr(
-        publishing, "current_of", lambda paper: right(paper) | {"program": "layers/MAIN_K0001R1/program/x.SPF"}
+        publishing,
+        "current_of",
+        lambda paper: right(paper) | {"program": "layers/MAIN_K0001R1/program/x.SPF"},
     )
 
 
 def ends_too_soon(monkeypatch):
     right = HeightRule.plan
     monkeypatch.setattr(
-        HeightRule, "plan", lambda self, base_mm: right(self, base_mm if base_mm < 3.0 else self.slopes.top_mm)
+        HeightRule,
+        "plan",
+        lambda self, base_mm: right(self, base_mm if base_mm < 3.0 else self.slopes.top_mm),
     )
 
 

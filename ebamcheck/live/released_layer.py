@@ -21,7 +21,9 @@ SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "laye
 """What a control is told of a layer that stands in its certificate, too."""
 
 
-def current_off(place: Path, program: Path, current: Mapping[str, Any], paper: Mapping[str, Any]) -> list[str]:
+def current_off(
+    place: Path, program: Path, current: Mapping[str, Any], paper: Mapping[str, Any]
+) -> list[str]:
     """What a control is told of a layer that is not so; empty where all is.
 
     Parameters

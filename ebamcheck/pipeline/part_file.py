@@ -18,6 +18,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.mesh.files import corners_of
 from ebamcheck.mesh.part import Part
@@ -65,11 +66,10 @@ class _Body:
     def facets(self) -> Iterator[Floats]:
         """Corners (n, 3, 3) of its facets, mm, as the file has them."""
         if self.path.suffix.lower() == ".stl":
-            blocks = _facets_of(self.path)
-        else:
-            every = corners_of(self.path)
-            blocks = (every[k : k + AT_ONCE] for k in range(0, len(every), AT_ONCE))
-        return (np.asarray(some, np.float64) * self.unit_mm for some in blocks)
+            return (np.asarray(some, np.float64) * self.unit_mm for some in _facets_of(self.path))
+        every = corners_of(self.path)
+        firsts = range(0, len(every), AT_ONCE)
+        return (np.asarray(every[k : k + AT_ONCE], np.float64) * self.unit_mm for k in firsts)
 
 
 def file_check(part: Part, config: Config) -> Check:
@@ -79,7 +79,7 @@ def file_check(part: Part, config: Config) -> Check:
         return Check(PART_FILE, True, 0.0, SAME_SIZE, "of its size", "", "no file of the part")
     size = max(float(np.linalg.norm(part.size)), 1e-9)
     path, off = bodies[0].path, dict[str, float]()
-    found = wanted = (float(part.size[2]),)
+    found = wanted = (float(part.size[2]), 0.0, 0.0)
     if not isinstance(part, PlatePart) and path.suffix.lower() == ".stl":
         wanted = _measured(_facets_of(path), config.part.direction, bodies[0].unit_mm)
         blocks = (part.vertices[part.faces[k : k + AT_ONCE]] for k in range(0, len(part.faces), AT_ONCE))
@@ -160,7 +160,7 @@ def _standing(body: _Body) -> Iterator[Floats]:
     turn = cmath.exp(1j * math.radians(body.turn_deg))
     still, turned = _Box(), _Box()
     for facets in body.facets():
-        flat, z = _flat(facets @ upright.T)
+        flat, z = _flat(facets, upright)
         still.add(flat, z)
         turned.add(turn * flat, z)
     shift, rise = still.middle - turn * still.middle, 0.0
@@ -168,14 +168,17 @@ def _standing(body: _Body) -> Iterator[Floats]:
         shift = complex(*body.place_mm[:2]) - turned.middle
         rise = body.place_mm[2] - still.low[2] if len(body.place_mm) > 2 else 0.0
     for facets in body.facets():
-        flat, z = _flat(facets @ upright.T)
+        flat, z = _flat(facets, upright)
         at = turn * flat + shift
         yield np.stack([at.real, at.imag, z + rise], axis=2)
 
 
-def _flat(facets: Floats) -> tuple[np.ndarray[tuple[int, int], np.dtype[np.complex128]], Floats]:
-    """Places (n, 3, 3) as X + iY and Z."""
-    return facets[:, :, 0] + 1j * facets[:, :, 1], facets[:, :, 2]
+def _flat(facets: Floats, turn: Floats) -> tuple[NDArray[np.complex128], Floats]:
+    """Corners of facets (n, 3, 3) after a turn, (n, 3) each: X + iY, and Z."""
+    x, y, z = (
+        facets[:, :, 0] * r[0] + facets[:, :, 1] * r[1] + facets[:, :, 2] * r[2] for r in turn.tolist()
+    )
+    return x + 1j * y, z
 
 
 class _Box:
@@ -184,7 +187,7 @@ class _Box:
     def __init__(self) -> None:
         self.low, self.high = [np.inf] * 3, [-np.inf] * 3
 
-    def add(self, flat: np.ndarray[tuple[int, int], np.dtype[np.complex128]], z: Floats) -> None:
+    def add(self, flat: NDArray[np.complex128], z: Floats) -> None:
         """Let it hold further places."""
         for axis, values in enumerate((flat.real, flat.imag, z)):
             self.low[axis] = min(self.low[axis], float(values.min(initial=np.inf)))

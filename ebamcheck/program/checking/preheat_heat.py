@@ -205,8 +205,9 @@ def temperature_again(found: list[Found], config: Config) -> list[Check]:
         return []
     number = np.floor(np.cumsum(scan.way.time_s) / AT_ONCE_S).astype(np.int64)
     _, of = np.unique(number, return_inverse=True)
-    times_s = np.bincount(of, scan.way.time_s)
-    heats_j = np.bincount(of, scan.way.time_s * scan.way.power_w) * config.material.absorptivity
+    times_s = np.bincount(of, scan.way.time_s).astype(np.float64)
+    beam_j = np.bincount(of, scan.way.time_s * scan.way.power_w).astype(np.float64)
+    heats_j = config.material.absorptivity * beam_j
     areas_mm2 = scan.on.body.area, scan.on.region.area
     low_k, high_k = sorted(plate_k(max(area, 1e-9), times_s, heats_j, config) for area in areas_mm2)
     off_k = max(low_k - scan.after.mean_k, scan.after.mean_k - high_k, 0.0)

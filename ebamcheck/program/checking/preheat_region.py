@@ -35,6 +35,7 @@ def wanted_region(
     """
     half_mm = (0.5 - ROUND_SHARE) * config.preheat.spot_mm
     below = under if k == 0 else sections[k - 1]
+    region: BaseGeometry
     if below is not None:
         region = shapely.buffer(below, -half_mm)
     else:
