@@ -9,11 +9,11 @@ from command_line import write_stl
 from live_boxes import maker_of, run_of_box
 
 import ebamcheck
-from ebamcheck.live import building as building_module
 from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.released_layer import Followed
 from ebamcheck.live.verifying import verify_build
 from ebamcheck.program.checking.interpass_checks import INTERPASS
 from ebamcheck.settings.config import Config
@@ -75,7 +75,7 @@ def test_verify_follows_heat_and_metal_over_all_layers(server, found, tmp_path_f
 @pytest.mark.parametrize(("server", "found"), [(Building, False), (Forgetful, True), (Impatient, True)])
 def test_verify_follows_the_heat_of_all_layers(server, found, monkeypatch, tmp_path_factory, tmp_path):
     # A server that looks at it itself releases no such layer (test_live_made_wrong.py).
-    monkeypatch.setattr(building_module, "entered_too_warm", lambda *_: "")
+    monkeypatch.setattr(Followed, "too_warm", lambda *_: "")
     place = run_of_box(tmp_path_factory, (30, 24, 12))
     with maker_of(place) as maker:
         building = server(maker, tmp_path / "b")

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.live.ground import Ground
-from ebamcheck.live.heat_over_layers import LayerText, layer_text
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
@@ -35,7 +34,7 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.live.pyrometer import fault_of_warmth, warmth_of
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
-from ebamcheck.live.released_layer import FOLLOWED, ended_early, entered_too_warm
+from ebamcheck.live.released_layer import Followed, ended_early
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -82,8 +81,7 @@ class Building:
         self.heat = HeatSoFar.cold(maker.config)
         self.metal = MetalSoFar.none(maker.part, maker.config)
         self.finished = False
-        self._texts: list[LayerText] | None = []
-        self._text: LayerText | None = None
+        self._followed = Followed()
         self.heights = HeightsTable(folder)
         self._planned_tops_mm = self.rule.plan(0.0).tops_mm
         self._told: Answer = {}
@@ -235,9 +233,7 @@ class Building:
             self.finished = True
             return
         self.heat, self.metal = layer.heat, layer.metal
-        # Above a layer whose text does not tell its heat, none does.
-        known = self._texts is not None and self._text is not None
-        self._texts = [*(self._texts or [])[-FOLLOWED:], self._text] if known and self._text else None
+        self._followed.take()
         cusp_mm = float(answer["cusp_mm"])
         self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm, cusp_mm)
 
@@ -278,8 +274,7 @@ class Building:
                         made, self.maker.part, self.maker.primary, self.maker.witness, told
                     )
                     said = [*plan.said, *made.metal.spent.to_do()]
-                    warm = self._entered_too_warm(staged / PROGRAM, made, certificate)
-                    if warm:
+                    if warm := self._followed.too_warm(staged / PROGRAM, certificate, made.config):
                         raise InputError(warm)
                     answer = {"answer": "published", "layers_left": len(plan), "said": said,
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
@@ -290,17 +285,6 @@ class Building:
                 why = why or failure_of(error)
             shutil.rmtree(staged, ignore_errors=True)
         return _kept(reading, why), None
-
-    def _entered_too_warm(self, program: Path, made: MadeLayer, certificate: Mapping[str, Any]) -> str:
-        """Why a layer that passed is not to be released: with the wait that is told, its beads are entered too warm; empty where not.
-
-        The gates judge the wait that was planned. Heat that was measured, or put in by a scan, is not in the texts.
-        """
-        self._text = None
-        if self._texts is None or "temperature" in certificate:
-            return ""
-        self._text = layer_text(program, float(certificate["wait_s"]), made.config)
-        return "" if self._text is None else entered_too_warm(self._texts, self._text, made.config)
 
     def _refused(self, refusal: Refusal) -> Answer:
         """Answer to a reading that is not used; the journal knows of it."""

@@ -27,7 +27,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.layer_feed import at_layer_feed
-from ebamcheck.live.metal_checks import metal_checks
+from ebamcheck.live.mesh_checks import mesh_and_metal
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
 from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
@@ -37,7 +37,6 @@ from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.turned import Stands, turned_checks
@@ -285,8 +284,7 @@ class LayerMaker:
         with clock.stage("verify"):
             read = control(config.machine.control).load("reader")
             program, _ = matched(read(files.main, config), path)
-            weighing = self._aside.submit(metal_checks, program, witness, stands, config)
-            crossing = self._aside.submit(sections_check, self.part, witness, config)
+            weighing = self._aside.submit(mesh_and_metal, program, self.part, witness, stands, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
@@ -302,9 +300,8 @@ class LayerMaker:
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
-            of_metal, stands = weighing.result()
-            height = layer_check(self.part, float(witness.heights[0]), wanted.base_mm, wanted.thickness_mm)
-            checks += [*of_metal, *form_checks(program, config), self._of_file, height, crossing.result()]
+            beside, stands = weighing.result()
+            checks += [*beside, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)

@@ -6,12 +6,12 @@ A gate that judges a layer says nothing of what is told beside it: the wait befo
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.live.heat_over_layers import LayerText, too_warm
+from ebamcheck.live.heat_over_layers import LayerText, layer_text, too_warm
 from ebamcheck.settings.config import Config
 
 FOLLOWED = 8
@@ -39,10 +39,30 @@ def current_off(
     return [key for key, value in wanted.items() if value is None or current.get(key) != value]
 
 
-def entered_too_warm(below: Sequence[LayerText], text: LayerText, config: Config) -> str:
-    """Why a layer is entered too warm by its text, its wait and the texts of the uppermost layers below it; empty where it is not."""
-    texts = [*below[-FOLLOWED:], text]
-    return too_warm(texts, config).get(len(texts) - 1, "")
+class Followed:
+    """Heat of a build over its uppermost layers, as the server follows it again before it releases the next one.
+
+    The gates judge the wait that was planned; here it is that which is told. Heat that was measured, or put in by a scan, is not in the
+    texts: above a layer that has such, nothing is said.
+    """
+
+    def __init__(self) -> None:
+        self._texts: list[LayerText] | None = []
+        self._text: LayerText | None = None
+
+    def too_warm(self, program: Path, paper: Mapping[str, Any], config: Config) -> str:
+        """Why a layer is entered too warm by its text, its wait and the texts of those below; empty where it is not."""
+        self._text = None
+        if self._texts is None or "temperature" in paper:
+            return ""
+        self._text = layer_text(program, float(paper["wait_s"]), config)
+        texts = [] if self._text is None else [*self._texts, self._text]
+        return too_warm(texts, config).get(len(texts) - 1, "")
+
+    def take(self) -> None:
+        """Let the layer that was judged last be the uppermost."""
+        known = self._texts is not None and self._text is not None
+        self._texts = [*(self._texts or []), self._text][-FOLLOWED:] if known and self._text else None
 
 
 def ended_early(height_mm: float, at_mm: float, config: Config) -> str:
