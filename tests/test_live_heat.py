@@ -71,9 +71,9 @@ class Impatient(Building):
 @pytest.mark.parametrize(
     ("server", "found"), [(Building, ""), (Forgetful, "heat"), (Impatient, "heat"), (Levelled, "metal")]
 )
-def test_verify_follows_heat_and_metal_over_all_layers(server, found, tmp_path_factory, tmp_path):
-@pytest.mark.parametrize(("server", "found"), [(Building, False), (Forgetful, True), (Impatient, True)])
-def test_verify_follows_the_heat_of_all_layers(server, found, monkeypatch, tmp_path_factory, tmp_path):
+def test_verify_follows_heat_and_metal_over_all_layers(
+    server, found, monkeypatch, tmp_path_factory, tmp_path
+):
     # A server that looks at it itself releases no such layer (test_live_made_wrong.py).
     monkeypatch.setattr(Followed, "too_warm", lambda *_: "")
     place = run_of_box(tmp_path_factory, (30, 24, 12))

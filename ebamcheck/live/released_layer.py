@@ -53,11 +53,11 @@ class Followed:
     def too_warm(self, program: Path, paper: Mapping[str, Any], config: Config) -> str:
         """Why a layer is entered too warm by its text, its wait and the texts of those below; empty where it is not."""
         self._text = None
-        if self._texts is None or "temperature" in paper:
+        if self._texts is None:
             return ""
-        self._text = layer_text(program, float(paper["wait_s"]), config)
+        self._text = layer_text(program, paper, config)
         texts = [] if self._text is None else [*self._texts, self._text]
-        return too_warm(texts, config).get(len(texts) - 1, "")
+        return too_warm(texts).get(len(texts) - 1, "")
 
     def take(self) -> None:
         """Let the layer that was judged last be the uppermost."""
