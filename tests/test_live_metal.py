@@ -9,7 +9,7 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.live.making import metal_checks
+from ebamcheck.live.metal_checks import metal_checks
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+import trimesh
 from parts import box, join
 
 from ebamcheck import save
@@ -194,3 +195,92 @@ def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
         placing.Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
     )
     assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
+
+
+def turned_back(self, part, right=placing.Placing.moved):
+    return right(replace(self, turn_deg=-self.turn_deg), part)
+
+
+def turned_about_the_origin(self, part, right=placing.Placing.moved):
+    return right(replace(self, about_mm=(0.0, 0.0)), part)
+
+
+def placed_with_x_and_y_swapped(self, part, right=placing.Placing.moved):
+    x, y, z = self.shift_mm
+    return right(replace(self, shift_mm=(y, x, z)), part)
+
+
+def mirrored(self, part, right=placing.Placing.moved):
+    return replace(right(self, part), vertices=right(self, part).vertices * [-1.0, 1.0, 1.0]).reversed()
+
+
+WRONG = [turned_back, turned_about_the_origin, placed_with_x_and_y_swapped, mirrored]
+PLACED = {"rotate_deg": 30.0, "place_at_mm": [100.0, 50.0, 3.0]}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_part_that_is_placed_wrongly_is_found(wrong, monkeypatch, tmp_path):
+    settings = PLACED if wrong is not turned_about_the_origin else {"rotate_deg": 30.0}
+    assert file_check(*read(tmp_path, settings)).passed
+    monkeypatch.setattr(placing.Placing, "moved", wrong)
+    check = file_check(*read(tmp_path, settings))
+    assert not check.passed
+    assert "direction, turn and place" in check.text
+
+
+def test_a_part_that_is_turned_by_more_than_the_shortest_turn_is_found(monkeypatch, tmp_path):
+    right, more = mesh_part.rotation_to_z, np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for direction in ([0.6, 0.0, 0.8], [0.0, 0.0, -1.0]):
+        monkeypatch.setattr(mesh_part, "rotation_to_z", lambda way: more @ right(way))
+        assert not file_check(*read(tmp_path, {"direction": direction})).passed
+        monkeypatch.undo()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".obj"])
+def test_a_part_of_another_format_stands_where_the_settings_say(suffix, monkeypatch, tmp_path):
+    path = tmp_path / f"part{suffix}"
+    if suffix == ".ply":
+        trimesh.Trimesh(CORNERED.vertices, CORNERED.faces, process=False).export(path)
+    else:
+        lines = [f"v {x} {y} {z}" for x, y, z in CORNERED.vertices.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (CORNERED.faces + 1).tolist()]
+        path.write_text("\n".join(lines) + "\n")
+    config = Config().changed(part={"units": "cm", "direction": [0.0, -1.0, 0.0], **PLACED})
+    assert file_check(placed_part(path, config)[0], config).passed
+    monkeypatch.setattr(placing.Placing, "moved", turned_back)
+    assert not file_check(placed_part(path, config)[0], config).passed
+
+
+def test_facets_that_are_turned_over_as_the_settings_ask_stand_where_they_stood(tmp_path):
+    path = tmp_path / "inside_out.stl"
+    save(CORNERED.reversed(), path)
+    config = Config().changed(part={"fix_orientation": True, **PLACED})
+    part, turned, _ = placed_part(path, config)
+    assert turned
+    assert file_check(part, config).passed
+    assert not file_check(part, config.changed(part={"fix_orientation": False})).passed
+
+
+PLATE = """clearance_mm = 1
+[[parts]]
+file = "a.stl"
+units = "inches"
+direction = [1, 0, 0]
+rotate_deg = 30
+place_mm = [0, 0]
+[[parts]]
+file = "a.stl"
+place_mm = [4000, 0]
+copies = 3
+step_mm = [500, 70]
+"""
+
+
+@pytest.mark.parametrize("wrong", [None, turned_back, placed_with_x_and_y_swapped, mirrored])
+def test_every_part_of_a_plate_stands_where_the_plate_says(wrong, monkeypatch, tmp_path):
+    save(CORNERED, tmp_path / "a.stl")
+    (tmp_path / "plate.toml").write_text(PLATE)
+    config = Config().changed(part={"units": "cm"})
+    if wrong is not None:
+        monkeypatch.setattr(placing.Placing, "moved", wrong)
+    assert file_check(placed_part(tmp_path / "plate.toml", config)[0], config).passed is (wrong is None)

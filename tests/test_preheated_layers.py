@@ -88,7 +88,7 @@ def test_the_layer_begins_on_the_heat_of_its_scan(made):
     assert warm["preheat temperature"].value >= 645.0
     # Its text alone does not tell how warm the part is: what it does tell is judged.
     alone = [check.name for check in preheat_checks(nc, upper.config, [SECTION])]
-    assert alone == ["preheat calls", "preheat state", "preheat path"]
+    assert alone == ["preheat calls", "preheat state", "preheat path", "preheat lines"]
 
 
 def test_a_published_layer_verifies_from_its_text(made, tmp_path):

@@ -34,6 +34,7 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.live.pyrometer import fault_of_warmth, warmth_of
 from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
+from ebamcheck.live.released_layer import Followed, ended_early
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -80,6 +81,7 @@ class Building:
         self.heat = HeatSoFar.cold(maker.config)
         self.metal = MetalSoFar.none(maker.part, maker.config)
         self.finished = False
+        self._followed = Followed()
         self.heights = HeightsTable(folder)
         self._planned_tops_mm = self.rule.plan(0.0).tops_mm
         self._told: Answer = {}
@@ -155,6 +157,9 @@ class Building:
             return self._refused(
                 Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
             )
+        if "height_map" not in message and reading.height_mm != message.get("height_mm"):
+            said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
+            return self._refused(Refusal("not-as-said", said))
         fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
         if fault is None and reading.warmth is not None:
             why = fault_of_warmth(self.heat, reading.warmth, self.maker.config)
@@ -228,6 +233,7 @@ class Building:
             self.finished = True
             return
         self.heat, self.metal = layer.heat, layer.metal
+        self._followed.take()
         cusp_mm = float(answer["cusp_mm"])
         self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm, cusp_mm)
 
@@ -238,6 +244,8 @@ class Building:
         top_mm = self.rule.slopes.top_mm
         if not len(plan):
             off_mm = base_mm - top_mm
+            if early := ended_early(self.maker.height_mm, base_mm, self.maker.config):
+                return _kept(reading, early), None
             return {"answer": "done", "done": reading.done, "height_mm": base_mm, "off_mm": off_mm,
                     "said": list(plan.said)}, None  # fmt: skip
         limits, why = self.rule.outer, ""
@@ -266,6 +274,8 @@ class Building:
                         made, self.maker.part, self.maker.primary, self.maker.witness, told
                     )
                     said = [*plan.said, *made.metal.spent.to_do()]
+                    if warm := self._followed.too_warm(staged / PROGRAM, certificate, made.config):
+                        raise InputError(warm)
                     answer = {"answer": "published", "layers_left": len(plan), "said": said,
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
                               "islands": made.islands, "tries": number, **told}  # fmt: skip

@@ -27,7 +27,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.layer_feed import at_layer_feed
-from ebamcheck.live.metal_checks import metal_checks
+from ebamcheck.live.mesh_checks import mesh_and_metal
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
 from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
@@ -37,6 +37,7 @@ from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
@@ -163,6 +164,7 @@ class LayerMaker:
         # What every layer has alike is made once, and written out once.
         self._of_part = config.part.model_copy(update={"direction": part.direction})
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
+        self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None
         """What stands of a part that is turned between layers; None: it is not."""
         self._open = ExitStack()
@@ -282,7 +284,7 @@ class LayerMaker:
         with clock.stage("verify"):
             read = control(config.machine.control).load("reader")
             program, _ = matched(read(files.main, config), path)
-            weighing = self._aside.submit(metal_checks, program, witness, stands, config)
+            weighing = self._aside.submit(mesh_and_metal, program, self.part, witness, stands, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
@@ -298,8 +300,8 @@ class LayerMaker:
                 sha256=files.sha256,
                 smooth=smooth if config.curves.method in LIFTED else None,
             )
-            of_metal, stands = weighing.result()
-            checks += [*of_metal, *form_checks(program, config)]
+            beside, stands = weighing.result()
+            checks += [*beside, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)

@@ -14,6 +14,7 @@ from typing import Any
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import json_text, plain, sha256_of_json
 from ebamcheck.live.making import MadeLayer
+from ebamcheck.live.released_layer import current_off
 from ebamcheck.live.tilting import told_of_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.program.language.control import control
@@ -139,15 +140,21 @@ def publish(
     _sync(staged)
     target = folder / LAYERS / made.wanted.name
     target.parent.mkdir(parents=True, exist_ok=True)
-    if target.exists():
+    fresh = not target.exists()
+    if not fresh:
         for name, wanted in made.files.sha256.items():
             _check_hash(target / PROGRAM / name, wanted)
         shutil.rmtree(staged)
     else:
         os.rename(staged, target)
     _sync_folder(target.parent)
-    before()
     current = current_of(certificate)
+    wrong = current_off(target / PROGRAM, folder / str(current["program"]), current, certificate)
+    if wrong:
+        if fresh:
+            shutil.rmtree(target)
+        raise InputError(f"layer {made.wanted.layer}: the control would be told another {', '.join(wrong)}")
+    before()
     write_synced(folder / CURRENT, json_text(current))
     return current
 

@@ -25,9 +25,12 @@ from ebamcheck.live.publishing import (
     read_current,
     write_synced,
 )
+from ebamcheck.live.released_layer import current_off, ended_early
 from ebamcheck.pipeline.certificate_checks import part_hash
+from ebamcheck.pipeline.mesh_sections import layer_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.pipeline.verify import verify
+from ebamcheck.program import Check
 from ebamcheck.program.checking.consumables import FRESH, Spent, with_layer
 from ebamcheck.settings.config import Config, load_config
 
@@ -116,7 +119,7 @@ def verify_build(
     for k, why in _over_layers(folder, found, part):
         found[k] = replace(found[k], why="; ".join(text for text in (found[k].why, why) if text))
         told(found[k])
-    if found and is_build(folder) and found[-1].passed and (why := _not_current(folder, found[-1].name)):
+    if found and is_build(folder) and found[-1].passed and (why := _last_off(folder, found[-1].name, part)):
         found[-1] = replace(found[-1], why=why)
         told(found[-1])
     write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
@@ -181,6 +184,7 @@ def _verified(
         if why := _other_than(_certificate(place), name, files, due, config, part):
             return VerifiedLayer(name, 0, why, files), spent
         checks = verify(place / PROGRAM, part, config)
+        checks.append(_height(part, config))
     except EbamcheckError as error:
         return VerifiedLayer(name, 0, str(error), files), spent
     wrong = [check.in_words() for check in checks if not check.passed]
@@ -189,6 +193,15 @@ def _verified(
     lasts, spent = with_layer(checks, config, spent)
     wrong += [check.in_words() for check in lasts if not check.passed]
     return VerifiedLayer(name, len(checks), "; ".join(wrong), files), spent
+
+
+def _height(file: Path, config: Config) -> Check:
+    """Whether the one layer of a program is cut where it comes to lie; of the lowest one the settings alone do not ask for it."""
+    part = placed_part(file, config)[0]
+    heights = config.layers.heights_mm
+    return layer_check(
+        part, heights[0] if len(heights) == 1 else math.nan, config.base_mm, config.layer_height_mm
+    )
 
 
 def _certificate(place: Path) -> dict[str, Any]:
@@ -228,15 +241,35 @@ def _other_than(
     return ""
 
 
+def _last_off(folder: Path, name: str, file: Path) -> str:
+    """What is wrong with the layer that was published last, beside itself."""
+    return _not_current(folder, name) or _ended_early(folder, name, file)
+
+
 def _not_current(folder: Path, name: str) -> str:
-    """Why the layer that is to be called next is not the one that was published last; empty where it is."""
+    """Why the layer that is to be called next is not the one that was published last; empty where it is.
+
+    Each value is held against certificate and file by itself: what writes them takes them from one place.
+    """
     try:
-        current = read_current(folder)
+        current = read_current(folder) or {}
     except ValueError:
         return f"{CURRENT}: cannot be read"
-    if current != current_of(_certificate(folder / LAYERS / name)):
-        return f"{CURRENT}: is not that of {name}, the layer that was published last"
+    place, paper = folder / LAYERS / name, _certificate(folder / LAYERS / name)
+    wrong = current_off(place / PROGRAM, folder / str(current.get("program")), current, paper)
+    if wrong or current != current_of(paper):
+        return f"{CURRENT}: is not that of {name}, the layer that was published last: {', '.join(wrong) or 'values'}"
     return ""
+
+
+def _ended_early(folder: Path, name: str, file: Path) -> str:
+    """Why a build that is said to be done is not; empty where it is, or goes on."""
+    ends = [entry for entry in read_journal(folder / JOURNAL) if entry.get("kind") == "done"]
+    if not ends:
+        return ""
+    config = load_config(folder / LAYERS / name / SETTINGS)
+    why = ended_early(float(placed_part(file, config)[0].size[2]), float(ends[-1]["height_mm"]), config)
+    return f"{JOURNAL}: {why}" if why else ""
 
 
 def read_verified(folder: Path) -> dict[str, VerifiedLayer]:

@@ -75,17 +75,7 @@ def _read(path: Path, units: str, millimetres: float) -> Part:
 
 
 def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: float) -> Part:
-    suffix = path.suffix.lower()
-    triangles: NDArray[np.float32] | NDArray[np.float64]
-    notes: list[str] = []
-    if suffix in OWN_READERS:
-        triangles, notes = OWN_READERS[suffix](bytes(data), path.name)
-    elif suffix in TRIMESH_SUFFIXES:
-        triangles = _through_trimesh(data, suffix[1:], path.name)
-    elif suffix in (".stl", ""):
-        triangles, notes = read_triangles(data, path.name)
-    else:
-        raise InputError(f"{path.name}: {how_to_read(suffix)}")
+    triangles, notes = _triangles_of(data, path)
     vertices, faces = weld(triangles)
     if millimetres != 1.0:
         vertices *= millimetres
@@ -100,6 +90,29 @@ def _part_of(data: bytes | memoryview, path: Path, units: str, millimetres: floa
     for note in notes:
         _log.warning("%s: %s", path.name, note)
     return replace(part, notes=tuple(notes))
+
+
+def corners_of(path: Path) -> NDArray[np.float32] | NDArray[np.float64]:
+    """Corners (F, 3, 3) of the facets of a mesh file, in its own numbers."""
+    return _triangles_of(_bytes_of(path), path)[0]
+
+
+def _triangles_of(
+    data: bytes | memoryview, path: Path
+) -> tuple[NDArray[np.float32] | NDArray[np.float64], list[str]]:
+    """Corners of the facets of a mesh file, and remarks from reading it."""
+    suffix = path.suffix.lower()
+    triangles: NDArray[np.float32] | NDArray[np.float64]
+    notes: list[str] = []
+    if suffix in OWN_READERS:
+        triangles, notes = OWN_READERS[suffix](bytes(data), path.name)
+    elif suffix in TRIMESH_SUFFIXES:
+        triangles = _through_trimesh(data, suffix[1:], path.name)
+    elif suffix in (".stl", ""):
+        triangles, notes = read_triangles(data, path.name)
+    else:
+        raise InputError(f"{path.name}: {how_to_read(suffix)}")
+    return triangles, notes
 
 
 def extent_notes(largest_mm: float, units: str) -> list[str]:

@@ -8,6 +8,7 @@ No ring, no polygon and no slicer comes into that.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -88,6 +89,9 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
 
     Of listed heights, and of layers on what stands, the user says which they are.
     """
+    if config.base_mm > 0.0 and len(cuts):
+        first = float(cuts[1] - cuts[0]) if len(cuts) > 1 else config.layer_height_mm
+        return layer_check(part, float(cuts[0]), config.base_mm, first)
     if config.layers.heights_mm or config.base_mm > 0.0:
         return Check(HEIGHTS, True, 0.0, HEIGHT_MM, "mm", "", "the settings say which layers there are")
     low_mm, top_mm = part.bounds[:, 2].tolist()
@@ -106,6 +110,31 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     what = max(off, key=lambda name: off[name])
     value = max(off[what], 0.0)
     good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
+    text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
+    return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+
+
+def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
+    """Check that a layer on what stands is cut at its middle, and does not begin over the top of the part.
+
+    Parameters
+    ----------
+    cut_mm
+        Absolute height of its cut.
+    base_mm, thickness_mm
+        Z of what it lies on, over the lowest point of the part; and its height.
+    """
+    low_mm, top_mm = part.bounds[:, 2].tolist()
+    off = {
+        "the layer is not cut at its middle": abs(cut_mm - low_mm - base_mm - 0.5 * thickness_mm),
+        f"the layer begins over the top of the part, at {top_mm - low_mm:.3f} mm": base_mm
+        - (top_mm - low_mm),
+    }
+    if math.isnan(cut_mm):
+        off = {"the layer has no cut of its own": np.inf}
+    what = max(off, key=lambda name: off[name])
+    value = max(off[what], 0.0)
+    good = f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle"
     text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
     return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
 

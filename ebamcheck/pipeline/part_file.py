@@ -1,25 +1,33 @@
-"""Whether the part that is built is the one in its file: of that size, that way up, and no other.
+"""Whether the part that is built is the one in its file: of that size, that way up, at its place, and no other.
 
-Unit, slicing direction and place are applied once, before anything else looks at the part: slicers, gates and `verify` all get it as
-it comes from there. So an STL file is read again here, by other code, and held against the part: how long it is along the
-slicing direction, its surface, and how high the middle of its surface lies.
+Unit, slicing direction, turn and place are applied once, before anything else looks at the part: slicers, gates and `verify` all get
+it as it comes from there. So an STL file is read again here, by other code, and held against the part: how long it is along the
+slicing direction, its surface, and how high the middle of its surface lies. Then every corner of every facet is turned and placed
+anew, as settings or plate say, and held against where it stands; of other formats that alone is told.
 """
 
 from __future__ import annotations
 
+import cmath
+import math
 import re
+import tomllib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ebamcheck.mesh.files import corners_of
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import PART_FILE
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.units import known_as
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
 """Millimetres in one unit: the inch is exact since 1959. Written anew here."""
@@ -37,20 +45,54 @@ FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.
 """Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid."""
 
 
+@dataclass(frozen=True)
+class _Body:
+    """A part in its file, and how it is to stand.
+
+    Parameters
+    ----------
+    unit_mm, direction, turn_deg
+        Of the file's numbers; what points up; turn about the vertical, counter-clockwise seen from above.
+    place_mm
+        X and Y of the middle of its box, and Z of its lowest point, if that is told; None: it stays where it is.
+    """
+
+    path: Path
+    unit_mm: float
+    direction: tuple[float, ...]
+    turn_deg: float
+    place_mm: tuple[float, ...] | None
+
+    def facets(self) -> Iterator[Floats]:
+        """Corners (n, 3, 3) of its facets, mm, as the file has them."""
+        if self.path.suffix.lower() == ".stl":
+            return (np.asarray(some, np.float64) * self.unit_mm for some in _facets_of(self.path))
+        every = corners_of(self.path)
+        firsts = range(0, len(every), AT_ONCE)
+        return (np.asarray(every[k : k + AT_ONCE], np.float64) * self.unit_mm for k in firsts)
+
+
 def file_check(part: Part, config: Config) -> Check:
-    """Check that the part is as large as in its STL file, and stands as the settings say; of other files nothing is said."""
-    path = Path(part.source) if part.source else None
-    if isinstance(part, PlatePart) or path is None or path.suffix.lower() != ".stl" or not path.is_file():
-        return Check(PART_FILE, True, 0.0, SAME_SIZE, "of its size", "", "no STL file of one part")
-    wanted = _measured(_facets_of(path), config.part.direction, UNIT_MM[config.part.units])
-    blocks = (part.vertices[part.faces[k : k + AT_ONCE]] for k in range(0, len(part.faces), AT_ONCE))
-    found = _measured(blocks, (0.0, 0.0, 1.0), 1.0)
+    """Check that the part is as large as in its STL file, and stands as the settings say; of a part without a file nothing is said."""
+    bodies = _bodies(part, config)
+    if not bodies or not all(body.path.is_file() for body in bodies):
+        return Check(PART_FILE, True, 0.0, SAME_SIZE, "of its size", "", "no file of the part")
     size = max(float(np.linalg.norm(part.size)), 1e-9)
-    off = {
-        "is longer or shorter along the slicing direction than": abs(found[0] - wanted[0]) / size,
-        "has another surface than": abs(found[1] - wanted[1]) / max(wanted[1], 1e-9),
-        "does not stand as the slicing direction says for the one": abs(found[2] - wanted[2]) / size,
-    }
+    path, off = bodies[0].path, dict[str, float]()
+    found = wanted = (float(part.size[2]), 0.0, 0.0)
+    if not isinstance(part, PlatePart) and path.suffix.lower() == ".stl":
+        wanted = _measured(_facets_of(path), config.part.direction, bodies[0].unit_mm)
+        blocks = (part.vertices[part.faces[k : k + AT_ONCE]] for k in range(0, len(part.faces), AT_ONCE))
+        found = _measured(blocks, (0.0, 0.0, 1.0), 1.0)
+        off = {
+            "is longer or shorter along the slicing direction than": abs(found[0] - wanted[0]) / size,
+            "has another surface than": abs(found[1] - wanted[1]) / max(wanted[1], 1e-9),
+            "does not stand as the slicing direction says for the one": abs(found[2] - wanted[2]) / size,
+        }
+    if max(off.values(), default=0.0) <= SAME_SIZE:
+        off["does not stand where direction, turn and place say for the one"] = (
+            _beside_mm(part, bodies, config) / size
+        )
     what = max(off, key=lambda name: off[name])
     good = f"{path.name} in {config.part.units}, {found[0]:.6g} mm high"
     text = (
@@ -58,7 +100,106 @@ def file_check(part: Part, config: Config) -> Check:
         if off[what] <= SAME_SIZE
         else f"the part {what} in {path.name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
     )
+    if "where" in what and off[what] > SAME_SIZE:
+        text = f"the part {what} in {path.name}, but {off[what] * size:.6g} mm beside that"
     return Check(PART_FILE, off[what] <= SAME_SIZE, off[what], SAME_SIZE, "of its size", "", text)
+
+
+# -- how it stands -----------------------------------------------------------------------------------
+
+
+def _bodies(part: Part, config: Config) -> list[_Body]:
+    """Parts in their files, in the order of their facets; those of a plate by its own file, read anew."""
+    if not part.source:
+        return []
+    source, own = Path(part.source), config.part
+    if not isinstance(part, PlatePart):
+        return [_Body(source, UNIT_MM[own.units], own.direction, own.rotate_deg, own.place_at_mm)]
+    bodies = []
+    for entry in tomllib.loads(source.read_text(encoding="utf-8"))["parts"] if source.is_file() else ():
+        unit_mm = UNIT_MM[known_as(entry.get("units", own.units))]
+        (x, y), (step_x, step_y) = entry["place_mm"], entry.get("step_mm", (0.0, 0.0))
+        for n in range(entry.get("copies", 1)):
+            place = (x + n * step_x, y + n * step_y, 0.0)
+            path, turn_deg = source.parent / entry["file"], entry.get("rotate_deg", 0.0)
+            bodies.append(_Body(path, unit_mm, tuple(entry.get("direction", own.direction)), turn_deg, place))
+    return bodies
+
+
+def _beside_mm(part: Part, bodies: list[_Body], config: Config) -> float:
+    """Greatest distance of a corner of the part from where it is to stand; infinite where there are other facets."""
+    first, off_mm = 0, 0.0
+    for body in bodies:
+        for corners in _standing(body):
+            rows = part.faces[first : first + len(corners)]
+            first += len(corners)
+            if len(rows) < len(corners):
+                return np.inf
+            there = part.vertices[rows]
+            off = np.abs(there - corners).max(axis=(1, 2), initial=0.0)
+            if (
+                config.part.fix_orientation
+            ):  # facets that are turned over have their corners the other way round
+                off = np.minimum(off, np.abs(there - corners[:, ::-1]).max(axis=(1, 2), initial=0.0))
+            off_mm = max(off_mm, float(off.max(initial=0.0)))
+    return off_mm if first == len(part.faces) else np.inf
+
+
+def _standing(body: _Body) -> Iterator[Floats]:
+    """Corners (n, 3, 3) of the facets of a part where they are to stand.
+
+    The shortest turn that takes one direction to another is a half turn about the first and one about the middle between them.
+    """
+    up = np.asarray(body.direction, np.float64) / np.linalg.norm(body.direction)
+    middle = up + np.array([0.0, 0.0, 1.0])
+    if np.linalg.norm(middle) > 1e-7:
+        middle /= np.linalg.norm(middle)
+        upright = (2.0 * np.outer(middle, middle) - np.eye(3)) @ (2.0 * np.outer(up, up) - np.eye(3))
+    else:
+        upright = np.diag([1.0, -1.0, -1.0])
+    turn = cmath.exp(1j * math.radians(body.turn_deg))
+    still, turned = _Box(), _Box()
+    for facets in body.facets():
+        flat, z = _flat(facets, upright)
+        still.add(flat, z)
+        turned.add(turn * flat, z)
+    shift, rise = still.middle - turn * still.middle, 0.0
+    if body.place_mm is not None:
+        shift = complex(*body.place_mm[:2]) - turned.middle
+        rise = body.place_mm[2] - still.low[2] if len(body.place_mm) > 2 else 0.0
+    for facets in body.facets():
+        flat, z = _flat(facets, upright)
+        at = turn * flat + shift
+        yield np.stack([at.real, at.imag, z + rise], axis=2)
+
+
+def _flat(facets: Floats, turn: Floats) -> tuple[NDArray[np.complex128], Floats]:
+    """Corners of facets (n, 3, 3) after a turn, (n, 3) each: X + iY, and Z."""
+    x, y, z = (
+        facets[:, :, 0] * r[0] + facets[:, :, 1] * r[1] + facets[:, :, 2] * r[2] for r in turn.tolist()
+    )
+    return x + 1j * y, z
+
+
+class _Box:
+    """Box around places."""
+
+    def __init__(self) -> None:
+        self.low, self.high = [np.inf] * 3, [-np.inf] * 3
+
+    def add(self, flat: NDArray[np.complex128], z: Floats) -> None:
+        """Let it hold further places."""
+        for axis, values in enumerate((flat.real, flat.imag, z)):
+            self.low[axis] = min(self.low[axis], float(values.min(initial=np.inf)))
+            self.high[axis] = max(self.high[axis], float(values.max(initial=-np.inf)))
+
+    @property
+    def middle(self) -> complex:
+        """Its middle in X and Y."""
+        return complex(*(0.5 * (self.low[axis] + self.high[axis]) for axis in (0, 1)))
+
+
+# -- the file ----------------------------------------------------------------------------------------
 
 
 def _measured(

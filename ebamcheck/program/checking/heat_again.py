@@ -130,6 +130,16 @@ def entries_k(
     return found
 
 
+def plate_k(area_mm2: float, times_s: Floats, heats_j: Floats, config: Config) -> float:
+    """Temperature of the upper side of a bare base plate after times (n,) in which it takes up heat (n,) there, K."""
+    shape = _Shape(config.process.base_plate_mm / PLATE_CELLS, area_mm2, 0.0, 0.0, 0.0)
+    column = _Column([shape], config)
+    column.lay_plate(shape)
+    for time_s, heat_j in zip(times_s.tolist(), heats_j.tolist(), strict=True):
+        column.follow(time_s, heat_j)
+    return column.bed_k
+
+
 @dataclass(frozen=True)
 class _Shape:
     """A layer: its height, section, outer border, border of its holes, and their area; mm."""
@@ -193,6 +203,13 @@ class _Column:
             self._join()
         shining = np.add.reduceat(self._glow * _shining_mm2(self._laid), self._first)
         self._shining = np.concatenate([np.zeros(PLATE_CELLS), shining])
+
+    def lay_plate(self, cell: _Shape) -> None:
+        """Make this a bare plate of cells, the uppermost of which radiates and takes up the heat; no layer may follow."""
+        self._laid = [cell] * PLATE_CELLS
+        self._kelvin = np.full(PLATE_CELLS, self._ambient)
+        self._height, self._area = (np.full(PLATE_CELLS, value) for value in (cell.height, cell.area))
+        self._shining = np.append(np.zeros(PLATE_CELLS - 1), self._glow * cell.area)
 
     def _join(self) -> None:
         """Join pairs of cells between the plate and the uppermost layers: their volume and, nearly, their heat stay."""

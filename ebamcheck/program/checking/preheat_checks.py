@@ -17,8 +17,10 @@ from ebamcheck.program.checking.preheat_heat import (
     bottoms_of,
     count_of,
     found_scans,
+    temperature_again,
     temperatures_of,
 )
+from ebamcheck.program.checking.preheat_region import WIDEST, wanted_region, widest_gap_mm
 from ebamcheck.program.checking.preheat_way import WAITS
 from ebamcheck.program.checking.state_checks import extremes
 from ebamcheck.program.checking.text_heat import sections_of_text
@@ -27,7 +29,6 @@ from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 
 VALUE_SHARE = 1e-3
@@ -68,10 +69,12 @@ def preheat_checks(
     path = count_check(
         "preheat path", _paths(nc, config, known), "over the region, at its height, at its speed"
     )
+    lines = _lines(nc, config, known)
     if config.base_mm > 0.0 and (before is None or under is None):
-        return [calls, state, path]
+        return [calls, state, path, lines]
     found = found_scans(nc, config, known)
-    return [calls, state, path, count_of(found, config), *temperatures_of(nc, found, config)]
+    judged = count_of(found, config), *temperatures_of(nc, found, config), *temperature_again(found, config)
+    return [calls, state, path, lines, *judged]
 
 
 def _first(nc: NCProgram) -> str:
@@ -242,9 +245,27 @@ def _paths(nc: NCProgram, config: Config, known: Known) -> Faults:
         z_mm = safe_end_mm(float(bottoms[k]), config)
         if k == 0 and config.base_mm > 0.0 and known.under is None:
             continue  # What stands there is not known.
-        region = scanned(sections, k, float(bottoms[k]), config, known.under).region
+        region = wanted_region(sections, k, float(bottoms[k]), config, known.under)
         faults += _rows_off(scans, rows, region, z_mm, config)
     return faults
+
+
+def _lines(nc: NCProgram, config: Config, known: Known) -> Check:
+    """Whether the lines of every scan leave nothing of what is to be preheated out: they lie evenly, about a spacing apart."""
+    scans, sections, bottoms = nc.preheating, known.sections, bottoms_of(nc, config)
+    worst, where, layer, limit_mm = 0.0, "", 0, WIDEST * config.preheat.spacing_mm + PLACE_MM
+    for k in np.unique(scans.layer).tolist() if scans is not None else ():
+        unknown = k == 0 and config.base_mm > 0.0 and known.under is None
+        if scans is None or unknown or not 0 <= k < len(sections) or sections[k].is_empty:
+            continue
+        rows = np.flatnonzero((scans.layer == k) & scans.beam)
+        start, end = (np.nan_to_num(at[rows, :2]) for at in (scans.start, scans.end))
+        region = wanted_region(sections, k, float(bottoms[k]), config, known.under)
+        gap_mm = widest_gap_mm(region, start, end, config)
+        if gap_mm > worst:
+            worst, where, layer = gap_mm, scans.where(int(np.flatnonzero(scans.layer == k)[0])), k
+    text = f"lines of the scan before layer {layer + 1} are up to {worst:.4g} mm apart, preheat.spacing_mm is {config.preheat.spacing_mm:g} mm"
+    return Check("preheat lines", worst <= limit_mm, worst, limit_mm, "mm", where, text)
 
 
 def _rows_off(

@@ -9,6 +9,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.program.checking.checks import Check, count_check
+from ebamcheck.program.checking.heat_again import MODELS_SHARE, plate_k
 from ebamcheck.program.checking.preheat_way import scanned_heat, scans_of
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.program.reading.motions import NCProgram
@@ -19,6 +20,10 @@ from ebamcheck.settings.config import Config
 
 LENGTH_SHARE, MOST_PASSES = 0.02, 20000
 """Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted."""
+
+
+AT_ONCE_S = 10.0
+"""Time that the second balance takes at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,3 +196,22 @@ def temperatures_of(nc: NCProgram, found: list[Found], config: Config) -> list[C
             Check("preheat melting", bool(peak_k < solidus_k), peak_k, solidus_k, "K", high[0].where, text)
         )
     return checks
+
+
+def temperature_again(found: list[Found], config: Config) -> list[Check]:
+    """Temperature of the bare plate by a second balance of the heat: between that of all of the plate, and that of what is scanned alone."""
+    scan = next((s for s in found if s.layer == 0 and s.after is not None), None)
+    if scan is None or scan.after is None or config.base_mm > 0.0 or not scan.way.time_s.size:
+        return []
+    number = np.floor(np.cumsum(scan.way.time_s) / AT_ONCE_S).astype(np.int64)
+    _, of = np.unique(number, return_inverse=True)
+    times_s = np.bincount(of, scan.way.time_s).astype(np.float64)
+    beam_j = np.bincount(of, scan.way.time_s * scan.way.power_w).astype(np.float64)
+    heats_j = config.material.absorptivity * beam_j
+    areas_mm2 = scan.on.body.area, scan.on.region.area
+    low_k, high_k = sorted(plate_k(max(area, 1e-9), times_s, heats_j, config) for area in areas_mm2)
+    off_k = max(low_k - scan.after.mean_k, scan.after.mean_k - high_k, 0.0)
+    limit_k = MODELS_SHARE * max(low_k - config.process.ambient_temperature_k, 0.0)
+    text = f"the plate is preheated to {scan.after.mean_k:.0f} K, by a second balance of the heat to {low_k:.0f} K"
+    text += f" .. {high_k:.0f} K" if high_k > low_k + 1.0 else ""
+    return [Check("preheat balance", off_k <= limit_k, off_k, limit_k, "K", scan.where, text)]
