@@ -6,6 +6,7 @@ import ast
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -22,7 +23,7 @@ from ebamcheck.json_values import (
     plain,
     write_json,
 )
-from ebamcheck.pipeline import noticed, run_job
+from ebamcheck.pipeline import noticed, noticed_in_program, run_job
 from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
 from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
@@ -295,3 +296,14 @@ def test_sections_off_an_open_mesh_are_no_mistake_of_the_program():
     """An open mesh has sections that differ from it, too: the mesh is to be mended before anything is reported."""
     for remedy in (REMEDIES["sections of the mesh"], METAL["sections of the mesh"][1]):
         assert remedy.startswith("mend the mesh")
+
+
+@pytest.mark.parametrize(
+    ("value_deg", "passed", "set_deg", "told"),
+    [(44.0, True, None, 0), (46.0, True, None, 1), (46.0, True, 60.0, 0), (80.0, False, None, 0)],
+)
+def test_a_steep_overhang_is_warned_of_where_no_angle_is_set(value_deg, passed, set_deg, told):
+    check = Check("overhang", passed, value_deg, 74.0, "deg", "MAIN.MPF:7", "layers reach out")
+    config = Config().changed(process={"largest_overhang_deg": set_deg})
+    found = list(noticed_in_program.of_overhang([check, replace(check, name="support")], config))
+    assert [(one.severity, one.code) for one in found] == [("warning", "steep-overhang")] * told

@@ -27,6 +27,12 @@ LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_sp
 
 LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
 
+OVERHANG = "overhang"
+"""Name of that check."""
+
+STEEP_DEG = 45.0
+"""Overhang, from the vertical, over which hardly any process builds without support unless it was tried."""
+
 ROUNDING_MM = 1e-6
 """Sum of the roundings of heights, far under any layer."""
 
@@ -243,6 +249,24 @@ def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
                 found.holds,
                 found.unit,
                 "have one at hand, and let the program stop there (M1)",
+            )
+
+
+def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
+    """A layer that reaches out steeply, where no angle is set that the process can build."""
+    for check in checks:
+        if check.name != OVERHANG or config.process.largest_overhang_deg or not check.passed:
+            continue
+        if check.value > STEEP_DEG:
+            yield Finding(
+                "warning",
+                "steep-overhang",
+                f"{check.text}; no angle is set that the process can build, so that a bead's width counts",
+                check.where,
+                check.value,
+                STEEP_DEG,
+                check.unit,
+                "set it (process.largest_overhang_deg), or support the overhang",
             )
 
 

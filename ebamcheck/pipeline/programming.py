@@ -255,6 +255,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
         sha256=files.sha256,
         smooth=made.smooth if config.curves.method in LIFTED else None,
     )
+    job.add_finding(*noticed_in_program.of_overhang(checks, config))
     job.add_finding(*noticed_in_program.of_limit(checks, made.plan, config))
     checks += _weighed(job, program, witness, metal.result())
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
