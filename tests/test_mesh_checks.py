@@ -238,6 +238,15 @@ def test_a_part_that_is_turned_by_more_than_the_shortest_turn_is_found(monkeypat
         monkeypatch.undo()
 
 
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 2e-7, 1e-6, 1e-4, 0.1, 1.0])
+def test_a_turn_near_upside_down_keeps_the_size_of_a_part(tilt):
+    """1 + z loses its digits there: a part turned along (0, 1e-6, -1) was a ten-thousandth too large."""
+    way = mesh_part.unit_vector([0.6 * tilt, -0.8 * tilt, -1.0])
+    turn = mesh_part.rotation_to_z(way)
+    assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert turn @ way == pytest.approx([0.0, 0.0, 1.0], abs=2e-9)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj"])
 def test_a_part_of_another_format_stands_where_the_settings_say(suffix, monkeypatch, tmp_path):
     path = tmp_path / f"part{suffix}"
