@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,9 @@ AT_ONCE = 2_000_000
 
 HEIGHT_MM = 1e-3
 """Heights nearer than this are one: the decimals of a program, at their coarsest."""
+
+ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
+"""Remedy where listed layers do not begin on what stands."""
 
 
 class _Crossings(NamedTuple):
@@ -87,11 +91,13 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     """Check that the layers reach from the bottom of the part to within half a layer of its top, each as high as it is set.
 
-    Of listed heights, and of layers on what stands, the user says which they are.
+    Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are.
     """
-    if config.base_mm > 0.0 and len(cuts):
+    if config.base_mm > 0.0 and len(cuts) and not _is_uneven(cuts):
         first = float(cuts[1] - cuts[0]) if len(cuts) > 1 else config.layer_height_mm
-        return layer_check(part, float(cuts[0]), config.base_mm, first)
+        check = layer_check(part, float(cuts[0]), config.base_mm, first)
+        by_user = bool(config.layers.heights_mm) and not check.passed
+        return replace(check, remedy=ON_WHAT_STANDS) if by_user else check
     if config.layers.heights_mm or config.base_mm > 0.0:
         return Check(HEIGHTS, True, 0.0, HEIGHT_MM, "mm", "", "the settings say which layers there are")
     low_mm, top_mm = part.bounds[:, 2].tolist()
@@ -112,6 +118,11 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
     text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
     return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+
+
+def _is_uneven(cuts: Floats) -> bool:
+    """Whether cuts (L,) are of layers of several heights: those do not tell where each of them begins."""
+    return len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > HEIGHT_MM)
 
 
 def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
