@@ -8,6 +8,7 @@ import pytest
 import shapely
 from prism_program import Made
 
+from ebamcheck.program import verify_program
 from ebamcheck.program.checking.bead_checks import bead_checks
 from ebamcheck.program.checking.overhang import overhang_check
 
@@ -29,3 +30,16 @@ def test_beads_from_a_place_that_no_block_has_given_cover_nothing(lines, tmp_pat
     assert not found["gaps"].passed
     assert "nan" not in found["coverage"].text
     overhang_check(nc, made.config)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_a_text_without_x_fails_its_checks(tmp_path):
+    made = Made(tmp_path, shapely.box(0, 0, 36, 30), layers=2)
+    for name in ("MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF"):
+        made.edit(
+            name, lambda text: text.__setitem__(slice(None), [re.sub(r" X-?[\d.]+", "", t) for t in text])
+        )
+    nc, heights = made.read(), made.layers.heights
+    given = {"layers": made.layers, "heights": heights, "beads": True, "metal": True, "heat": True}
+    failed = {check.name for check in verify_program(nc, config=made.config, **given) if not check.passed}
+    assert {"start of path", "section", "coverage", "gaps", "metal"} <= failed
