@@ -55,6 +55,19 @@ class _Crossings(NamedTuple):
     change: Ints
 
 
+class _Facets(NamedTuple):
+    """Facets of a part, and Z of the lowest and the highest corner of each, (F,) mm: looked at for every block of layers and either axis."""
+
+    part: Part
+    low_mm: Floats
+    high_mm: Floats
+
+    @classmethod
+    def of(cls, part: Part) -> _Facets:
+        a, b, c = (part.vertices[part.faces[:, k], 2] for k in range(3))
+        return cls(part, np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c))
+
+
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     """Check sections against the mesh, along lines in X and in Y across every layer.
 
@@ -72,8 +85,9 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     step = config.process.bead_width_mm / LINES_PER_BEAD
     worst, layer, x_mm, y_mm = 0.0, -1, np.nan, np.nan
+    facets = _Facets.of(part)
     for axis in (0, 1):
-        for k, at in _different(part, np.asarray(layers.heights), sections, axis, step, limit):
+        for k, at in _different(facets, np.asarray(layers.heights), sections, axis, step, limit):
             depth = float(shapely.distance(shapely.Point(at), sections[k].boundary))
             # Without any border the section is empty, and all of the mesh is missing.
             depth = np.inf if np.isnan(depth) else depth
@@ -154,14 +168,14 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
 
 
 def _different(
-    part: Part, heights: Floats, sections: list[BaseGeometry], axis: int, step_mm: float, least_mm: float
+    facets: _Facets, heights: Floats, sections: list[BaseGeometry], axis: int, step_mm: float, least_mm: float
 ) -> Iterator[tuple[int, tuple[float, float]]]:
     """Ends of the pieces of lines along an axis that lie in one of mesh and sections and not in the other: layer, and place."""
-    low, high = part.bounds[:, 1 - axis].tolist()
+    low, high = facets.part.bounds[:, 1 - axis].tolist()
     step = max(step_mm, (high - low) / MOST_LINES)
     lines = low + (np.arange(int((high - low) / step) + 1) + OFF_GRID) * step
-    for some in _blocks(part, heights):
-        mesh = _of_mesh(part, heights, some, axis, lines)
+    for some in _blocks(facets, heights):
+        mesh = _of_mesh(facets, heights, some, axis, lines)
         ours = [_of_section(sections[k], k, axis, lines) for k in range(some.start, some.stop)]
         layer, line, place = (
             np.concatenate([getattr(c, name) for c in (mesh, *ours)]) for name in ("layer", "line", "place")
@@ -190,10 +204,9 @@ def _winding(change: Ints, begins: Bools) -> Ints:
     return np.asarray(total - before[first], np.int64)
 
 
-def _blocks(part: Part, heights: Floats) -> Iterator[range]:
+def _blocks(facets: _Facets, heights: Floats) -> Iterator[range]:
     """Layers one after the other, as many at once as cut :data:`AT_ONCE` facets."""
-    z = part.vertices[part.faces, 2]
-    first, last = (np.searchsorted(heights, side) for side in (z.min(axis=1), z.max(axis=1)))
+    first, last = (np.searchsorted(heights, side) for side in (facets.low_mm, facets.high_mm))
     count = np.bincount(first, minlength=len(heights) + 1) - np.bincount(last, minlength=len(heights) + 1)
     block = np.cumsum(np.cumsum(count)[: len(heights)]) // AT_ONCE
     for number in np.unique(block).tolist():
@@ -201,11 +214,10 @@ def _blocks(part: Part, heights: Floats) -> Iterator[range]:
         yield range(int(rows[0]), int(rows[-1]) + 1)
 
 
-def _of_mesh(part: Part, heights: Floats, some: range, axis: int, lines: Floats) -> _Crossings:
+def _of_mesh(facets: _Facets, heights: Floats, some: range, axis: int, lines: Floats) -> _Crossings:
     """Crossings of lines with the sections of facets: a facet is left by its rising edge and entered by its falling one."""
-    z = part.vertices[part.faces, 2]
-    own = heights[some.start : some.stop]
-    first, last = (np.searchsorted(own, side) for side in (z.min(axis=1), z.max(axis=1)))
+    part, own = facets.part, heights[some.start : some.stop]
+    first, last = (np.searchsorted(own, side) for side in (facets.low_mm, facets.high_mm))
     cut = np.flatnonzero(last > first)
     count = (last - first)[cut]
     corners = part.vertices[part.faces[np.repeat(cut, count)]]
