@@ -33,12 +33,12 @@ from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
 from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.part_file import file_check
+from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
@@ -163,9 +163,7 @@ class LayerMaker:
         self.sound = gates.input_gate(inspect(part))
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
-        # Parts of a plate are turned one by one, and the plate is not: the direction stays that of those that name none.
-        direction = config.part.direction if isinstance(part, PlatePart) else part.direction
-        self._of_part = config.part.model_copy(update={"direction": direction})
+        self._of_part = as_placed(part, config.part)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None

@@ -62,7 +62,7 @@ class _MeshFile:
             return
         held, count = list[Floats](), 0
         for some in self._read():
-            corners = np.asarray(some, np.float64) * self._unit_mm
+            corners = some * self._unit_mm
             count += len(corners)
             held = [*held, corners] if count <= AT_ONCE else []
             yield corners
@@ -72,7 +72,7 @@ class _MeshFile:
         if self.path.suffix.lower() == ".stl":
             return _facets_of(self.path)
         every = corners_of(self.path)
-        return (every[k : k + AT_ONCE] for k in range(0, len(every), AT_ONCE))
+        return (np.asarray(every[k : k + AT_ONCE], np.float64) for k in range(0, len(every), AT_ONCE))
 
 
 @dataclass(frozen=True)
@@ -250,7 +250,7 @@ def _facets_of(path: Path) -> Iterator[Floats]:
         # The reader of parts leaves out padding behind the last facet, too; in text these bytes count more facets than a file holds.
         if len(head) == HEAD and 0 < count * FACET.itemsize <= size - HEAD:
             for first in range(0, count, AT_ONCE):
-                yield np.fromfile(file, FACET, min(AT_ONCE, count - first))["corners"]
+                yield np.fromfile(file, FACET, min(AT_ONCE, count - first))["corners"].astype(np.float64)
             return
         found = FACET_TEXT.finditer(head + file.read())
     # A part has the 32-bit numbers of a binary file, whatever digits the text prints.

@@ -235,9 +235,9 @@ def _segments(nc: NCProgram, rows: Ints) -> Floats:
     before = np.vstack([np.zeros((1, 2)), points[:-1]])
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     before[first] = nc.start[owner[first], :2]
-    chords = np.hstack([before, points])
+    chords: Floats = np.hstack([before, points])
     # Widened lines of unknown places end the process within GEOS.
-    return chords[np.isfinite(chords).all(axis=1)]
+    return np.asarray(chords[np.isfinite(chords).all(axis=1)])
 
 
 def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
