@@ -50,7 +50,9 @@ def test_layers_that_are_missing_or_too_many_are_a_fault(part_mm, severity):
     assert [one.severity for one in told(part_mm, 1.0 + 2.0 * np.arange(10), config)] == [severity]
 
 
-def test_a_thin_plate_with_a_listed_cut_gets_no_layer_of_twice_its_height():
-    (found,) = told(0.8, [0.4])
+@pytest.mark.parametrize(("listed", "setting"), [([0.4], "heights_mm"), ([], "layer_height_mm")])
+def test_a_thin_plate_gets_no_layer_of_twice_its_height(listed, setting):
+    (found,) = told(0.8, [0.4], Config().changed(layers={"heights_mm": listed}))
     assert found.severity == "fault"
-    assert "heights_mm" in found.remedy
+    assert found.place == f"layers.{setting}"
+    assert setting in found.remedy

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import shapely
 from command_line import write_stl
 from live_boxes import maker_of, run_of_box
 
 import ebamcheck
+from ebamcheck.live import released_layer
 from ebamcheck.live.building import Building
+from ebamcheck.live.heat_over_layers import LayerText
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
@@ -89,3 +93,27 @@ def test_verify_follows_heat_and_metal_over_all_layers(
     wrong = [layer for layer in layers if not layer.passed]
     assert bool(wrong) == bool(found)
     assert all(layer.why.startswith(f"{found} over all layers: ") for layer in wrong)
+
+
+def test_a_slim_column_on_a_wide_foot_is_followed_from_the_plate_up(monkeypatch):
+    """The foot takes up the heat: the uppermost layers on a plate of their own would be far too warm."""
+    foot, column = shapely.box(0, 0, 150, 150), shapely.box(0, 0, 30, 24)
+
+    def text(section, beads):
+        off_s = np.full(beads, 0.3)
+        off_s[0] = 60.0
+        return LayerText(section, 1.7, Config(), off_s, np.full(beads, 30.0), np.full(beads, 9e4))
+
+    def said(layers):
+        texts = iter(layers)
+        monkeypatch.setattr(released_layer, "layer_text", lambda *_: next(texts))
+        followed, found = Followed(), []
+        for _ in layers:
+            found.append(followed.too_warm(None, {}, Config()))
+            followed.take()
+        return found
+
+    layers = [text(foot, 20)] * 6 + [text(column, 1)] * 10
+    assert said(layers) == [""] * 16
+    assert any(said(layers[6:]))
+    assert said([*layers, None, text(column, 40), text(column, 40)])[16:] == [""] * 3

@@ -176,7 +176,11 @@ def test_a_layer_on_what_stands_is_cut_at_its_middle(part):
     assert not layer_check(mesh, math.nan, 1.2, 1.6).passed
     config = CONFIG.changed(layers={"heights_mm": [4.8, 6.4], "base_mm": 1.0, "layer_height_mm": 1.6})
     assert heights_check(mesh, np.array([4.8, 6.4]), config).passed
-    assert not heights_check(mesh, np.array([4.4, 6.0]), config).passed
+    off = heights_check(mesh, np.array([4.4, 6.0]), config)
+    assert not off.passed
+    assert "layers.heights_mm" in off.remedy
+    uneven = np.array([4.8, 6.4, 7.2])
+    assert heights_check(mesh, uneven, config.changed(layers={"heights_mm": uneven.tolist()})).passed
 
 
 def test_the_journal_keeps_what_was_not_released(part, monkeypatch, tmp_path):

@@ -15,7 +15,13 @@ from ebamcheck.metal import target
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
 from ebamcheck.program.checking import heat_again, marked
-from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, melting_power_w
+from ebamcheck.program.checking.heat_again import (
+    BeadHeat,
+    FollowedHeat,
+    entries_k,
+    highest_entry_k,
+    melting_power_w,
+)
 from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.program.checking.window_checks import window_check
@@ -194,6 +200,28 @@ def test_cells_that_are_joined_on_the_way_down_change_nothing(monkeypatch):
     monkeypatch.setattr(heat_again, "MOST_CELLS", 10**6)
     single_k = heat_again.entries_k(times, sections, np.full(count, 1.6755), Config())
     assert joined_k == pytest.approx(single_k, abs=1.0)
+
+
+def test_layers_followed_one_by_one_are_those_followed_at_once():
+    sections = (
+        [shapely.box(0, 0, 60, 60)] * 3 + [shapely.box(0, 0, 0, 0)] + [shapely.box(20, 20, 40, 40)] * 150
+    )
+    count, beads = len(sections), 4
+    off_s = np.tile([90.0, 2.0, 2.0, 2.0], count)
+    heat = BeadHeat(
+        np.repeat(np.arange(count), beads), off_s, np.full(off_s.size, 6.0), np.full(off_s.size, 1e4)
+    )
+    at_once_k = entries_k(heat, sections, np.full(count, 1.6), Config())
+    stands, one_by_one = FollowedHeat(Config()), []
+    for k, section in enumerate(sections):
+        rows = slice(k * beads, (k + 1) * beads)
+        own = BeadHeat(np.zeros(beads, np.int64), off_s[rows], heat.time_s[rows], heat.heat_j[rows])
+        bed_k, after = stands.with_layer(own, section, 1.6)
+        # What stands is as it was: another try of the layer begins on the same heat.
+        assert (stands.with_layer(own, section, 1.6)[0] == bed_k).all()
+        stands = after
+        one_by_one.append(bed_k)
+    assert (np.concatenate(one_by_one) == at_once_k).all()
 
 
 def test_after_a_time_without_end_no_temperature_is_known():

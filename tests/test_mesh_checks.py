@@ -14,8 +14,10 @@ from ebamcheck import save
 from ebamcheck.layers import heights as layer_heights_of
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
 from ebamcheck.mesh import placing
+from ebamcheck.pipeline import part_file
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import placed_part
@@ -236,6 +238,15 @@ def test_a_part_that_is_turned_by_more_than_the_shortest_turn_is_found(monkeypat
         monkeypatch.undo()
 
 
+@pytest.mark.parametrize("tilt", [0.0, 1e-9, 2e-7, 1e-6, 1e-4, 0.1, 1.0])
+def test_a_turn_near_upside_down_keeps_the_size_of_a_part(tilt):
+    """1 + z loses its digits there: a part turned along (0, 1e-6, -1) was a ten-thousandth too large."""
+    way = mesh_part.unit_vector([0.6 * tilt, -0.8 * tilt, -1.0])
+    turn = mesh_part.rotation_to_z(way)
+    assert turn @ turn.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert turn @ way == pytest.approx([0.0, 0.0, 1.0], abs=2e-9)
+
+
 @pytest.mark.parametrize("suffix", [".ply", ".obj"])
 def test_a_part_of_another_format_stands_where_the_settings_say(suffix, monkeypatch, tmp_path):
     path = tmp_path / f"part{suffix}"
@@ -284,3 +295,25 @@ def test_every_part_of_a_plate_stands_where_the_plate_says(wrong, monkeypatch, t
     if wrong is not None:
         monkeypatch.setattr(placing.Placing, "moved", wrong)
     assert file_check(placed_part(tmp_path / "plate.toml", config)[0], config).passed is (wrong is None)
+
+
+def test_a_plate_along_a_direction_of_the_settings_can_be_made_layer_by_layer(tmp_path):
+    """The mesh of a plate is not turned: its layers have the direction of the settings, which parts without their own are turned by."""
+    save(CORNERED, tmp_path / "a.stl")
+    (tmp_path / "plate.toml").write_text('[[parts]]\nfile = "a.stl"\nplace_mm = [0, 0]\n')
+    config = Config().changed(part={"direction": [1.0, 0.0, 0.0]})
+    with LayerMaker(placed_part(tmp_path / "plate.toml", config)[0], config) as maker:
+        own = maker.config_of(Wanted(0, 0.0, 1.6, "MAIN_K0001R1"))
+    part = placed_part(tmp_path / "plate.toml", own)[0]
+    assert file_check(part, own).passed
+    assert (part.vertices == maker.part.vertices).all()
+
+
+def test_copies_on_a_plate_are_read_once(tmp_path, monkeypatch):
+    save(CORNERED, tmp_path / "a.stl")
+    (tmp_path / "plate.toml").write_text(PLATE)
+    config = Config().changed(part={"units": "cm"})
+    part, read, right = placed_part(tmp_path / "plate.toml", config)[0], [], part_file._facets_of
+    monkeypatch.setattr(part_file, "_facets_of", lambda path: (read.append(path), right(path))[1])
+    assert file_check(part, config).passed
+    assert len(read) == 2  # in inches, and in centimetres

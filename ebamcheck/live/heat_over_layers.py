@@ -7,7 +7,7 @@ would be cool by itself and all would melt. So the texts are followed once more,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.heat_again import BeadHeat, entries_k, highest_entry_k, may_differ_k
+from ebamcheck.program.checking.heat_again import BeadHeat, FollowedHeat, highest_entry_k, may_differ_k
 from ebamcheck.program.checking.interpass_checks import within_range
 from ebamcheck.program.checking.text_heat import sections_of_text, text_beads
 from ebamcheck.program.checking.verification import read_checked
@@ -61,26 +61,22 @@ def layer_text(program: Path, paper: Mapping[str, Any], config: Config) -> Layer
     )
 
 
-def too_warm(layers: Sequence[LayerText]) -> dict[int, str]:
-    """Layers of a build from the plate up that a bead enters above the limit, and how warm it is, in words.
+def with_layer(heat: FollowedHeat | None, layer: LayerText) -> tuple[str, FollowedHeat]:
+    """Lay one more layer on the heat of those below, None on the bare plate.
 
-    The limit has what two balances may differ by on top.
+    Returns
+    -------
+    why, heat
+        Why it is too warm, in words: a bead is entered above the limit, with what two balances may differ by on top; empty where
+        none is. And the heat when the layer is done.
     """
-    if not layers:
-        return {}
-    config = layers[0].config
-    counts = [layer.off_s.size for layer in layers]
-    off_s, time_s, heat_j = (
-        np.concatenate([getattr(layer, name) for layer in layers]) for name in ("off_s", "time_s", "heat_j")
-    )
-    beads = BeadHeat(np.repeat(np.arange(len(layers)), counts), off_s, time_s, heat_j)
-    heights_mm = np.array([layer.height_mm for layer in layers])
-    bed_k = entries_k(beads, [layer.section for layer in layers], heights_mm, config)
-    first = np.cumsum([0, *counts[:-1]])
-    entered_k = bed_k[first] if config.process.interpass_at == "layer" else np.maximum.reduceat(bed_k, first)
+    config = layer.config
+    beads = BeadHeat(np.zeros(layer.off_s.size, np.int64), layer.off_s, layer.time_s, layer.heat_j)
+    bed_k, after = (heat or FollowedHeat(config)).with_layer(beads, layer.section, layer.height_mm)
+    entered_k = float(bed_k[0] if config.process.interpass_at == "layer" else bed_k.max())
     most_k = highest_entry_k(config) + may_differ_k(config)
-    return {
-        k: f"heat over all layers: a bead of it is entered at {said_k:.0f} K{mark} by the texts so far; the limit is {most_k:.0f} K"
-        for k, (said_k, mark) in enumerate(within_range(value_k, config) for value_k in entered_k.tolist())
-        if not entered_k[k] <= most_k
-    }
+    if entered_k <= most_k:
+        return "", after
+    said_k, mark = within_range(entered_k, config)
+    said = f"a bead of it is entered at {said_k:.0f} K{mark} by the texts so far; the limit is {most_k:.0f} K"
+    return f"heat over all layers: {said}", after

@@ -38,6 +38,7 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.part_file import file_check
+from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
@@ -162,7 +163,7 @@ class LayerMaker:
         self.sound = gates.input_gate(inspect(part))
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
-        self._of_part = config.part.model_copy(update={"direction": part.direction})
+        self._of_part = as_placed(part, config.part)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None

@@ -11,11 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.live.heat_over_layers import LayerText, layer_text, too_warm
+from ebamcheck.live.heat_over_layers import layer_text, with_layer
+from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.settings.config import Config
-
-FOLLOWED = 8
-"""Layers over which the server follows the heat again: those below, taken as cold, make a bead cooler, and never warmer than it is."""
 
 SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")
 """What a control is told of a layer that stands in its certificate, too."""
@@ -40,29 +38,26 @@ def current_off(
 
 
 class Followed:
-    """Heat of a build over its uppermost layers, as the server follows it again before it releases the next one.
+    """Heat of a build, as the server follows it again before it releases the next layer.
 
     The gates judge the wait that was planned; here it is that which is told. Heat that was measured, or put in by a scan, is not in the
     texts: above a layer that has such, nothing is said.
     """
 
     def __init__(self) -> None:
-        self._texts: list[LayerText] | None = []
-        self._text: LayerText | None = None
+        self._heat: FollowedHeat | None = None
+        self._after: FollowedHeat | None = None
+        self._known = True
 
     def too_warm(self, program: Path, paper: Mapping[str, Any], config: Config) -> str:
         """Why a layer is entered too warm by its text, its wait and the texts of those below; empty where it is not."""
-        self._text = None
-        if self._texts is None:
-            return ""
-        self._text = layer_text(program, paper, config)
-        texts = [] if self._text is None else [*self._texts, self._text]
-        return too_warm(texts).get(len(texts) - 1, "")
+        text = layer_text(program, paper, config) if self._known else None
+        why, self._after = ("", None) if text is None else with_layer(self._heat, text)
+        return why
 
     def take(self) -> None:
         """Let the layer that was judged last be the uppermost."""
-        known = self._texts is not None and self._text is not None
-        self._texts = [*(self._texts or []), self._text][-FOLLOWED:] if known and self._text else None
+        self._heat, self._after, self._known = self._after, None, self._after is not None
 
 
 def ended_early(height_mm: float, at_mm: float, config: Config) -> str:

@@ -11,7 +11,8 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
-from ebamcheck.live.heat_over_layers import LayerText, layer_text, too_warm
+from ebamcheck.live.heat_over_layers import layer_text
+from ebamcheck.live.heat_over_layers import with_layer as heated
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.metal_over_layers import MetalAgain
 from ebamcheck.live.publishing import (
@@ -32,6 +33,7 @@ from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import Check
 from ebamcheck.program.checking.consumables import FRESH, Spent, with_layer
+from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.settings.config import Config, load_config
 
 VERIFIED = "verified.json"
@@ -130,7 +132,7 @@ def _over_layers(folder: Path, found: list[VerifiedLayer], part: Path) -> Iterat
     """What is wrong with layers of a build together: heat and metal on those below, as far up as their texts tell it."""
     if not is_build(folder):
         return
-    heat: list[LayerText] = []
+    heat: FollowedHeat | None = None
     metal, knows_heat, knows_metal = None, True, True
     for k, layer in enumerate(found):
         if not layer.passed:  # what it tells counts for nothing
@@ -141,16 +143,13 @@ def _over_layers(folder: Path, found: list[VerifiedLayer], part: Path) -> Iterat
             metal = metal or MetalAgain(placed_part(part, config)[0], config)
         except EbamcheckError:
             break
-        if knows_heat:
-            text = layer_text(place / PROGRAM, paper, config)
-            heat += [text] if text else []
-            knows_heat = text is not None
-        if knows_metal:
-            wrong = metal.with_layer(place / PROGRAM, paper, config)
-            knows_metal = wrong is not None
-            if wrong:
-                yield k, wrong
-    yield from too_warm(heat).items()
+        text = layer_text(place / PROGRAM, paper, config) if knows_heat else None
+        knows_heat = text is not None
+        warm, heat = ("", None) if text is None else heated(heat, text)
+        wrong = metal.with_layer(place / PROGRAM, paper, config) if knows_metal else None
+        knows_metal = wrong is not None
+        if why := "; ".join(said for said in (wrong, warm) if said):
+            yield k, why
 
 
 def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:

@@ -173,7 +173,8 @@ def rotation_to_z(direction: Vector) -> NDArray[np.float64]:
     x, y, z = direction
     if z < -1.0 + 1e-14:
         return np.diag([1.0, -1.0, -1.0])
-    k = 1.0 / (1.0 + z)
+    # Near -z little is left of 1 + z, and that is rounded: with x^2 + y^2 = 1 - z^2 the same has all its digits.
+    k = 1.0 / (1.0 + z) if z >= 0.0 else (1.0 - z) / (x * x + y * y)
     return np.array([[1.0 - x * x * k, -x * y * k, -x], [-x * y * k, 1.0 - y * y * k, -y], [x, y, z]]) + 0.0
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,9 @@ AT_ONCE = 2_000_000
 HEIGHT_MM = 1e-3
 """Heights nearer than this are one: the decimals of a program, at their coarsest."""
 
+ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
+"""Remedy where listed layers do not begin on what stands."""
+
 
 class _Crossings(NamedTuple):
     """Where lines cross borders, (n,) each: layer, line, place along it, and by how much the number of solids around it changes."""
@@ -49,6 +53,19 @@ class _Crossings(NamedTuple):
     line: Ints
     place: Floats
     change: Ints
+
+
+class _Facets(NamedTuple):
+    """Facets of a part, and Z of the lowest and the highest corner of each, (F,) mm: looked at for every block of layers and either axis."""
+
+    part: Part
+    low_mm: Floats
+    high_mm: Floats
+
+    @classmethod
+    def of(cls, part: Part) -> _Facets:
+        a, b, c = (part.vertices[part.faces[:, k], 2] for k in range(3))
+        return cls(part, np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c))
 
 
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
@@ -68,8 +85,9 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
     step = config.process.bead_width_mm / LINES_PER_BEAD
     worst, layer, x_mm, y_mm = 0.0, -1, np.nan, np.nan
+    facets = _Facets.of(part)
     for axis in (0, 1):
-        for k, at in _different(part, np.asarray(layers.heights), sections, axis, step, limit):
+        for k, at in _different(facets, np.asarray(layers.heights), sections, axis, step, limit):
             depth = float(shapely.distance(shapely.Point(at), sections[k].boundary))
             # Without any border the section is empty, and all of the mesh is missing.
             depth = np.inf if np.isnan(depth) else depth
@@ -87,11 +105,13 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     """Check that the layers reach from the bottom of the part to within half a layer of its top, each as high as it is set.
 
-    Of listed heights, and of layers on what stands, the user says which they are.
+    Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are.
     """
-    if config.base_mm > 0.0 and len(cuts):
+    if config.base_mm > 0.0 and len(cuts) and not _is_uneven(cuts):
         first = float(cuts[1] - cuts[0]) if len(cuts) > 1 else config.layer_height_mm
-        return layer_check(part, float(cuts[0]), config.base_mm, first)
+        check = layer_check(part, float(cuts[0]), config.base_mm, first)
+        by_user = bool(config.layers.heights_mm) and not check.passed
+        return replace(check, remedy=ON_WHAT_STANDS) if by_user else check
     if config.layers.heights_mm or config.base_mm > 0.0:
         return Check(HEIGHTS, True, 0.0, HEIGHT_MM, "mm", "", "the settings say which layers there are")
     low_mm, top_mm = part.bounds[:, 2].tolist()
@@ -112,6 +132,11 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
     text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
     return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+
+
+def _is_uneven(cuts: Floats) -> bool:
+    """Whether cuts (L,) are of layers of several heights: those do not tell where each of them begins."""
+    return len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > HEIGHT_MM)
 
 
 def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
@@ -143,14 +168,14 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
 
 
 def _different(
-    part: Part, heights: Floats, sections: list[BaseGeometry], axis: int, step_mm: float, least_mm: float
+    facets: _Facets, heights: Floats, sections: list[BaseGeometry], axis: int, step_mm: float, least_mm: float
 ) -> Iterator[tuple[int, tuple[float, float]]]:
     """Ends of the pieces of lines along an axis that lie in one of mesh and sections and not in the other: layer, and place."""
-    low, high = part.bounds[:, 1 - axis].tolist()
+    low, high = facets.part.bounds[:, 1 - axis].tolist()
     step = max(step_mm, (high - low) / MOST_LINES)
     lines = low + (np.arange(int((high - low) / step) + 1) + OFF_GRID) * step
-    for some in _blocks(part, heights):
-        mesh = _of_mesh(part, heights, some, axis, lines)
+    for some in _blocks(facets, heights):
+        mesh = _of_mesh(facets, heights, some, axis, lines)
         ours = [_of_section(sections[k], k, axis, lines) for k in range(some.start, some.stop)]
         layer, line, place = (
             np.concatenate([getattr(c, name) for c in (mesh, *ours)]) for name in ("layer", "line", "place")
@@ -179,10 +204,9 @@ def _winding(change: Ints, begins: Bools) -> Ints:
     return np.asarray(total - before[first], np.int64)
 
 
-def _blocks(part: Part, heights: Floats) -> Iterator[range]:
+def _blocks(facets: _Facets, heights: Floats) -> Iterator[range]:
     """Layers one after the other, as many at once as cut :data:`AT_ONCE` facets."""
-    z = part.vertices[part.faces, 2]
-    first, last = (np.searchsorted(heights, side) for side in (z.min(axis=1), z.max(axis=1)))
+    first, last = (np.searchsorted(heights, side) for side in (facets.low_mm, facets.high_mm))
     count = np.bincount(first, minlength=len(heights) + 1) - np.bincount(last, minlength=len(heights) + 1)
     block = np.cumsum(np.cumsum(count)[: len(heights)]) // AT_ONCE
     for number in np.unique(block).tolist():
@@ -190,11 +214,10 @@ def _blocks(part: Part, heights: Floats) -> Iterator[range]:
         yield range(int(rows[0]), int(rows[-1]) + 1)
 
 
-def _of_mesh(part: Part, heights: Floats, some: range, axis: int, lines: Floats) -> _Crossings:
+def _of_mesh(facets: _Facets, heights: Floats, some: range, axis: int, lines: Floats) -> _Crossings:
     """Crossings of lines with the sections of facets: a facet is left by its rising edge and entered by its falling one."""
-    z = part.vertices[part.faces, 2]
-    own = heights[some.start : some.stop]
-    first, last = (np.searchsorted(own, side) for side in (z.min(axis=1), z.max(axis=1)))
+    part, own = facets.part, heights[some.start : some.stop]
+    first, last = (np.searchsorted(own, side) for side in (facets.low_mm, facets.high_mm))
     cut = np.flatnonzero(last > first)
     count = (last - first)[cut]
     corners = part.vertices[part.faces[np.repeat(cut, count)]]

@@ -274,7 +274,8 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
     """A program that ends beside the top of the part by more of its height than the metal may be off.
 
     What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
-    may be off; by more, layers are missing or too many, as only listed heights (`layers.heights_mm`) have it: that is a fault.
+    may be off; by more, layers are missing or too many, which is a fault: listed heights (`layers.heights_mm`) have it, and a part of
+    less than half a layer.
 
     Parameters
     ----------
@@ -291,12 +292,12 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
     limit = config.process.mass_tolerance * part_mm
     ends = "the only layer ends" if len(heights) == 1 else f"{len(heights)} layers end"
     if abs(ends_mm - part_mm) > limit:
-        listed = abs(ends_mm - part_mm) > half_mm + ROUNDING_MM
+        listed = bool(config.layers.heights_mm)
         yield Finding(
-            "fault" if listed else "warning",
+            "fault" if abs(ends_mm - part_mm) > half_mm + ROUNDING_MM else "warning",
             "height-off-part",
             f"{ends} at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
-            "layers.layer_height_mm",
+            "layers.heights_mm" if listed else "layers.layer_height_mm",
             abs(ends_mm - part_mm),
             limit,
             "mm",

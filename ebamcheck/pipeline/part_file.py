@@ -12,7 +12,7 @@ import cmath
 import math
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -38,11 +38,41 @@ SAME_SIZE = 1e-4
 HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
 """Bytes before the first facet of a binary STL file, and a facet."""
 
+STANDS = "does not stand where direction, turn and place say for the one"
+"""What is wrong with a part of which a corner of a facet is elsewhere."""
+
 AT_ONCE = 500_000
 """Facets that are held at once."""
 
 FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.IGNORECASE)
 """Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid."""
+
+
+class _MeshFile:
+    """Facets of a file, mm. Those of a file that is not large are held: copies on a plate ask for them again and again."""
+
+    def __init__(self, path: Path, unit_mm: float) -> None:
+        self.path, self._unit_mm = path, unit_mm
+        self._held: list[Floats] | None = None
+
+    def facets(self) -> Iterator[Floats]:
+        """Corners (n, 3, 3) of its facets, mm, as the file has them."""
+        if self._held is not None:
+            yield from self._held
+            return
+        held, count = list[Floats](), 0
+        for some in self._read():
+            corners = some * self._unit_mm
+            count += len(corners)
+            held = [*held, corners] if count <= AT_ONCE else []
+            yield corners
+        self._held = held if count <= AT_ONCE else None
+
+    def _read(self) -> Iterator[Floats]:
+        if self.path.suffix.lower() == ".stl":
+            return _facets_of(self.path)
+        every = corners_of(self.path)
+        return (np.asarray(every[k : k + AT_ONCE], np.float64) for k in range(0, len(every), AT_ONCE))
 
 
 @dataclass(frozen=True)
@@ -51,58 +81,51 @@ class _Body:
 
     Parameters
     ----------
-    unit_mm, direction, turn_deg
-        Of the file's numbers; what points up; turn about the vertical, counter-clockwise seen from above.
+    file
+        Its facets.
+    direction, turn_deg
+        What points up, in the coordinates of the file; turn about the vertical, counter-clockwise seen from above.
     place_mm
         X and Y of the middle of its box, and Z of its lowest point, if that is told; None: it stays where it is.
     """
 
-    path: Path
-    unit_mm: float
+    file: _MeshFile
     direction: tuple[float, ...]
     turn_deg: float
     place_mm: tuple[float, ...] | None
-
-    def facets(self) -> Iterator[Floats]:
-        """Corners (n, 3, 3) of its facets, mm, as the file has them."""
-        if self.path.suffix.lower() == ".stl":
-            return (np.asarray(some, np.float64) * self.unit_mm for some in _facets_of(self.path))
-        every = corners_of(self.path)
-        firsts = range(0, len(every), AT_ONCE)
-        return (np.asarray(every[k : k + AT_ONCE], np.float64) * self.unit_mm for k in firsts)
 
 
 def file_check(part: Part, config: Config) -> Check:
     """Check that the part is as large as in its STL file, and stands as the settings say; of a part without a file nothing is said."""
     bodies = _bodies(part, config)
-    if not bodies or not all(body.path.is_file() for body in bodies):
+    if not bodies or not all(body.file.path.is_file() for body in bodies):
         return Check(PART_FILE, True, 0.0, SAME_SIZE, "of its size", "", "no file of the part")
     size = max(float(np.linalg.norm(part.size)), 1e-9)
-    path, off = bodies[0].path, dict[str, float]()
+    first, name, off = bodies[0], Path(part.source).name, dict[str, float]()
     found = wanted = (float(part.size[2]), 0.0, 0.0)
-    if not isinstance(part, PlatePart) and path.suffix.lower() == ".stl":
-        wanted = _measured(_facets_of(path), config.part.direction, bodies[0].unit_mm)
+    if not isinstance(part, PlatePart) and first.file.path.suffix.lower() == ".stl":
+        wanted = _measured(first.file.facets(), config.part.direction)
         blocks = (part.vertices[part.faces[k : k + AT_ONCE]] for k in range(0, len(part.faces), AT_ONCE))
-        found = _measured(blocks, (0.0, 0.0, 1.0), 1.0)
+        found = _measured(blocks, (0.0, 0.0, 1.0))
         off = {
             "is longer or shorter along the slicing direction than": abs(found[0] - wanted[0]) / size,
             "has another surface than": abs(found[1] - wanted[1]) / max(wanted[1], 1e-9),
             "does not stand as the slicing direction says for the one": abs(found[2] - wanted[2]) / size,
         }
     if max(off.values(), default=0.0) <= SAME_SIZE:
-        off["does not stand where direction, turn and place say for the one"] = (
-            _beside_mm(part, bodies, config) / size
-        )
+        off[STANDS] = _beside_mm(part, bodies, config) / size
     what = max(off, key=lambda name: off[name])
-    good = f"{path.name} in {config.part.units}, {found[0]:.6g} mm high"
-    text = (
-        good
-        if off[what] <= SAME_SIZE
-        else f"the part {what} in {path.name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
-    )
-    if "where" in what and off[what] > SAME_SIZE:
-        text = f"the part {what} in {path.name}, but {off[what] * size:.6g} mm beside that"
-    return Check(PART_FILE, off[what] <= SAME_SIZE, off[what], SAME_SIZE, "of its size", "", text)
+    value = off[what]
+    if value <= SAME_SIZE:
+        unit = "" if isinstance(part, PlatePart) else f" in {config.part.units}"
+        text = f"{name}{unit}, {found[0]:.6g} mm high"
+    elif math.isinf(value):
+        text = f"the part has another number of facets than {name}"
+    elif what == STANDS:
+        text = f"the part {what} in {name}, but {value * size:.6g} mm beside that"
+    else:
+        text = f"the part {what} in {name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
+    return Check(PART_FILE, value <= SAME_SIZE, value, SAME_SIZE, "of its size", "", text)
 
 
 # -- how it stands -----------------------------------------------------------------------------------
@@ -114,15 +137,17 @@ def _bodies(part: Part, config: Config) -> list[_Body]:
         return []
     source, own = Path(part.source), config.part
     if not isinstance(part, PlatePart):
-        return [_Body(source, UNIT_MM[own.units], own.direction, own.rotate_deg, own.place_at_mm)]
-    bodies = []
+        return [_Body(_MeshFile(source, UNIT_MM[own.units]), own.direction, own.rotate_deg, own.place_at_mm)]
+    bodies, files = [], dict[tuple[Path, float], _MeshFile]()
     for entry in tomllib.loads(source.read_text(encoding="utf-8"))["parts"] if source.is_file() else ():
         unit_mm = UNIT_MM[known_as(entry.get("units", own.units))]
         (x, y), (step_x, step_y) = entry["place_mm"], entry.get("step_mm", (0.0, 0.0))
+        path, turn_deg = source.parent / entry["file"], entry.get("rotate_deg", 0.0)
+        direction = tuple(entry.get("direction", own.direction))
+        file = files.setdefault((path, unit_mm), _MeshFile(path, unit_mm))
         for n in range(entry.get("copies", 1)):
             place = (x + n * step_x, y + n * step_y, 0.0)
-            path, turn_deg = source.parent / entry["file"], entry.get("rotate_deg", 0.0)
-            bodies.append(_Body(path, unit_mm, tuple(entry.get("direction", own.direction)), turn_deg, place))
+            bodies.append(_Body(file, direction, turn_deg, place))
     return bodies
 
 
@@ -137,9 +162,8 @@ def _beside_mm(part: Part, bodies: list[_Body], config: Config) -> float:
                 return np.inf
             there = part.vertices[rows]
             off = np.abs(there - corners).max(axis=(1, 2), initial=0.0)
-            if (
-                config.part.fix_orientation
-            ):  # facets that are turned over have their corners the other way round
+            # Facets that are turned over have their corners the other way round.
+            if config.part.fix_orientation:
                 off = np.minimum(off, np.abs(there - corners[:, ::-1]).max(axis=(1, 2), initial=0.0))
             off_mm = max(off_mm, float(off.max(initial=0.0)))
     return off_mm if first == len(part.faces) else np.inf
@@ -159,7 +183,7 @@ def _standing(body: _Body) -> Iterator[Floats]:
         upright = np.diag([1.0, -1.0, -1.0])
     turn = cmath.exp(1j * math.radians(body.turn_deg))
     still, turned = _Box(), _Box()
-    for facets in body.facets():
+    for facets in body.file.facets():
         flat, z = _flat(facets, upright)
         still.add(flat, z)
         turned.add(turn * flat, z)
@@ -167,7 +191,7 @@ def _standing(body: _Body) -> Iterator[Floats]:
     if body.place_mm is not None:
         shift = complex(*body.place_mm[:2]) - turned.middle
         rise = body.place_mm[2] - still.low[2] if len(body.place_mm) > 2 else 0.0
-    for facets in body.facets():
+    for facets in body.file.facets():
         flat, z = _flat(facets, upright)
         at = turn * flat + shift
         yield np.stack([at.real, at.imag, z + rise], axis=2)
@@ -202,14 +226,11 @@ class _Box:
 # -- the file ----------------------------------------------------------------------------------------
 
 
-def _measured(
-    facets: Iterator[Floats], direction: tuple[float, ...], unit_mm: float
-) -> tuple[float, float, float]:
-    """Length along a direction, mm, surface, mm2, and how high the middle of the surface lies, mm, of facets (n, 3, 3)."""
+def _measured(facets: Iterable[Floats], direction: tuple[float, ...]) -> tuple[float, float, float]:
+    """Length along a direction, mm, surface, mm2, and how high the middle of the surface lies, mm, of facets (n, 3, 3), mm."""
     up = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     low, high, surface, moment = np.inf, -np.inf, 0.0, 0.0
-    for some in facets:
-        corners = np.asarray(some, np.float64) * unit_mm
+    for corners in facets:
         along = corners @ up
         area = 0.5 * np.linalg.norm(
             np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -229,7 +250,7 @@ def _facets_of(path: Path) -> Iterator[Floats]:
         # The reader of parts leaves out padding behind the last facet, too; in text these bytes count more facets than a file holds.
         if len(head) == HEAD and 0 < count * FACET.itemsize <= size - HEAD:
             for first in range(0, count, AT_ONCE):
-                yield np.fromfile(file, FACET, min(AT_ONCE, count - first))["corners"]
+                yield np.fromfile(file, FACET, min(AT_ONCE, count - first))["corners"].astype(np.float64)
             return
         found = FACET_TEXT.finditer(head + file.read())
     # A part has the 32-bit numbers of a binary file, whatever digits the text prints.

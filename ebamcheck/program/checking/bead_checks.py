@@ -217,7 +217,7 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
         ]
 
     covered = [share for block in run_blocks(work, len(solid)) for share in block]
-    laid = width * float(nc.lengths[rows[np.isin(index, solid)]].sum())
+    laid = width * float(np.nansum(nc.lengths[rows[np.isin(index, solid)]]))
     area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
     worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
     if layer < 0:
@@ -228,14 +228,16 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
 
 
 def _segments(nc: NCProgram, rows: Ints) -> Floats:
-    """Chords (S, 4) of the motions."""
+    """Chords (S, 4) of the motions, x0, y0, x1, y1, mm; without those from or to a place that is not known."""
     if not rows.size:
         return np.zeros((0, 4))
     owner, points = nc.samples(rows, BEAD_STEP_MM)
     before = np.vstack([np.zeros((1, 2)), points[:-1]])
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     before[first] = nc.start[owner[first], :2]
-    return np.hstack([before, points])
+    chords: Floats = np.hstack([before, points])
+    # Widened lines of unknown places end the process within GEOS.
+    return np.asarray(chords[np.isfinite(chords).all(axis=1)])
 
 
 def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
@@ -280,7 +282,10 @@ def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> B
 
 
 def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
-    return int(rows[np.argmin(shapely.distance(motion_chords(nc, rows), place))])
+    known = rows[np.isfinite(np.hstack([nc.start[rows, :2], nc.end[rows, :2]])).all(axis=1)]
+    if not known.size:
+        return int(rows[0])
+    return int(known[np.argmin(shapely.distance(motion_chords(nc, known), place))])
 
 
 def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:

@@ -9,6 +9,7 @@ more has a mistake behind it, here or there.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -118,22 +119,55 @@ def entries_k(
     -------
     (P,) K.
     """
-    column = _Column([_Shape.of(s, h) for s, h in zip(sections, heights_mm.tolist(), strict=True)], config)
+    shapes = [_Shape.of(s, h) for s, h in zip(sections, heights_mm.tolist(), strict=True)]
+    return _entered(_Column(config), beads, shapes)
+
+
+def _entered(column: _Column, beads: BeadHeat, shapes: Sequence[_Shape]) -> Floats:
+    """Temperatures (P,) of what beads are laid on, K; afterwards the column has them on top."""
     found, layer = np.zeros(beads.layer.size), -1
     for bead in range(found.size):
         column.follow(float(beads.off_s[bead]), 0.0)
         found[bead] = column.bed_k
         if beads.layer[bead] != layer:
             layer = int(beads.layer[bead])
-            column.lay(layer)
+            column.lay(shapes[layer])
         column.follow(float(beads.time_s[bead]), float(beads.heat_j[bead]))
     return found
+
+
+class FollowedHeat:
+    """Heat of a part that is half built; a layer laid on it makes another one, and leaves this as it is."""
+
+    def __init__(self, config: Config) -> None:
+        self._column = _Column(config)
+
+    def with_layer(
+        self, beads: BeadHeat, section: BaseGeometry, height_mm: float
+    ) -> tuple[Floats, FollowedHeat]:
+        """Lay one more layer.
+
+        Parameters
+        ----------
+        beads
+            Beads (P,) of the layer; all have layer 0.
+        section, height_mm
+            Section and height of the layer.
+
+        Returns
+        -------
+        bed_k, heat
+            Temperature (P,) of what each bead is laid on, K, and the heat when the layer is done.
+        """
+        after = copy.copy(self)
+        after._column = self._column.copied()
+        return _entered(after._column, beads, [_Shape.of(section, height_mm)]), after
 
 
 def plate_k(area_mm2: float, times_s: Floats, heats_j: Floats, config: Config) -> float:
     """Temperature of the upper side of a bare base plate after times (n,) in which it takes up heat (n,) there, K."""
     shape = _Shape(config.process.base_plate_mm / PLATE_CELLS, area_mm2, 0.0, 0.0, 0.0)
-    column = _Column([shape], config)
+    column = _Column(config)
     column.lay_plate(shape)
     for time_s, heat_j in zip(times_s.tolist(), heats_j.tolist(), strict=True):
         column.follow(time_s, heat_j)
@@ -163,9 +197,9 @@ class _Shape:
 class _Column:
     """Temperatures of plate and layers, from the table up."""
 
-    def __init__(self, shapes: list[_Shape], config: Config) -> None:
+    def __init__(self, config: Config) -> None:
         process, material = config.process, config.material
-        self._shapes, self._ambient = shapes, process.ambient_temperature_k
+        self._ambient = process.ambient_temperature_k
         self._cooled, self._plate_mm = process.base == "cooled", process.base_plate_mm
         self._glow = material.emissivity * RADIATION_W_MM2K4
         kelvin = np.arange(HOTTEST_K)
@@ -188,9 +222,14 @@ class _Column:
             return math.nan
         return float(self._kelvin[-2:].max()) if self._laid else self._ambient
 
-    def lay(self, layer: int) -> None:
+    def copied(self) -> _Column:
+        """Return another one that goes on by itself."""
+        result = copy.copy(self)
+        result._laid, result._kelvin = [*self._laid], self._kelvin.copy()
+        return result
+
+    def lay(self, shape: _Shape) -> None:
         """Put a cold layer on top; the first one lies on a plate as wide as it is."""
-        shape = self._shapes[layer]
         if shape.area <= 0.0:
             return
         plate = 0 if self._laid else PLATE_CELLS

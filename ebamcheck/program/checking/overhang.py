@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,11 +73,11 @@ def overhang_check(nc: NCProgram, config: Config) -> Check:
     return Check("overhang", worst <= allowed, worst, allowed, "deg", nc.where(row) if row >= 0 else "", text)
 
 
-def _layers(nc: NCProgram) -> list[Laid]:
+def _layers(nc: NCProgram) -> Iterator[Laid]:
+    """Yield what each layer lays: only one and the one below are asked for at once."""
     contours = nc.contours(OUTLINE_STEP_MM)
     known = np.isfinite(nc.start[:, :2]).all(axis=1) & np.isfinite(nc.end[:, :2]).all(axis=1)
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0) & known & (nc.lengths > 0.0) & (nc.ring < 0))
-    result = []
     for k in range(len(contours)):
         here = nc.layer[rows] == k
         # Contours as a whole, so that metal has corners where they have; all other beads by motion.
@@ -84,8 +85,7 @@ def _layers(nc: NCProgram) -> list[Laid]:
         rings = [ring for ring in rings if shapely.is_valid(ring)]
         lines = shapely.MultiLineString([*rings, *_paths(nc, rows[here])])
         places = np.ascontiguousarray(shapely.get_coordinates(lines))
-        result.append(Laid(lines, sides_of(lines), places, shapely.union_all(contours.polygons(k))))
-    return result
+        yield Laid(lines, sides_of(lines), places, shapely.union_all(contours.polygons(k)))
 
 
 def _ring(points: Floats, *, closed: bool) -> shapely.LineString:

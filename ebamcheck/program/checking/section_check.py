@@ -237,10 +237,12 @@ def _distances(at: Floats, lines: BaseGeometry) -> Floats:
 
 
 def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
-    """Sampled path, one polyline for each ring."""
+    """Sampled path, one polyline for each ring, as far as its places are known."""
     lines = []
     for ring in np.unique(nc.ring[rows]):
         first = rows[nc.ring[rows] == ring][0]
         way = np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])
-        lines.append(shapely.LineString(way[np.isfinite(way).all(axis=1)]))
+        way = way[np.isfinite(way).all(axis=1)]
+        if len(way) > 1:
+            lines.append(shapely.LineString(way))
     return shapely.MultiLineString(lines)

@@ -1,0 +1,45 @@
+"""Beads of a text that never says where they begin: they cover nothing, and no check ends with an error."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+import shapely
+from prism_program import Made
+
+from ebamcheck.program import verify_program
+from ebamcheck.program.checking.bead_checks import bead_checks
+from ebamcheck.program.checking.overhang import overhang_check
+
+
+@pytest.mark.parametrize("lines", [25, 10**6], ids=["the-first-beads", "all-beads"])
+def test_beads_from_a_place_that_no_block_has_given_cover_nothing(lines, tmp_path):
+    made = Made(tmp_path, shapely.box(0, 0, 36, 30), layers=2)
+
+    def without_x(text):
+        text[:lines] = [re.sub(r" X-?[\d.]+", "", line) for line in text[:lines]]
+
+    made.edit("MAIN_L0001.SPF", without_x)
+    if lines > 25:
+        made.edit("MAIN_L0002.SPF", without_x)
+        made.edit("MAIN.MPF", without_x)
+    nc = made.read()
+    found = {check.name: check for check in bead_checks(nc, made.config, made.z, made.layers)}
+    assert not found["coverage"].passed
+    assert not found["gaps"].passed
+    assert "nan" not in found["coverage"].text
+    overhang_check(nc, made.config)
+
+
+@pytest.mark.filterwarnings("ignore:invalid value encountered:RuntimeWarning")
+def test_a_text_without_x_fails_its_checks(tmp_path):
+    made = Made(tmp_path, shapely.box(0, 0, 36, 30), layers=2)
+    for name in ("MAIN.MPF", "MAIN_L0001.SPF", "MAIN_L0002.SPF"):
+        made.edit(
+            name, lambda text: text.__setitem__(slice(None), [re.sub(r" X-?[\d.]+", "", t) for t in text])
+        )
+    nc, heights = made.read(), made.layers.heights
+    given = {"layers": made.layers, "heights": heights, "beads": True, "metal": True, "heat": True}
+    failed = {check.name for check in verify_program(nc, config=made.config, **given) if not check.passed}
+    assert {"start of path", "section", "coverage", "gaps", "metal"} <= failed
