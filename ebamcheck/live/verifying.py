@@ -113,43 +113,50 @@ def verify_build(
     """
     if not part.is_file():
         raise InputError(f"{part}: cannot be read: there is no such file")
-    found, spent = [], FRESH
-    for entry, due in [*_due(folder)]:
+    found, spent, build = [], FRESH, is_build(folder)
+    together = _Together(part)
+    entries = [*_due(folder)]
+    for number, (entry, due) in enumerate(entries, 1):
         layer, spent = _verified(folder, entry, due, part, spent if due else FRESH)
+        if build and layer.passed:
+            layer = replace(layer, why=together.why(folder / LAYERS / layer.name))
+        elif build:
+            together.end()
+        if build and layer.passed and number == len(entries):
+            layer = replace(layer, why=_last_off(folder, layer.name, part))
         found.append(layer)
         told(layer)
-    for k, why in _over_layers(folder, found, part):
-        found[k] = replace(found[k], why="; ".join(text for text in (found[k].why, why) if text))
-        told(found[k])
-    if found and is_build(folder) and found[-1].passed and (why := _last_off(folder, found[-1].name, part)):
-        found[-1] = replace(found[-1], why=why)
-        told(found[-1])
     write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
     return found
 
 
-def _over_layers(folder: Path, found: list[VerifiedLayer], part: Path) -> Iterator[tuple[int, str]]:
-    """What is wrong with layers of a build together: heat and metal on those below, as far up as their texts tell it."""
-    if not is_build(folder):
-        return
-    heat: FollowedHeat | None = None
-    metal, knows_heat, knows_metal = None, True, True
-    for k, layer in enumerate(found):
-        if not layer.passed:  # what it tells counts for nothing
-            break
-        place = folder / LAYERS / layer.name
-        try:
-            config, paper = load_config(place / SETTINGS), _certificate(place)
-            metal = metal or MetalAgain(placed_part(part, config)[0], config)
-        except EbamcheckError:
-            break
-        text = layer_text(place / PROGRAM, paper, config) if knows_heat else None
-        knows_heat = text is not None
-        warm, heat = ("", None) if text is None else heated(heat, text)
-        wrong = metal.with_layer(place / PROGRAM, paper, config) if knows_metal else None
-        knows_metal = wrong is not None
-        if why := "; ".join(said for said in (wrong, warm) if said):
-            yield k, why
+class _Together:
+    """Layers of a build together: heat and metal of each on those below, as far up as their texts tell it."""
+
+    def __init__(self, part: Path) -> None:
+        self._part = part
+        self._heat: FollowedHeat | None = None
+        self._metal: MetalAgain | None = None
+        self._knows_heat = self._knows_metal = True
+
+    def end(self) -> None:
+        """Say nothing of the layers from here on: what one of them tells that is wrong by itself counts for nothing."""
+        self._knows_heat = self._knows_metal = False
+
+    def why(self, place: Path) -> str:
+        """What is wrong with one more layer on those below; empty where nothing is."""
+        if not (self._knows_heat or self._knows_metal):
+            return ""
+        config, paper = load_config(place / SETTINGS), _certificate(place)
+        text = layer_text(place / PROGRAM, paper, config) if self._knows_heat else None
+        self._knows_heat = text is not None
+        warm, self._heat = ("", None) if text is None else heated(self._heat, text)
+        wrong = None
+        if self._knows_metal:
+            self._metal = self._metal or MetalAgain(placed_part(self._part, config)[0], config)
+            wrong = self._metal.with_layer(place / PROGRAM, paper, config)
+        self._knows_metal = wrong is not None
+        return "; ".join(said for said in (wrong, warm) if said)
 
 
 def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
