@@ -12,7 +12,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import shapely
@@ -209,7 +209,7 @@ class _Column:
         capacity += np.where(melts, material.latent_heat_j_kg / wide_k, 0.0)
         self._capacity = 1e-9 * material.density_kg_m3 * capacity
         self._conductivity = 1e-3 * np.interp(kelvin, *_data(material.conductivity_by_temperature))
-        self._laid: list[_Shape] = []
+        self._laid = np.zeros((0, 5))  # of each layer what a shape has of it
         self._first = np.zeros(0, np.int64)  # of the layers in each cell above the plate
         self._lost = False
         self._kelvin = np.zeros(0)
@@ -220,20 +220,20 @@ class _Column:
         """Temperature of the uppermost layer or of the one under it, whichever is warmer."""
         if self._lost:
             return math.nan
-        return float(self._kelvin[-2:].max()) if self._laid else self._ambient
+        return float(self._kelvin[-2:].max()) if len(self._laid) else self._ambient
 
     def copied(self) -> _Column:
         """Return another one that goes on by itself."""
         result = copy.copy(self)
-        result._laid, result._kelvin = [*self._laid], self._kelvin.copy()
+        result._kelvin = self._kelvin.copy()  # which alone is written to where it lies
         return result
 
     def lay(self, shape: _Shape) -> None:
         """Put a cold layer on top; the first one lies on a plate as wide as it is."""
         if shape.area <= 0.0:
             return
-        plate = 0 if self._laid else PLATE_CELLS
-        self._laid.append(shape)
+        plate = 0 if len(self._laid) else PLATE_CELLS
+        self._laid = np.vstack([self._laid, astuple(shape)])
         self._first = np.append(self._first, len(self._laid) - 1)
         self._kelvin = np.append(self._kelvin, np.full(plate + 1, self._ambient))
         self._height = np.append(self._height, [*[self._plate_mm / PLATE_CELLS] * plate, shape.height])
@@ -245,7 +245,7 @@ class _Column:
 
     def lay_plate(self, cell: _Shape) -> None:
         """Make this a bare plate of cells, the uppermost of which radiates and takes up the heat; no layer may follow."""
-        self._laid = [cell] * PLATE_CELLS
+        self._laid = np.array([astuple(cell)] * PLATE_CELLS)
         self._kelvin = np.full(PLATE_CELLS, self._ambient)
         self._height, self._area = (np.full(PLATE_CELLS, value) for value in (cell.height, cell.area))
         self._shining = np.append(np.zeros(PLATE_CELLS - 1), self._glow * cell.area)
@@ -267,7 +267,7 @@ class _Column:
         """Let a time go by in which the uppermost layer takes up heat."""
         # A feed of nothing never ends: what comes after it has no temperature.
         self._lost |= not (math.isfinite(time_s) and math.isfinite(heat_j))
-        if self._lost or time_s <= 0.0 or not self._laid:
+        if self._lost or time_s <= 0.0 or not len(self._laid):
             return
         tables = self._capacity, self._conductivity
         cells = self._height, self._area, self._shining
@@ -343,14 +343,12 @@ def _step(
         kelvin[i] = (right[i] + link[i + 1] * kelvin[i + 1]) / pivot[i]
 
 
-def _shining_mm2(laid: Sequence[_Shape]) -> Floats:
-    """Surface (n,) by which each layer sees the chamber: its sides, its top as far as none lies on it, and what overhangs.
+def _shining_mm2(laid: Floats) -> Floats:
+    """Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs.
 
     The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
     """
-    height, area, outer, inner, holes = np.array(
-        [(s.height, s.area, s.outer, s.inner, s.holes) for s in laid]
-    ).T
+    height, area, outer, inner, holes = laid.T
     filled = area + holes
     seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)
     seen[1:] += np.maximum(filled[1:] - filled[:-1], 0.0)
