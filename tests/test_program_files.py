@@ -224,7 +224,7 @@ def test_templates_carry_the_values_of_their_layer(tmp_path):
         "set_power": ["H7={power_w}"],
         "aux_codes": ["H8", "H9"],
     }
-    config = Config().changed(machine=machine)
+    config = Config().changed(machine=machine, process=ANY_OVERHANG)
     curves, plan = stack(count=2)
     files = write_program(curves, plan, config, tmp_path / "program")
     assert "N110 H9=2 H8=3.00 ; layer" in (files.folder / "MAIN_L0002.SPF").read_text()
