@@ -200,7 +200,7 @@ def corpus() -> list[Path]:
     return sorted(p for kind in ("good", "nasty") for p in Path(folder, kind).glob("*.stl")) if folder else []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(
     not corpus(), reason="EBAMCHECK_CORPUS names no folder: the mesh corpus is not part of it"
 )
