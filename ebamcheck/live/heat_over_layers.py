@@ -61,7 +61,7 @@ def layer_text(program: Path, paper: Mapping[str, Any], config: Config) -> Layer
     )
 
 
-def with_layer(heat: FollowedHeat | None, layer: LayerText) -> tuple[str, FollowedHeat]:
+def heated(heat: FollowedHeat | None, layer: LayerText) -> tuple[str, FollowedHeat]:
     """Lay one more layer on the heat of those below, None on the bare plate.
 
     Returns

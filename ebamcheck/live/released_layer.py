@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.live.heat_over_layers import layer_text, with_layer
+from ebamcheck.live.heat_over_layers import heated, layer_text
 from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.settings.config import Config
 
@@ -52,7 +52,7 @@ class Followed:
     def too_warm(self, program: Path, paper: Mapping[str, Any], config: Config) -> str:
         """Why a layer is entered too warm by its text, its wait and the texts of those below; empty where it is not."""
         text = layer_text(program, paper, config) if self._known else None
-        why, self._after = ("", None) if text is None else with_layer(self._heat, text)
+        why, self._after = ("", None) if text is None else heated(self._heat, text)
         return why
 
     def take(self) -> None:

@@ -11,8 +11,7 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
-from ebamcheck.live.heat_over_layers import layer_text
-from ebamcheck.live.heat_over_layers import with_layer as heated
+from ebamcheck.live.heat_over_layers import heated, layer_text
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.metal_over_layers import MetalAgain
 from ebamcheck.live.publishing import (
@@ -32,7 +31,7 @@ from ebamcheck.pipeline.mesh_sections import layer_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import Check
-from ebamcheck.program.checking.consumables import FRESH, Spent, with_layer
+from ebamcheck.program.checking.consumables import FRESH, Spent, lasting
 from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.settings.config import Config, load_config
 
@@ -196,7 +195,7 @@ def _verified(
     wrong = [check.in_words() for check in checks if not check.passed]
     if len(checks) < FEWEST_CHECKS and not wrong:
         wrong = [f"{len(checks)} checks alone could be made"]
-    lasts, spent = with_layer(checks, config, spent)
+    lasts, spent = lasting(checks, config, spent)
     wrong += [check.in_words() for check in lasts if not check.passed]
     return VerifiedLayer(name, len(checks), "; ".join(wrong), files), spent
 

@@ -24,7 +24,7 @@ SPOOL, CATHODE = "wire on the spool", "life of the cathode"
 NEW = {SPOOL: "on a new spool", CATHODE: "in a new cathode"}
 """What is done before a layer for which they do not last."""
 
-SAID = {
+WORDS = {
     SPOOL: (SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"),
     CATHODE: (CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"),
 }
@@ -165,7 +165,7 @@ def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consum
     return found
 
 
-def with_layer(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[list[Check], Spent]:
+def lasting(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[list[Check], Spent]:
     """Check that spool and cathode last for a layer with what those below took, by its checks as a program by itself."""
     machine, by_name, found = config.machine, {check.name: check for check in checks}, []
     for name, holds, used in (
@@ -175,7 +175,7 @@ def with_layer(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[l
         if holds is not None and (alone := by_name.get(name)) is not None:
             changes, ends_in, in_use = _changes([alone.value], holds, machine.optional_stop, used)
             found.append(
-                Consumed(*SAID[name], holds, alone.value, changes, ends_in, alone.where, used, in_use)
+                Consumed(*WORDS[name], holds, alone.value, changes, ends_in, alone.where, used, in_use)
             )
     return [one.check() for one in found], spent_after(found)
 
@@ -214,7 +214,7 @@ def _used(
         since += 0.0 if changes else spent
         rows = np.flatnonzero((layer == ends_in) & (since > holds))
         where = nc.where(int(rows[0])) if rows.size else ""
-    return Consumed(*SAID[name], holds, float(in_layer.sum()), changes, ends_in, where, spent, in_use)
+    return Consumed(*WORDS[name], holds, float(in_layer.sum()), changes, ends_in, where, spent, in_use)
 
 
 def _changes(
