@@ -53,7 +53,7 @@ def draw(
         pictures.append(
             _canvas(layers, layer, spans.points, sharp, smooth, near, INSET_PX).svg(f"{title}, enlarged")
         )
-        sentence = f"Right: the place where curve and contour differ most, about {deviation:.2g} mm at ({x:.2f}, {y:.2f}) mm."
+        sentence = f"Enlarged: the place where curve and contour differ most, about {deviation:.2g} mm at ({x:.2f}, {y:.2f}) mm."
     return join(pictures), sentence
 
 

@@ -103,7 +103,7 @@ def _frame(run: RunData, layer: int, why: str, worst: Place | None) -> Markup:
     if worst is not None and np.isfinite([worst.x_mm, worst.y_mm]).all():
         pictures.append(_inset(stacks, worst))
         caption += (
-            f" Right: the place where {worst.pair} differ most, ({worst.x_mm:.3f}, {worst.y_mm:.3f}) mm: "
+            f" Enlarged: the place where {worst.pair} differ most, ({worst.x_mm:.3f}, {worst.y_mm:.3f}) mm: "
             f"depth {worst.depth_mm:.4g} mm, limit {worst.limit_mm:.4g} mm."
         )
     return picture(element("div", *pictures, class_="beside"), caption, class_="frame", name=name)
