@@ -6,9 +6,13 @@ import subprocess
 import sys
 from itertools import pairwise
 
+import hypothesis.extra.numpy as hnp
 import moderngl
 import numpy as np
 import pytest
+import shapely
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 from skimage.measure import find_contours
 from stencil_cuts import cut
 from stencil_parts import box, joined, torus, turned
@@ -20,7 +24,8 @@ from ebamcheck.mesh.part import from_arrays
 from ebamcheck_stencil import Stencil
 from ebamcheck_stencil.bitmaps import Flips, as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.crossings import Crossings
-from ebamcheck_stencil.field_of_view import MARGIN_PX, FieldOfView, field_of_view
+from ebamcheck_stencil.drawn_facets import _is_near_a_centre
+from ebamcheck_stencil.field_of_view import MARGIN_PX, SUBPIXELS, FieldOfView, field_of_view
 from ebamcheck_stencil.marching_squares import contours_of_layers
 from ebamcheck_stencil.openings import border, capped, is_closed
 from ebamcheck_stencil.slicer import inside_rule
@@ -82,6 +87,25 @@ def test_the_automatic_pixel(extent, pixel):
     assert field_of_view(flat, None).pixel_mm == pytest.approx(pixel, rel=1e-14)
 
 
+# -- facets that the literal mode sends -----------------------------------------------------------------
+
+
+@settings(deadline=None)  # the first example compiles
+@given(
+    corners=hnp.arrays(np.int32, (3, 2), elements=st.integers(0, 6 * SUBPIXELS)),
+    slack=st.integers(0, 40),
+)
+@example(corners=np.full((3, 2), SUBPIXELS // 2, np.int32), slack=0)
+@example(corners=np.array([(0, 0), (1100, 1100), (550, 551)], np.int32), slack=1)
+def test_facets_near_a_pixel_centre_are_told(corners, slack):
+    """Against shapely: the facet grown by a square, and every centre."""
+    square = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * slack
+    grown = shapely.convex_hull(shapely.MultiPoint((corners[:, None] + square).reshape(-1, 2)))
+    across = np.arange(-1, 8) * SUBPIXELS + SUBPIXELS // 2
+    centres = shapely.points(*map(np.ravel, np.meshgrid(across, across)))
+    assert _is_near_a_centre(corners, 0, 1, 2, slack) == bool(shapely.intersects(grown, centres).any())
+
+
 # -- contours of bitmaps, against scikit-image ---------------------------------------------------------
 
 
@@ -93,7 +117,9 @@ def rings_of_image(image) -> Layers:
     flip(bitmap, pixels)
     assert np.array_equal(as_image(bitmap, view), image)
     flips = Flips(np.array([0, pixels.size]), pixels)
-    points, starts, _ = contours_of_layers(empty_bitmap(view), flips, 0, 0, 1, view.stride_px // 64)
+    points, starts, least, _ = contours_of_layers(flips, 0, 1, bitmap.size, view.stride_px // 64)
+    rings = [points[a:b].tolist() for a, b in pairwise(starts)]
+    assert [points[row].tolist() for row in least] == [min(ring) for ring in rings]
     return from_rings([0.0], [[points[a:b] / 2.0 for a, b in pairwise(starts)]])
 
 

@@ -24,12 +24,20 @@ from stencil_cuts import (
 from stencil_parts import box, cylinder, joined, moved, prism, reversed_mesh, torus, turned
 
 import ebamcheck
+import ebamcheck_stencil.literal as literal_mode
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck_stencil import Stencil, opengl
+from ebamcheck_stencil.drawn_facets import Bands, DrawnFacets
 from ebamcheck_stencil.field_of_view import field_of_view
 from ebamcheck_stencil.literal import LiteralSlices
+
+
+def all_facets(part, lattice, heights, view):
+    """Every facet of a part, to be drawn for every layer."""
+    whole = Bands(np.array([np.inf]), np.array([-np.inf]), np.array([0, len(part.faces)]))
+    return DrawnFacets(part.faces, whole, Bands(np.empty(0), np.empty(0), np.zeros(1, np.int64)))
 
 
 class TestWithOpenGL:
@@ -164,21 +172,44 @@ class TestWithOpenGL:
         mesh = turned(torus(9, 3), (1, 2, 3), 0.9)
         heights = np.linspace(-6, 6, 9)
         whole = cut(mesh, heights, pixel_mm=0.1, mode=mode)
-        for tiling in ({"max_texture_px": 37}, {"max_texture_px": 1000, "buffer_mb": 0.02}):
+        for tiling in (
+            {"max_texture_px": 37},
+            {"max_texture_px": 5},
+            {"max_texture_px": 1000, "buffer_mb": 0.02},
+        ):
             assert same(cut(mesh, heights, pixel_mm=0.1, mode=mode, **tiling), whole)
 
-    def test_facets_below_the_plane_add_nothing(self):
-        """They are not sent; what is level with the plane is."""
+    @pytest.mark.parametrize("pixel_mm", [0.1, 0.7])
+    def test_facets_that_are_not_sent_add_nothing(self, pixel_mm, monkeypatch):
+        """Neither those below the plane nor those that no ray meets; what is level with the plane is sent."""
         stairs = joined(*[box(high=(4 - i, 4 - i, 1 + i)) for i in range(3)])
-        for mesh in (turned(torus(9, 3), (1, 2, 3), 0.9), stairs):
+        fine = turned(torus(9, 3, 150, 90), (3, 1, 2), 1.9)
+        needles = turned((fine[0] * [1, 1, 40], fine[1]), (1, -1, 0.1), 0.02)
+        for mesh in (turned(torus(9, 3), (1, 2, 3), 0.9), stairs, fine, needles):
             part = from_arrays(*mesh)
             bottom, top = part.bounds[:, 2]
             levels = np.unique(np.concatenate([part.vertices[::97, 2], np.linspace(bottom - 1, top + 1, 9)]))
-            with Stencil().prepare(part, Stencil.Settings(pixel_mm=0.1, mode="literal")) as prepared:
-                sent = [prepared.bitmap(level) for level in levels]
-                prepared._facet_depths[:] = -np.inf
-                assert all(map(np.array_equal, sent, [prepared.bitmap(level) for level in levels]))
-            assert any(image.any() for image in sent)
+            few, sent = self.images(part, levels, pixel_mm)
+            monkeypatch.setattr(literal_mode, "drawn_facets", all_facets)
+            every, _ = self.images(part, levels, pixel_mm)
+            monkeypatch.undo()
+            assert all(map(np.array_equal, few, every))
+            assert any(image.any() for image in few)
+            assert sent.holding.size + sent.near.size <= len(part.faces)
+
+    @staticmethod
+    def images(part, levels, pixel_mm):
+        """Bitmaps at the levels, and the facets of which they were drawn."""
+        with Stencil().prepare(part, Stencil.Settings(pixel_mm=pixel_mm, mode="literal")) as prepared:
+            return [prepared.bitmap(level) for level in levels], prepared._drawn
+
+    def test_half_a_fine_mesh_need_not_be_sent(self):
+        part = from_arrays(*turned(torus(9, 3, 300, 200), (3, 1, 2), 1.9))
+        _, sent = self.images(part, [0.0], 0.3)
+        assert sent.holding.size < 0.35 * len(part.faces)
+        assert sent.near.size < 0.35 * len(part.faces)
+        ((_, first), *_), ((_, last), *_) = sent.ranges(part.bounds[::-1, 2] - part.bounds[:, 2].mean(), 0.0)
+        assert first < 0.02 * sent.holding.size < last
 
     def test_a_crowded_window_is_drawn_in_parts(self):
         """Two hundred plates over one corner of the field: no estimate foresees them in one band."""

@@ -2,42 +2,63 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck_stencil.field_of_view import FieldOfView
 
-Rings = tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]
-"""Of a block of layers: points in half pixels, first point of each ring, and number of rings of each layer."""
+
+class Rings(NamedTuple):
+    """Rings of a block of layers, as marching squares finds them."""
+
+    points: NDArray[np.int32]
+    """(N, 2) half pixels from the centre of pixel (0, 0)."""
+    starts: NDArray[np.int64]
+    """(R + 1,) first point of each ring."""
+    least: NDArray[np.int64]
+    """(R,) row of each ring's lexicographically least point."""
+    counts: NDArray[np.int64]
+    """(L,) rings of each layer."""
+
+    def canonical_order(self) -> NDArray[np.int64]:
+        """Rings as they stand in :class:`Layers`: by layer, and there by their least points, of which no two are alike."""
+        layer = np.repeat(np.arange(len(self.counts)), self.counts)
+        return np.lexsort((self.points[self.least, 1], self.points[self.least, 0], layer))
 
 
-def contoured(
-    heights: NDArray[np.float64],
-    rings_between: Callable[[int, int], Rings],
-    view: FieldOfView,
-    labels: dict[str, Any],
+def layers_of(
+    heights: NDArray[np.float64], found: Sequence[Rings], view: FieldOfView, labels: dict[str, Any]
 ) -> Layers:
-    """Find the rings of all heights (L,) on all threads, by ``rings_between(start, stop)``, and make layers of them."""
-    found = run_blocks(rings_between, heights.size)
-    starts = np.cumsum([0, *(len(points) for points, _, _ in found)]).tolist()
-    points = np.empty((starts[-1], 2))
+    """Make layers at heights (L,) of the rings of their blocks, in canonical form.
+
+    No point of a bitmap's contours is passed twice, and every ring encloses a pixel, so that the form is a matter
+    of order alone.
+    """
+    orders = [block.canonical_order() for block in found]
+    sizes = [np.diff(block.starts)[order] for block, order in zip(found, orders, strict=True)]
+    ring_starts = np.concatenate([[0], np.cumsum(np.concatenate(sizes))]).astype(np.int64)
+    first_rings = np.cumsum([0, *(len(order) for order in orders)]).tolist()
+    points = np.empty((int(ring_starts[-1]), 2))
 
     def place(start: int, stop: int) -> None:
         for k in range(start, stop):
-            _place(found[k][0], *view.affine, points[starts[k] : starts[k + 1]])
+            block, first = found[k], first_rings[k]
+            _place(
+                block.points, block.starts, block.least, orders[k], ring_starts[first:], *view.affine, points
+            )
 
     run_blocks(place, len(found))
-    return canonical(
-        heights,
-        points,
-        np.cumsum(np.concatenate([[0], *(np.diff(ring_starts) for _, ring_starts, _ in found)])),
-        np.cumsum(np.concatenate([[0], *(ring_counts for _, _, ring_counts in found)])),
-        np.ones(sum(len(ring_starts) - 1 for _, ring_starts, _ in found), np.bool_),
+    return Layers(
+        heights=heights,
+        points=points,
+        ring_starts=ring_starts,
+        layer_starts=np.concatenate([[0], np.cumsum(np.concatenate([block.counts for block in found]))]),
+        closed=np.ones(len(ring_starts) - 1, np.bool_),
         **labels,
     )
 
@@ -45,12 +66,21 @@ def contoured(
 @kernel
 def _place(
     half_pixels: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    least: NDArray[np.int64],
+    order: NDArray[np.int64],
+    new_starts: NDArray[np.int64],
     low_mm: NDArray[np.float64],
     shift_px: NDArray[np.float64],
     pixel_mm: float,
     points: NDArray[np.float64],
 ) -> None:
-    """Write points in mm, as :meth:`FieldOfView.to_mm` gives them."""
-    for i in range(len(half_pixels)):
-        for axis in range(2):
-            points[i, axis] = low_mm[axis] + (0.5 * half_pixels[i, axis] + shift_px[axis]) * pixel_mm
+    """Write the rings of a block in their order, each from its least point on, in mm as :meth:`FieldOfView.to_mm` gives them."""
+    for n in range(order.size):
+        r = order[n]
+        to = new_starts[n]
+        for a, b in ((least[r], starts[r + 1]), (starts[r], least[r])):
+            for i in range(a, b):
+                for axis in range(2):
+                    points[to, axis] = low_mm[axis] + (0.5 * half_pixels[i, axis] + shift_px[axis]) * pixel_mm
+                to += 1

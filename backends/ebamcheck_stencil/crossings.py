@@ -72,10 +72,9 @@ def crossings_of_fragments(
 
     run_blocks(measure, len(fragments), SMALLEST_BLOCK)
     first_pixel = first_row * stride
-    starts, heights, signs = _group(fragments, first_pixel, rows * stride, heights, signs)
 
     def resolve(start: int, stop: int) -> Crossings:
-        return Crossings(*_resolve(starts, heights, signs, start, stop, first_pixel))
+        return Crossings(*_resolve(fragments, heights, signs, first_pixel + start, first_pixel + stop))
 
     return run_blocks(resolve, rows * stride, SMALLEST_BLOCK)
 
@@ -114,25 +113,28 @@ def _measure(
 @kernel
 def _group(
     fragments: NDArray[np.uint32],
-    first_pixel: int,
-    pixels: int,
     heights: NDArray[np.float64],
     signs: NDArray[np.int8],
+    start: int,
+    stop: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int8]]:
-    """Bring fragments into the order of their pixels (counting sort); also each pixel's first row."""
-    starts = np.zeros(pixels + 1, np.int64)
+    """Bring the fragments of pixels ``start .. stop - 1`` into the order of their pixels (counting sort); also each pixel's first row."""
+    starts = np.zeros(stop - start + 1, np.int64)
     for i in range(fragments.shape[0]):
-        starts[np.int64(fragments[i, 0]) - first_pixel + 1] += 1
-    for p in range(pixels):
+        pixel = np.int64(fragments[i, 0]) - start
+        if 0 <= pixel < stop - start:
+            starts[pixel + 1] += 1
+    for p in range(stop - start):
         starts[p + 1] += starts[p]
     place = starts[:-1].copy()
-    sorted_heights = np.empty(fragments.shape[0])
-    sorted_signs = np.empty(fragments.shape[0], np.int8)
+    sorted_heights = np.empty(starts[-1])
+    sorted_signs = np.empty(starts[-1], np.int8)
     for i in range(fragments.shape[0]):
-        pixel = np.int64(fragments[i, 0]) - first_pixel
-        sorted_heights[place[pixel]] = heights[i]
-        sorted_signs[place[pixel]] = signs[i]
-        place[pixel] += 1
+        pixel = np.int64(fragments[i, 0]) - start
+        if 0 <= pixel < stop - start:
+            sorted_heights[place[pixel]] = heights[i]
+            sorted_signs[place[pixel]] = signs[i]
+            place[pixel] += 1
     return starts, sorted_heights, sorted_signs
 
 
@@ -156,20 +158,23 @@ def _sort_ray(heights: NDArray[np.float64], signs: NDArray[np.int8]) -> None:
 
 @kernel
 def _resolve(
-    starts: NDArray[np.int64],
-    heights: NDArray[np.float64],
-    signs: NDArray[np.int8],
+    fragments: NDArray[np.uint32],
+    fragment_heights: NDArray[np.float64],
+    fragment_signs: NDArray[np.int8],
     start: int,
     stop: int,
-    first_pixel: int,
 ) -> tuple[NDArray[np.uint32], NDArray[np.float64], int]:
-    """Crossings of pixels ``start .. stop - 1`` and the number of rays that do not balance."""
-    most = starts[stop] - starts[start]
-    out_pixels = np.empty(most, np.uint32)
-    out_heights = np.empty(most)
+    """Crossings of pixels ``start .. stop - 1`` and the number of rays that do not balance.
+
+    All fragments are looked through for those of these pixels: on many threads that takes less than one thread
+    takes to sort them all.
+    """
+    starts, heights, signs = _group(fragments, fragment_heights, fragment_signs, start, stop)
+    out_pixels = np.empty(heights.size, np.uint32)
+    out_heights = np.empty(heights.size)
     n = 0
     unbalanced = 0
-    for p in range(start, stop):
+    for p in range(stop - start):
         a, b = starts[p], starts[p + 1]
         if a == b:
             continue
@@ -183,7 +188,7 @@ def _resolve(
                 continue
             if (winding > 0) != solid:
                 solid = not solid
-                out_pixels[n] = p + first_pixel
+                out_pixels[n] = start + p
                 out_heights[n] = heights[i]
                 n += 1
         unbalanced += winding != 0

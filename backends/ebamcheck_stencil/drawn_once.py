@@ -9,15 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.backend import Progress
-from ebamcheck.layers.stack import Layers, concatenate
+from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import block_edges, run_in_order
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
-from ebamcheck_stencil.contours import Rings, contoured
+from ebamcheck_stencil.contours import Rings, layers_of
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView
 from ebamcheck_stencil.marching_squares import contours_of_layers
 
 LAYERS_AT_ONCE = 256
-"""Layers between two reports of progress; also bounds the memory of contours in work."""
+"""Most layers between two reports of progress."""
 
 
 class DrawnOnce:
@@ -40,20 +41,18 @@ class DrawnOnce:
         """Cut at strictly increasing heights (L,), in any number of calls."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         flips = flips_by_layer(self._crossings, heights)
-        bitmap = empty_bitmap(self._view)
-        row_words = self._view.stride_px // WORD_BITS
-        blocks: list[Layers] = []
-        for first in range(0, max(1, heights.size), LAYERS_AT_ONCE):
-            last = min(first + LAYERS_AT_ONCE, heights.size)
+        words, row_words = empty_bitmap(self._view).size, self._view.stride_px // WORD_BITS
 
-            def rings_between(start: int, stop: int, first: int = first) -> Rings:
-                return contours_of_layers(bitmap, flips, first, first + start, first + stop, row_words)
+        def rings_between(start: int, stop: int) -> Rings:
+            return Rings(*contours_of_layers(flips, start, stop, words, row_words))
 
-            blocks.append(contoured(heights[first:last], rings_between, self._view, self._labels))
-            flip(bitmap, flips.pixels[flips.starts[first] : flips.starts[last]])
+        edges = block_edges(heights.size, largest=LAYERS_AT_ONCE)
+        found: list[Rings] = []
+        for first, rings in zip(edges, run_in_order(rings_between, edges), strict=False):
+            found.append(rings)
             if progress is not None:
-                progress(last - first)
-        return concatenate(blocks)
+                progress(edges[len(found)] - first)
+        return layers_of(heights, found, self._view, self._labels)
 
     def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
         """Image (height, width) of the section at a height, row 0 at the least y."""

@@ -16,7 +16,7 @@ from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
 FIRST_POINTS = 4096
 FIRST_RINGS = 64
-"""Initial sizes of the output columns; they double as needed."""
+"""Initial sizes of the output columns; they grow as needed."""
 
 POINTS_PER_EDGE = 3
 """Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it."""
@@ -32,60 +32,62 @@ _RIGHT_Y = np.array([-1, 0, 1, 0])
 
 @kernel
 def contours_of_layers(
-    below: Words, flips: Flips, first: int, start: int, stop: int, row_words: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+    flips: Flips, start: int, stop: int, words: int, row_words: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Contours of layers ``start .. stop - 1``.
 
     Parameters
     ----------
-    below
-        Bitmap of layer ``first - 1``.
     flips
-        Pixels that change at each layer.
-    first
-        Layer from which `below` is brought up to date.
-    row_words
-        Words in a row of a bitmap.
+        Pixels that change at each layer, beginning with a bitmap of which no pixel is solid.
+    start, stop
+        First layer, and the layer after the last.
+    words, row_words
+        Words in a bitmap, and in a row of it.
 
     Returns
     -------
     points
         (N, 2) int32, half pixels from the centre of pixel (0, 0).
-    ring_starts
+    starts
         (R + 1,) first point of each ring.
-    ring_counts
+    least
+        (R,) row of the lexicographically least point of each ring.
+    counts
         (stop - start,) rings of each layer.
     """
-    bitmap = below.copy()
-    flip(bitmap, flips.pixels[flips.starts[first] : flips.starts[start]])
+    bitmap = np.zeros(words, np.uint64)
+    flip(bitmap, flips.pixels[: flips.starts[start]])
     edges = np.empty_like(bitmap)
     points = np.empty((FIRST_POINTS, 2), np.int32)
-    ring_ends = np.zeros(FIRST_RINGS, np.int64)
+    ends = np.zeros(FIRST_RINGS, np.int64)
     rings = 1
-    ring_counts = np.zeros(stop - start, np.int64)
+    counts = np.zeros(stop - start, np.int64)
     for layer in range(start, stop):
         flip(bitmap, flips.pixels[flips.starts[layer] : flips.starts[layer + 1]])
         before = rings
-        points, ring_ends, rings = _add_rings(bitmap, edges, row_words, points, ring_ends, rings)
-        ring_counts[layer - start] = rings - before
-    return points[: ring_ends[rings - 1]].copy(), ring_ends[:rings].copy(), ring_counts
+        points, ends, rings = _add_rings(bitmap, edges, row_words, points, ends, rings, stop - layer)
+        counts[layer - start] = rings - before
+    return points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts
 
 
 @kernel
 def contours_of_bitmaps(
     bitmaps: NDArray[np.uint64], row_words: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Contours of bitmaps (layers, words), as :func:`contours_of_layers` gives them."""
     edges = np.empty(bitmaps.shape[1], np.uint64)
     points = np.empty((FIRST_POINTS, 2), np.int32)
-    ring_ends = np.zeros(FIRST_RINGS, np.int64)
+    ends = np.zeros(FIRST_RINGS, np.int64)
     rings = 1
-    ring_counts = np.zeros(len(bitmaps), np.int64)
+    counts = np.zeros(len(bitmaps), np.int64)
     for layer in range(len(bitmaps)):
         before = rings
-        points, ring_ends, rings = _add_rings(bitmaps[layer], edges, row_words, points, ring_ends, rings)
-        ring_counts[layer] = rings - before
-    return points[: ring_ends[rings - 1]].copy(), ring_ends[:rings].copy(), ring_counts
+        points, ends, rings = _add_rings(
+            bitmaps[layer], edges, row_words, points, ends, rings, len(bitmaps) - layer
+        )
+        counts[layer] = rings - before
+    return points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts
 
 
 @kernel
@@ -94,24 +96,43 @@ def _add_rings(
     edges: Words,
     row_words: int,
     points: NDArray[np.int32],
-    ring_ends: NDArray[np.int64],
+    ends: NDArray[np.int64],
     rings: int,
+    layers: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
-    """Append the rings of a bitmap to the columns, which may grow; `edges` is room for its marks."""
-    size = ring_ends[rings - 1]
-    most = size + POINTS_PER_EDGE * _mark_edges(bitmap, edges)
-    if most > len(points):
-        grown = np.empty((max(most, 2 * len(points)), 2), np.int32)
+    """Append the rings of a bitmap to the columns, which may grow; `edges` is room for its marks.
+
+    Columns grow by what `layers` like this one need: memory that is not written to costs nothing, a copy does.
+    """
+    size = ends[rings - 1]
+    most = POINTS_PER_EDGE * _mark_edges(bitmap, edges)
+    if size + most > len(points):
+        grown = np.empty((size + layers * most, 2), np.int32)
         grown[:size] = points[:size]
         points = grown
     for word in range(edges.size):
         while edges[word] != 0:
             size = _walk(bitmap, edges, word, row_words, points, size)
-            if rings == ring_ends.size:
-                ring_ends = np.concatenate((ring_ends, np.zeros_like(ring_ends)))
-            ring_ends[rings] = size
+            if rings == ends.size:
+                ends = np.concatenate((ends, np.zeros_like(ends)))
+            ends[rings] = size
             rings += 1
-    return points, ring_ends, rings
+    return points, ends, rings
+
+
+@kernel
+def _least_points(points: NDArray[np.int32], starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Row of the lexicographically least point of each ring."""
+    least = np.empty(starts.size - 1, np.int64)
+    for r in range(least.size):
+        best = starts[r]
+        for i in range(best + 1, starts[r + 1]):
+            if points[i, 0] <= points[best, 0] and (
+                points[i, 0] < points[best, 0] or points[i, 1] < points[best, 1]
+            ):
+                best = i
+        least[r] = best
+    return least
 
 
 @kernel

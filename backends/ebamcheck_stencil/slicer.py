@@ -46,7 +46,8 @@ class Settings(BackendSettings):
     drawn in parts where it does not suffice. Resolving a part takes up to five times as much of the processor's
     memory for a while."""
     max_texture_px: Annotated[int, Between(1, 1_000_000)] | None = None
-    """Limit of an image's side; None: what the driver offers."""
+    """Limit of an image's side; None: what the driver offers. The literal mode draws 32 pixels at least, a word of
+    a bitmap."""
 
 
 def inside_rule(settings: Settings) -> str:

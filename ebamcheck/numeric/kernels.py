@@ -66,8 +66,18 @@ def run_blocks(
     Results come back in the order of the blocks, so that they do not depend on the number of threads
     as long as a block's result does not depend on where its borders lie.
     """
+    return list(run_in_order(work, block_edges(count, smallest, a_thread)))
+
+
+def block_edges(count: int, smallest: int = 1, a_thread: int = 4, largest: int | None = None) -> list[int]:
+    """Edges of consecutive blocks that cover ``range(count)``: `a_thread` for each thread, of `smallest` items at least.
+
+    There are more blocks where one would have over `largest` items.
+    """
     blocks = max(1, min(thread_count() * a_thread, count // max(smallest, 1)))
-    return list(run_in_order(work, [count * i // blocks for i in range(blocks + 1)]))
+    if largest is not None:
+        blocks = max(blocks, -(-count // largest))
+    return [count * i // blocks for i in range(blocks + 1)]
 
 
 def run_in_order(work: Callable[[int, int], _Result], edges: Sequence[int]) -> Iterator[_Result]:
