@@ -4,6 +4,9 @@ A contour is followed with a solid pixel on its left and an empty one on its rig
 pixels ahead. Pixels that touch only at a corner stay separate (solid is 4-connected, empty 8-connected), the
 default of scikit-image's ``find_contours``. Points inside straight runs are left out: a run ends
 where the direction, one of eight, changes.
+
+Rings are found by their marks: pixels that differ from their right neighbours. Few pixels change from a layer to the
+next, and few are marked, so that marks follow the changes, and only words that have some are looked at.
 """
 
 from __future__ import annotations
@@ -58,15 +61,20 @@ def contours_of_layers(
     """
     bitmap = np.zeros(words, np.uint64)
     flip(bitmap, flips.pixels[: flips.starts[start]])
-    edges = np.empty_like(bitmap)
+    marks, busy, left = np.empty_like(bitmap), _no_word(words), np.zeros_like(bitmap)
+    _mark_edges(bitmap, marks, busy)
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
     rings = 1
     counts = np.zeros(stop - start, np.int64)
     for layer in range(start, stop):
-        flip(bitmap, flips.pixels[flips.starts[layer] : flips.starts[layer + 1]])
+        changed = flips.pixels[flips.starts[layer] : flips.starts[layer + 1]]
+        flip(bitmap, changed)
+        _follow_changes(marks, busy, changed)
         before = rings
-        points, ends, rings = _add_rings(bitmap, edges, row_words, points, ends, rings, stop - layer)
+        points, ends, rings = _add_rings(
+            bitmap, marks, busy, left, row_words, points, ends, rings, stop - layer
+        )
         counts[layer - start] = rings - before
     return points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts
 
@@ -76,15 +84,17 @@ def contours_of_bitmaps(
     bitmaps: NDArray[np.uint64], row_words: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Contours of bitmaps (layers, words), as :func:`contours_of_layers` gives them."""
-    edges = np.empty(bitmaps.shape[1], np.uint64)
+    words = bitmaps.shape[1]
+    marks, busy, left = np.empty(words, np.uint64), _no_word(words), np.zeros(words, np.uint64)
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
     rings = 1
     counts = np.zeros(len(bitmaps), np.int64)
     for layer in range(len(bitmaps)):
+        _mark_edges(bitmaps[layer], marks, busy)
         before = rings
         points, ends, rings = _add_rings(
-            bitmaps[layer], edges, row_words, points, ends, rings, len(bitmaps) - layer
+            bitmaps[layer], marks, busy, left, row_words, points, ends, rings, len(bitmaps) - layer
         )
         counts[layer] = rings - before
     return points[: ends[rings - 1]], ends[:rings], _least_points(points, ends[:rings]), counts
@@ -93,30 +103,44 @@ def contours_of_bitmaps(
 @kernel
 def _add_rings(
     bitmap: Words,
-    edges: Words,
+    marks: Words,
+    busy: Words,
+    left: Words,
     row_words: int,
     points: NDArray[np.int32],
     ends: NDArray[np.int64],
     rings: int,
     layers: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
-    """Append the rings of a bitmap to the columns, which may grow; `edges` is room for its marks.
+    """Append the rings of a bitmap to the columns, which may grow.
 
-    Columns grow by what `layers` like this one need: memory that is not written to costs nothing, a copy does.
+    Parameters
+    ----------
+    marks, busy
+        Marks of the bitmap, and which of its words may have some, a bit each.
+    left
+        Room for marks that no ring has passed; 0 before and after.
+    layers
+        Layers like this one that are still to come, itself included: columns grow by what they need. Memory that is
+        not written to costs nothing, a copy does.
     """
     size = ends[rings - 1]
-    most = POINTS_PER_EDGE * _mark_edges(bitmap, edges)
+    most = POINTS_PER_EDGE * _copy_marks(marks, busy, left)
     if size + most > len(points):
         grown = np.empty((size + layers * most, 2), np.int32)
         grown[:size] = points[:size]
         points = grown
-    for word in range(edges.size):
-        while edges[word] != 0:
-            size = _walk(bitmap, edges, word, row_words, points, size)
-            if rings == ends.size:
-                ends = np.concatenate((ends, np.zeros_like(ends)))
-            ends[rings] = size
-            rings += 1
+    for group in range(busy.size):
+        waiting = busy[group]
+        while waiting != 0:
+            word = 64 * group + _lowest_bit(waiting)
+            waiting &= waiting - _ONE
+            while left[word] != 0:
+                size = _walk(bitmap, left, word, row_words, points, size)
+                if rings == ends.size:
+                    ends = np.concatenate((ends, np.zeros_like(ends)))
+                ends[rings] = size
+                rings += 1
     return points, ends, rings
 
 
@@ -136,17 +160,49 @@ def _least_points(points: NDArray[np.int32], starts: NDArray[np.int64]) -> NDArr
 
 
 @kernel
-def _mark_edges(bitmap: Words, edges: Words) -> int:
-    """Mark each pixel that differs from its right neighbour, and count them; the margin keeps rows apart."""
-    count = 0
+def _no_word(words: int) -> Words:
+    """A bit for each of so many words, none set."""
+    return np.zeros((words + 63) // 64, np.uint64)
+
+
+@kernel
+def _mark_edges(bitmap: Words, marks: Words, busy: Words) -> None:
+    """Mark each pixel that differs from its right neighbour; the margin keeps rows apart."""
+    busy[:] = 0
     following = np.uint64(0)
     for i in range(bitmap.size - 1, -1, -1):
-        marks = bitmap[i] ^ ((bitmap[i] >> _ONE) | (following << np.uint64(63)))
+        marks[i] = bitmap[i] ^ ((bitmap[i] >> _ONE) | (following << np.uint64(63)))
         following = bitmap[i]
-        edges[i] = marks
-        while marks != 0:
-            marks &= marks - _ONE
-            count += 1
+        if marks[i] != 0:
+            busy[i >> 6] |= _ONE << np.uint64(i & 63)
+
+
+@kernel
+def _follow_changes(marks: Words, busy: Words, pixels: NDArray[np.uint32]) -> None:
+    """Bring marks up to date with pixels that have changed: each differs from two neighbours if it did not before."""
+    for i in range(pixels.size):
+        for pixel in (np.int64(pixels[i]), np.int64(pixels[i]) - 1):
+            word = pixel >> 6
+            marks[word] ^= _ONE << np.uint64(pixel & 63)
+            busy[word >> 6] |= _ONE << np.uint64(word & 63)
+
+
+@kernel
+def _copy_marks(marks: Words, busy: Words, left: Words) -> int:
+    """Copy the marks of busy words, count them, and forget words that have none."""
+    count = 0
+    for group in range(busy.size):
+        waiting = busy[group]
+        while waiting != 0:
+            first = waiting & (~waiting + _ONE)
+            waiting ^= first
+            word = 64 * group + _lowest_bit(first)
+            left[word] = bits = marks[word]
+            if bits == 0:
+                busy[group] ^= first
+            while bits != 0:
+                bits &= bits - _ONE
+                count += 1
     return count
 
 
@@ -169,11 +225,11 @@ def _lowest_bit(word: np.uint64) -> int:
 
 @kernel
 def _walk(
-    bitmap: Words, edges: Words, word: int, row_words: int, points: NDArray[np.int32], size: int
+    bitmap: Words, marks: Words, word: int, row_words: int, points: NDArray[np.int32], size: int
 ) -> int:
-    """Walk the ring through the first marked edge of a word, clear its marks and append its corners; the new size."""
+    """Walk the ring through the first mark of a word, clear its marks and append its corners; the new size."""
     y = word // row_words
-    x = (word - y * row_words) * 64 + _lowest_bit(edges[word])
+    x = (word - y * row_words) * 64 + _lowest_bit(marks[word])
     direction = 1
     if not _is_solid(bitmap, x, y, row_words):
         x += 1
@@ -183,7 +239,7 @@ def _walk(
     while True:
         if direction & 1:
             left = x if direction == 1 else x - 1
-            edges[y * row_words + (left >> 6)] &= ~(_ONE << np.uint64(left & 63))
+            marks[y * row_words + (left >> 6)] &= ~(_ONE << np.uint64(left & 63))
         point_x = 2 * x + _RIGHT_X[direction]
         point_y = 2 * y + _RIGHT_Y[direction]
         ahead_x, ahead_y = x + _STEP_X[direction], y + _STEP_Y[direction]
