@@ -101,8 +101,10 @@ def _errors_alone() -> Iterator[None]:
 def _what_a_box_has_not() -> None:
     """Splines in a program, and metal that lies beside the part."""
     from ebamcheck.metal.distances import moved_to_neighbours
+    from ebamcheck.program.checking.shapes import shape_distance
     from ebamcheck.program.checking.spline_points import spline_points
 
+    shape_distance(np.eye(2)[None], np.eye(2)[None])
     spline_points(np.repeat([0.0, 1.0], 4), np.zeros((4, 2)), np.array([[0.5]]))
     field = np.eye(2)
     moved_to_neighbours(np.zeros((2, 2)), field, field > 0.0, field == 0.0)
