@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.sorting import stable_order
 from ebamcheck_embree.scene import Bools, Facets, Floats, Ints
 
 SORT_BY_INSERTION = 48
@@ -100,7 +101,9 @@ def _sort(along: Floats, sign: Ints, start: int, stop: int, order: Ints) -> None
     """Write the order of the hits ``start .. stop - 1`` along their ray to the front of `order`."""
     size = stop - start
     if size > SORT_BY_INSERTION:
-        order[:size] = start + np.argsort(along[start:stop], kind="mergesort")
+        nth = stable_order(along[start:stop])
+        for n in range(size):
+            order[n] = start + nth[n]
     else:
         for n in range(size):
             order[n] = start + n

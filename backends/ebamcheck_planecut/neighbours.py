@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.topology import NO_TWIN, pair_fan
 from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.sorting import as_floats, put_in_order, stable_order
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
@@ -128,9 +129,9 @@ def _match(
 def _sort(half_edges: Index, upper: Index) -> None:
     """Order half-edges by their upper vertex, keeping those of one edge as they stand."""
     if upper.size > FEW:
-        order = np.argsort(upper, kind="mergesort")
-        half_edges[:] = half_edges[order]
-        upper[:] = upper[order]
+        order = stable_order(as_floats(upper))
+        put_in_order(half_edges, order)
+        put_in_order(upper, order)
         return
     for i in range(1, upper.size):
         key, value = upper[i], half_edges[i]

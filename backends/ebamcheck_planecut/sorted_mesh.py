@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import kernel, run_blocks, thread_count
+from ebamcheck.numeric.sorting import as_floats, put_in_order, stable_order
 from ebamcheck_planecut.neighbours import Neighbours, neighbours
 
 Floats = NDArray[np.float64]
@@ -168,8 +169,11 @@ def _sort_bin(z: Floats, order: Index) -> None:
             break
     if moves > 16 * order.size:
         # A crowded bin; the numbers of the vertices give back the order of those of equal z.
-        order.sort()
-        order[:] = order[np.argsort(z[order], kind="mergesort")]
+        put_in_order(order, stable_order(as_floats(order)))
+        heights = np.empty(order.size)
+        for i in range(order.size):
+            heights[i] = z[order[i]]
+        put_in_order(order, stable_order(heights))
 
 
 @kernel

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.sorting import put_in_order, stable_order
 from ebamcheck_stencil.field_of_view import SUBPIXELS
 
 SMALLEST_BLOCK = 65536
@@ -143,9 +144,9 @@ def _sort_ray(heights: NDArray[np.float64], signs: NDArray[np.int8]) -> None:
     """Sort the fragments of one ray by height, in place."""
     count = heights.size
     if count > FEW_FRAGMENTS:
-        order = np.argsort(heights)
-        heights[:] = heights[order]
-        signs[:] = signs[order]
+        order = stable_order(heights)
+        put_in_order(heights, order)
+        put_in_order(signs, order)
         return
     for i in range(1, count):
         height, sign = heights[i], signs[i]

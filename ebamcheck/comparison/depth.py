@@ -19,6 +19,7 @@ from ebamcheck.comparison.outline import Outline
 from ebamcheck.comparison.sweep_status import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.sorting import stable_order
 
 FINEST_DEPTH_MM = 1e-6
 FINE_SHARE = 0.01
@@ -103,7 +104,7 @@ def search(
     nearby = Nearby(np.empty((OTHER + 1, 4)), np.empty((OTHER + 1, 4)), np.full(2, -1, np.int64))
     nodes = 0
     # The most suspect first: what it proves rules out most of the others.
-    for s in np.argsort(-suspects[:, 6], kind="mergesort"):
+    for s in stable_order(-suspects[:, 6]):
         if suspects[s, 6] <= enough_mm(deepest.depth_mm, limit_mm):
             break
         stack[0] = suspects[s]

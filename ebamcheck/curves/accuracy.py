@@ -16,6 +16,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.numeric.sorting import stable_order
 
 RAYS = 3600
 """Rays per ring: one every tenth of a degree."""
@@ -318,7 +319,7 @@ def _pairs(
                     cost[(i - a) * (d - c) + j - c] = np.abs(p - q).max()
         taken = np.zeros(b - a, dtype=np.bool_)
         given = np.zeros(d - c, dtype=np.bool_)
-        for k in np.argsort(cost, kind="mergesort"):
+        for k in stable_order(cost):
             if cost[k] == np.inf:
                 break
             i, j = k // (d - c), k % (d - c)

@@ -16,6 +16,7 @@ import numpy as np
 from ebamcheck.curves.columns import Curves
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.numeric.sorting import stable_order
 
 SMALLEST_MM = 1e-6
 """Hulls that are smaller than this and still not separate count as touching."""
@@ -72,7 +73,7 @@ def _cross_layer(
             for j in range(1, 4):
                 low, high = min(low, points[a + i, j, axis]), max(high, points[a + i, j, axis])
             boxes[i, axis], boxes[i, axis + 2] = low, high
-    order = np.argsort(boxes[:, 0], kind="mergesort")
+    order = stable_order(boxes[:, 0].copy())
     active = np.empty(n, np.int64)
     waiting = np.empty((MOST_WAITING, 2, 4, 2))
     count = 0

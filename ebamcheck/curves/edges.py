@@ -14,7 +14,8 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.sorting import put_in_order, stable_order
 
 LEAST_SHARE = 0.5
 """Share of a stack's points that must lie on edges of the part: with fewer, the contours were traced from a raster."""
@@ -78,8 +79,9 @@ def _match(
         a, b = vertices[ends[i, 0]], vertices[ends[i, 1]]
         t = (z - a[2]) / (b[2] - a[2])
         places[i, 0], places[i, 1], places[i, 2] = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), t
-    order: Ints = np.argsort(places[:, 0], kind="mergesort")
-    x = places[order, 0]
+    x = places[:, 0].copy()
+    order = stable_order(x)
+    put_in_order(x, order)
     for i in range(len(points)):
         best = tolerance
         k = np.searchsorted(x, points[i, 0] - tolerance)

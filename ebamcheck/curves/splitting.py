@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.numeric.sorting import turn
 
 LINE, SPLINE, ARC = 0, 1, 2
 """Kinds of piece: the polyline of its control points, a cubic B-spline, a circular arc through three points."""
@@ -155,9 +156,9 @@ def _mark(
         if closed[ring]:
             pieces[ring] = max(splits, 1)
             if first > 0:
-                rows[a:b] = np.roll(rows[a:b], -first)
-                corners[a:b] = np.roll(corners[a:b], -first)
-                straight[a:b] = np.roll(straight[a:b], -first)
+                turn(rows[a:b], first)
+                turn(corners[a:b], first)
+                turn(straight[a:b], first)
         else:
             pieces[ring] = splits - 1
         sizes[ring] = segments + pieces[ring]

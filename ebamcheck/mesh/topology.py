@@ -5,12 +5,14 @@ Half-edge ``3 f + i`` is the edge from corner i to corner i + 1 of facet f, in t
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.sorting import as_floats, put_in_order, stable_order
 
 Index = NDArray[np.int32]
 
@@ -74,9 +76,9 @@ def _group(faces: Index, vertex_count: int) -> tuple[Index, Index]:
     for v in range(vertex_count):
         first, last = bucket[v], bucket[v + 1]
         if last - first > 64:
-            order = np.argsort(other[first:last], kind="mergesort")
-            half_edges[first:last] = half_edges[first:last][order]
-            other[first:last] = other[first:last][order]
+            order = stable_order(as_floats(other[first:last]))
+            put_in_order(half_edges[first:last], order)
+            put_in_order(other[first:last], order)
         else:
             for i in range(first + 1, last):
                 key, value = other[i], half_edges[i]
@@ -147,27 +149,30 @@ def _fan(
 @kernel
 def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: Index, result: Index) -> None:
     """Pair the half-edges of one edge by the angle of their facets around it; see :func:`_fan`."""
-    axis = corners[1] - corners[0]
-    axis = axis / np.sqrt(np.sum(axis * axis))
-    # Two directions across the edge span the plane in which angles are measured.
-    least = np.argmin(np.abs(axis))
-    u = np.zeros(3)
-    u[least] = 1.0
-    u = u - axis * np.sum(u * axis)
-    u = u / np.sqrt(np.sum(u * u))
-    w = np.array(
-        [
-            axis[1] * u[2] - axis[2] * u[1],
-            axis[2] * u[0] - axis[0] * u[2],
-            axis[0] * u[1] - axis[1] * u[0],
-        ]
-    )
     n = fan.size
-    angle = np.empty(n)
+    axis, u, w, angle = np.empty(3), np.zeros(3), np.empty(3), np.empty(n)
+    for k in range(3):
+        axis[k] = corners[1, k] - corners[0, k]
+    _normalise(axis)
+    # Two directions across the edge span the plane in which angles are measured.
+    least = 0
+    for k in range(1, 3):
+        if abs(axis[k]) < abs(axis[least]):
+            least = k
+    u[least] = 1.0
+    along = _dot(u, axis)
+    for k in range(3):
+        u[k] -= axis[k] * along
+    _normalise(u)
+    w[0] = axis[1] * u[2] - axis[2] * u[1]
+    w[1] = axis[2] * u[0] - axis[0] * u[2]
+    w[2] = axis[0] * u[1] - axis[1] * u[0]
+    across = np.empty(3)
     for i in range(n):
-        across = corners[2 + i] - corners[0]
-        angle[i] = np.arctan2(np.sum(across * w), np.sum(across * u))
-    order = np.argsort(angle, kind="mergesort")
+        for k in range(3):
+            across[k] = corners[2 + i, k] - corners[0, k]
+        angle[i] = np.arctan2(_dot(across, w), _dot(across, u))
+    order = stable_order(angle)
     # A facet that runs low -> high has the normal axis x across, towards growing angles: its solid lies before it,
     # that of a backward facet behind it. Backward opens and forward closes a solid wedge; wedges nest like brackets.
     stack = np.empty(2 * n, np.int32)
@@ -187,6 +192,20 @@ def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: 
             paired[i] = paired[k] = True
             result[fan[i]] = fan[k]
             result[fan[k]] = fan[i]
+
+
+@kernel
+def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Scalar product of two vectors (3,)."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@kernel
+def _normalise(vector: NDArray[np.float64]) -> None:
+    """Give a vector (3,) the length 1."""
+    length = math.sqrt(_dot(vector, vector))
+    for k in range(3):
+        vector[k] /= length
 
 
 @kernel

@@ -22,9 +22,8 @@ def _add_volumes(vertices: Floats, faces: Index, heights: Floats, volumes: Float
     """Area is the integral of (x dy - y dx) / 2 along the sections of facets, which is quadratic in z between corners."""
     z = np.empty(3)
     for f in range(len(faces)):
-        for k in range(3):
-            z[k] = vertices[faces[f, k], 2]
-        z.sort()
+        a, b, c = vertices[faces[f, 0], 2], vertices[faces[f, 1], 2], vertices[faces[f, 2], 2]
+        z[0], z[1], z[2] = min(a, b, c), max(min(a, b), min(max(a, b), c)), max(a, b, c)
         if z[2] <= heights[0] or z[0] >= heights[-1] or z[0] == z[2]:
             continue
         first = max(np.searchsorted(heights, z[0], side="right") - 1, 0)

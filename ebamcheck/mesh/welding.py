@@ -130,8 +130,11 @@ def _deal(
 @kernel
 def _weld_shares(dealt: Keys, starts: NDArray[np.int64], earliest: Rows) -> None:
     """Find the first equal row of each row of some shares: an open-addressing hash for each share."""
+    most = 0
+    for s in range(starts.size - 1):
+        most = max(most, starts[s + 1] - starts[s])
     size = 16
-    while size < 2 * np.diff(starts).max():
+    while size < 2 * most:
         size *= 2
     table = np.empty(size, np.int32)
     mask = np.uint64(size - 1)

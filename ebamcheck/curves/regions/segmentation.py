@@ -23,6 +23,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.numeric.sorting import stable_order
 from ebamcheck.settings.curves import CurveSettings
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
@@ -216,7 +217,10 @@ def _curved_sagitta(twin: Index, groups: PlanarGroups, borders: Borders, kind: K
         if kind[groups.label[h // 3]] == FREEFORM and kind[groups.label[twin[h] // 3]] == FREEFORM:
             sagittas[count] = _sagitta(twin, borders, h)
             count += 1
-    return float(np.median(sagittas[:count])) if count else 0.0
+    if not count:
+        return 0.0
+    order = stable_order(sagittas[:count])
+    return float(0.5 * (sagittas[order[(count - 1) // 2]] + sagittas[order[count // 2]]))
 
 
 @kernel

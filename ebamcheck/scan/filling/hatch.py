@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.sorting import put_in_order, stable_order
 from ebamcheck.scan.islands.rectangle import minimum_rectangle
 from ebamcheck.scan.islands.regions import equivalent_rectangles_mm, ring_columns
 
@@ -162,7 +163,8 @@ def scan_lines(
                     if (a <= level) != (b <= level):
                         crossings[found] = along[i] + (along[i + 1] - along[i]) * ((level - a) / (b - a))
                         found += 1
-            row = np.sort(crossings[:found])
+            row = crossings[:found].copy()
+            put_in_order(row, stable_order(row))
             drawn = False
             for m in range(found // 2):
                 pair = m if forward else found // 2 - 1 - m

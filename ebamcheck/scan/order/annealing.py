@@ -132,7 +132,8 @@ def improved(
     touch_price = TOUCH_SHARE * cost
     cost += price * max(0.0, log.travel_mm[-1] - longest) + touch_price * log.touches[-1]
     best_cost, warmth = cost, warm_share * cost
-    by_heat = np.argsort(-log.entry_k)
+    by_heat = np.arange(count)
+    sort_by_heat(by_heat, log.entry_k)
     by, travel_mm, touches = log.option, log.travel_mm, log.touches
     for step in range(len(places)):
         a, b = places[step, 0], places[step, 1]
