@@ -165,7 +165,6 @@ class Drawing:
         self.bitmaps = context.buffer(reserve=size)
         self._fetched = gl.glGenBuffers(1)
         self._fence: Any = None
-        self._size = 0
         access = gl.GL_MAP_READ_BIT | gl.GL_MAP_PERSISTENT_BIT | gl.GL_MAP_COHERENT_BIT
         gl.glBindBuffer(gl.GL_COPY_WRITE_BUFFER, self._fetched)
         gl.glBufferStorage(gl.GL_COPY_WRITE_BUFFER, size, None, access | gl.GL_CLIENT_STORAGE_BIT)
@@ -186,9 +185,12 @@ class Drawing:
     def fetch(self, bitmaps: NDArray[np.uint64]) -> None:
         """Wait for what was submitted, while other threads run, and copy it to bitmaps (n, words)."""
         gl = self._gl
-        while gl.glClientWaitSync(self._fence, 0, WAIT_NS) == gl.GL_TIMEOUT_EXPIRED:
-            pass
+        state = gl.GL_TIMEOUT_EXPIRED
+        while state == gl.GL_TIMEOUT_EXPIRED:
+            state = gl.glClientWaitSync(self._fence, 0, WAIT_NS)
         gl.glDeleteSync(self._fence)
+        if state == gl.GL_WAIT_FAILED:
+            raise BackendFailed("stencil: the graphics device gave up a drawing: use mode 'draw-once'")
         bitmaps[:] = self._words[: bitmaps.size].reshape(bitmaps.shape)
 
 
