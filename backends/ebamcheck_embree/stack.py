@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -14,6 +13,7 @@ import numpy as np
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.layers.stacking import stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck_embree.grid import Grid
@@ -86,7 +86,7 @@ class GridRays(ABC):
                     if progress is not None:
                         progress(len(layers))
 
-        stack = joined(layers_in_order())
+        stack = stacked(layers_in_order())
         self._report_unpaired(heights, np.concatenate(unpaired))
         return stack
 
@@ -114,32 +114,3 @@ class GridRays(ABC):
                 "(most at z = %.6g mm: %d); they were mended from their neighbours",
                 self.part.name, int((unpaired > 0).sum()), len(unpaired), heights[worst], unpaired[worst],
             )  # fmt: skip
-
-
-def joined(blocks: Iterator[Layers]) -> Layers:
-    """Join consecutive blocks of layers as they come; a block is released once its points are copied.
-
-    The column of points grows in place: memory touched for the first time is what costs time here, and the points are
-    never held twice.
-    """
-    points = np.empty((0, 2))
-    kept: list[Layers] = []
-    for block in blocks:
-        size = len(points)
-        points.resize(
-            (size + len(block.points), 2), refcheck=False
-        )  # no view of it is taken before it is whole
-        points[size:] = block.points
-        kept.append(replace(block, ring_starts=block.ring_starts + size, points=points[:0].copy()))
-    ring_base = np.cumsum([0] + [block.closed.size for block in kept])
-    return replace(
-        kept[0],
-        heights=np.concatenate([block.heights for block in kept]),
-        points=points,
-        ring_starts=np.concatenate([[0], *(block.ring_starts[1:] for block in kept)]).astype(np.int64),
-        layer_starts=np.concatenate(
-            [[0], *(block.layer_starts[1:] + r for block, r in zip(kept, ring_base[:-1], strict=True))]
-        ).astype(np.int64),
-        closed=np.concatenate([block.closed for block in kept]),
-        dropped=np.concatenate([block.dropped for block in kept]),
-    )

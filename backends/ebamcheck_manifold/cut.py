@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from importlib.metadata import PackageNotFoundError, version
 from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self
@@ -11,9 +13,11 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.layers.stacking import stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups, split_corners, twins
+from ebamcheck.numeric.kernels import thread_count
 from ebamcheck_manifold.changes import doubtful_regions
 from ebamcheck_manifold.placement import Floats, Placement, exact_placement
 
@@ -108,15 +112,25 @@ class PreparedManifold:
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        blocks = []
-        for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
-            blocks.append(self._layers(self._manifold, heights[first : first + LAYERS_AT_ONCE]))
-            if progress is not None:
-                progress(len(blocks[-1]))
-        return concatenate(blocks)
+        return stacked(self._blocks(self._manifold, heights, progress))
 
-    def _layers(self, manifold: Manifold, heights: Floats) -> Layers:
-        """Cut at a few heights."""
+    def _blocks(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[Layers]:
+        """Layers of a few heights at a time: one block is brought into canonical form while the next is cut."""
+        waiting: list[Future[Layers]] = []
+        with ThreadPoolExecutor(1) as pool:
+            for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
+                chosen = heights[first : first + LAYERS_AT_ONCE]
+                polygons, starts = self._cut(manifold, chosen)
+                yield from (block.result() for block in waiting)
+                waiting = [pool.submit(self._layers, chosen, polygons, starts)]
+                if thread_count() == 1:
+                    wait(waiting)
+                if progress is not None:
+                    progress(len(chosen))
+            yield from (block.result() for block in waiting)
+
+    def _cut(self, manifold: Manifold, heights: Floats) -> tuple[list[Floats], NDArray[np.int64]]:
+        """Polygons of a few heights, as manifold3d gives them, and where those of each layer begin."""
         least, greatest = self.part.bounds[:, 2]
         found: list[Floats] = []
         layer_starts = np.zeros(len(heights) + 1, np.int64)
@@ -125,6 +139,10 @@ class PreparedManifold:
                 section = manifold.slice(self.placement.height(z_mm))
                 found.extend(section.to_polygons())
             layer_starts[k + 1] = len(found)
+        return found, layer_starts
+
+    def _layers(self, heights: Floats, found: list[Floats], layer_starts: NDArray[np.int64]) -> Layers:
+        """Layers of polygons in the working units of manifold3d."""
         sizes = np.fromiter(map(len, found), np.int64, len(found))
         return canonical(
             heights,
