@@ -12,9 +12,17 @@ from ebamcheck_planecut.sorted_mesh import sorted_mesh
 
 CROWDED = soup(9, facets=400, points=400)
 CROWDED.faces[:200, 0] = 7
+# Two tetrahedra on one edge, whose ends lie at one place, as after a turn that rounds.
+ENDS_TOGETHER = Part(
+    np.array([(100, 0, 0), (100, 0, 0), (101, 1, 2), (101, -1, 2.5), (99, 1, 2), (99, -1, 2.5)], np.float64),
+    np.array(
+        [(0, 1, 2), (1, 0, 3), (0, 2, 3), (1, 3, 2), (0, 1, 4), (1, 0, 5), (0, 4, 5), (1, 5, 4)], np.int32
+    ),
+)
 FOUND = {
     **LONE_PARTS,
     "a crowd at a vertex": CROWDED,
+    "an edge of no length": ENDS_TOGETHER,
     "nothing": Part(np.zeros((0, 3)), np.zeros((0, 3), np.int32)),
 }
 

@@ -14,7 +14,7 @@ import shapely
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from skimage.measure import find_contours
-from stencil_cuts import cut
+from stencil_cuts import cut, same
 from stencil_parts import box, joined, torus, turned
 
 from ebamcheck.backend import Slicer
@@ -23,6 +23,7 @@ from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck_stencil import Stencil
 from ebamcheck_stencil.bitmaps import Flips, as_image, empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.contours import Rings, layers_of
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.drawn_facets import _is_near_a_centre
 from ebamcheck_stencil.field_of_view import MARGIN_PX, SUBPIXELS, FieldOfView, field_of_view
@@ -104,6 +105,44 @@ def test_facets_near_a_pixel_centre_are_told(corners, slack):
     across = np.arange(-1, 8) * SUBPIXELS + SUBPIXELS // 2
     centres = shapely.points(*map(np.ravel, np.meshgrid(across, across)))
     assert _is_near_a_centre(corners, 0, 1, 2, slack) == bool(shapely.intersects(grown, centres).any())
+
+
+def test_room_for_points_is_not_that_of_the_densest_layer_for_all():
+    """A checkered layer below 254 empty ones, in a process that may take one more gigabyte."""
+    code = """
+import resource
+import numpy as np
+from ebamcheck_stencil.bitmaps import Flips
+from ebamcheck_stencil.field_of_view import FieldOfView
+from ebamcheck_stencil.marching_squares import contours_of_layers
+
+def contours(side, layers):
+    view = FieldOfView(1.0, (0.0, 0.0), side, side)
+    x, y = np.meshgrid(np.arange(2, side - 2), np.arange(2, side - 2))
+    pixels = (y * view.stride_px + x)[(x + y) % 2 == 0].astype(np.uint32)
+    flips = Flips(np.array([0, pixels.size] + [2 * pixels.size] * (layers - 1)), np.tile(pixels, 2))
+    return contours_of_layers(flips, 0, layers, side * view.stride_px // 64, view.stride_px // 64)
+
+contours(8, 2)
+taken = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (taken + 2**30, taken + 2**30))
+points, _, _, counts = contours(1200, 255)
+assert len(points) == 4 * counts[0] and not counts[1:].any()
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("low_mm", [0.0, -3e5, 1e13])
+def test_layers_are_canonical_wherever_the_part_lies(low_mm):
+    """At the farthest place half a pixel is less than the rounding, so that points fall together."""
+    rng = np.random.default_rng(9)
+    image = np.pad(rng.random((40, 50)) < 0.55, MARGIN_PX)
+    view = FieldOfView(1e-3, (low_mm, low_mm), image.shape[1], image.shape[0])
+    pixels = np.flatnonzero(np.pad(image, ((0, 0), (0, view.stride_px - view.width_px)))).astype(np.uint32)
+    flips = Flips(np.array([0, pixels.size]), pixels)
+    found = Rings(*contours_of_layers(flips, 0, 1, empty_bitmap(view).size, view.stride_px // 64))
+    rings = [view.to_mm(found.points[a:b]) for a, b in pairwise(found.starts)]
+    assert same(layers_of(np.zeros(1), [found], view, {}), from_rings([0.0], [rings]))
 
 
 # -- contours of bitmaps, against scikit-image ---------------------------------------------------------

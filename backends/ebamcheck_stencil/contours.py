@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.layers.stack import Layers
+from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck_stencil.field_of_view import FieldOfView
+
+LEAST_PIXEL = 2.0**-40
+"""Side of a pixel over the largest coordinate, above which float64 keeps points apart and areas clear of rounding."""
 
 
 class Rings(NamedTuple):
@@ -37,7 +40,7 @@ def layers_of(
     """Make layers at heights (L,) of the rings of their blocks, in canonical form.
 
     No point of a bitmap's contours is passed twice, and every ring encloses a pixel, so that the form is a matter
-    of order alone.
+    of order alone; unless pixels are so small, and the part so far from the origin, that points fall together in mm.
     """
     orders = [block.canonical_order() for block in found]
     sizes = [np.diff(block.starts)[order] for block, order in zip(found, orders, strict=True)]
@@ -53,14 +56,11 @@ def layers_of(
             )
 
     run_blocks(place, len(found))
-    return Layers(
-        heights=heights,
-        points=points,
-        ring_starts=ring_starts,
-        layer_starts=np.concatenate([[0], np.cumsum(np.concatenate([block.counts for block in found]))]),
-        closed=np.ones(len(ring_starts) - 1, np.bool_),
-        **labels,
-    )
+    layer_starts = np.concatenate([[0], np.cumsum(np.concatenate([block.counts for block in found]))])
+    closed = np.ones(len(ring_starts) - 1, np.bool_)
+    if view.pixel_mm < LEAST_PIXEL * float(np.abs(points).max(initial=0.0)):
+        return canonical(heights, points, ring_starts, layer_starts, closed, **labels)
+    return Layers(heights, points, ring_starts, layer_starts, closed, **labels)
 
 
 @kernel

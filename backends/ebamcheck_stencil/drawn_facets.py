@@ -35,7 +35,7 @@ CLIPPED_SLACK = 1.0
 """Distance along x and y, in lattice steps, that drivers may move a point in which they clip an edge."""
 
 ROUNDED_SHARE = 2.0**-21
-"""Distance that the same point may be off by float32, as a share of the viewport's side."""
+"""Distance that such a point may be off by float32, as a share of the viewport's side."""
 
 HOLDS, COMES_NEAR = 1, 2
 """What a facet can do with a pixel centre."""
@@ -129,7 +129,7 @@ def _choose(
     reach: NDArray[np.uint8],
     extents: NDArray[np.float32],
 ) -> None:
-    """Tell of facets ``start .. stop - 1`` whether they hold a pixel centre or come near one, and their heights."""
+    """Tell of facets ``start .. stop - 1`` whether they hold a pixel centre or come within `slack` lattice steps of one, and their heights."""
     for i in range(start, stop):
         a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
         extents[i, 0] = min(heights[a], heights[b], heights[c])
@@ -169,7 +169,7 @@ def _centres(low: int, high: int) -> tuple[int, int]:
 
 @kernel
 def _left_of(low: int, high: int, ax: int, ay: int, bx: int, by: int, y: int, slack: int) -> tuple[int, int]:
-    """Part of ``low .. high`` on the line at y that lies left of the line from a to b, or within the square of `slack` of such a place."""
+    """Part of ``low .. high`` on the line at y that lies left of the line from a to b, which is grown by the square."""
     dx, dy = bx - ax, by - ay
     room = dx * (y - ay) + slack * (abs(dx) + abs(dy))
     if dy > 0:

@@ -1,9 +1,9 @@
 """The paper's form: for every layer, draw the facets above it into a stencil buffer and keep which pixels are solid.
 
 As in section 2.2 of the paper, the projection puts the near plane at the slice height, which clips what lies
-below; facets that are below it as a whole, and those that no ray meets, are not sent. A ray upwards adds 1 to the stencil at a facet that faces
-forward (normal up) and subtracts 1 at one that faces backward, in wrapping 8-bit arithmetic; pixels that end at 1 or 2
-are solid. A compute shader packs them into bitmaps, a bit each, so that little is read back; contours of one block of
+below; facets that are below it as a whole, and those that no ray meets, are not sent. A ray upwards adds 1 to the
+stencil at a facet that faces forward (normal up) and subtracts 1 at one that faces backward, in wrapping 8-bit
+arithmetic; pixels that end at 1 or 2 are solid. A compute shader packs them into bitmaps, a bit each, so that little is read back; contours of one block of
 layers are followed while the next is drawn. The stencil buffer is OpenGL's own, used through PyOpenGL on the context
 that moderngl opened, because moderngl has no stencil state.
 """
@@ -114,7 +114,7 @@ class LiteralSlices:
         self._context.release()
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
-        """Cut at strictly increasing heights (L,), one draw of all facets above for each."""
+        """Cut at strictly increasing heights (L,), one draw for each of the facets above that a ray can meet."""
         heights = np.ascontiguousarray(heights, dtype=np.float64)
         size = min(DRAWS_A_BLOCK * self._at_once, max(1, heights.size))
         room = np.empty((BLOCKS_AT_WORK, size, self._bitmap_words), np.uint64)

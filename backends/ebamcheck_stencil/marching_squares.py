@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
+SPARE_POINTS = 2**20
+"""Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed."""
+
 FIRST_POINTS = 4096
 FIRST_RINGS = 64
 """Initial sizes of the output columns; they grow as needed."""
@@ -121,13 +124,14 @@ def _add_rings(
     left
         Room for marks that no ring has passed; 0 before and after.
     layers
-        Layers like this one that are still to come, itself included: columns grow by what they need. Memory that is
-        not written to costs nothing, a copy does.
+        Layers that are still to come, itself included: columns grow by what these need if they are like it, within
+        bounds. Memory that is not written to costs nothing, a copy does.
     """
     size = ends[rings - 1]
     most = POINTS_PER_EDGE * _copy_marks(marks, busy, left)
     if size + most > len(points):
-        grown = np.empty((size + layers * most, 2), np.int32)
+        spare = min((layers - 1) * most, max(SPARE_POINTS, len(points)))
+        grown = np.empty((size + most + spare, 2), np.int32)
         grown[:size] = points[:size]
         points = grown
     for group in range(busy.size):

@@ -138,6 +138,8 @@ class Stencil:
                 from ebamcheck_stencil.literal import LiteralSlices
 
                 _warn_of_openings(part)
+                # A window's counts lie in one buffer, a byte each.
+                largest_px = min(largest_px, math.isqrt(found.buffer_bytes) - WORD_BITS)
                 return LiteralSlices(context, part, view, largest_px, labels)
             buffer_bytes = min(found.buffer_bytes, int(checked.buffer_mb * 2**20))
             crossings = draw_crossings(context, part, view, largest_px, buffer_bytes)

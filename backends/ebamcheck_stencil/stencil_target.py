@@ -22,6 +22,9 @@ INSIDE_COUNTS = (1, 2)
 PACKED_BITS, WORD_BYTES = 32, 4
 """Size of a word of GLSL; two of them are a word of a bitmap."""
 
+PADDING_WORDS = 1
+"""Most words without a pixel at the end of a bitmap's row."""
+
 PACKING_SIDE = 8
 """Side of the square of words that a group of the compute shader packs."""
 
@@ -40,15 +43,16 @@ layout(std430, binding = 0) buffer Bitmaps {{ uint words[]; }};
 layout(std430, binding = 1) buffer Before {{ uint before[]; }};
 uniform ivec2 corner;
 uniform ivec2 size;
+uniform int columns;
 uniform int row_words;
 uniform int first_word;
 void main() {{
+    // A word of the window, whose counts lie where the window's image has them.
     ivec2 group = ivec2(gl_GlobalInvocationID.xy);
-    int column = corner.x / {PACKED_BITS} + group.x;
-    if (column >= row_words || group.y >= size.y) return;
+    if (group.x >= columns || group.y >= size.y) return;
     uint word = 0u;
     for (int part = 0; part < {COUNT_BITS}; ++part) {{
-        int place = (group.y * row_words + group.x) * {COUNT_BITS} + part;
+        int place = (group.y * columns + group.x) * {COUNT_BITS} + part;
         uint earlier = before[place], sums = 0u;
         for (int k = 0; k < {COUNTS_PACKED}; ++k) {{
             int bit = {COUNTS_PACKED} * part + k, shift = {COUNT_BITS} * k;
@@ -61,7 +65,8 @@ void main() {{
         }}
         before[place] = sums;
     }}
-    words[first_word + (corner.y + group.y) * row_words + column] = word;
+    int column = corner.x / {PACKED_BITS} + group.x;
+    if (column < row_words) words[first_word + (corner.y + group.y) * row_words + column] = word;
 }}
 """
 
@@ -86,7 +91,10 @@ class StencilTarget:
         self._pack = context.compute_shader(PACKING_SHADER)
         self._row_words = view.stride_px // PACKED_BITS
         self._pack["row_words"] = self._row_words
-        self._before = context.buffer(reserve=height * self._row_words * COUNT_BITS * WORD_BYTES)
+        # A bitmap's rows are padded: the last window has the padding, too.
+        self._columns = min(self._row_words, -(-width // PACKED_BITS) + PADDING_WORDS)
+        self._pack["columns"] = self._columns
+        self._before = context.buffer(reserve=height * self._columns * COUNT_BITS * WORD_BYTES)
         self._framebuffer = gl.glGenFramebuffers(1)
         self._counts = gl.glGenTextures(1)
         gl.glBindTexture(gl.GL_TEXTURE_2D, self._counts)
@@ -152,8 +160,7 @@ class StencilTarget:
         gl.glBindFramebuffer(gl.GL_FRAMEBUFFER, 0)
         self._context.memory_barrier()
         self._pack["first_word"] = layer * self._view.height_px * self._row_words
-        columns = self._row_words - window.x // PACKED_BITS
-        self._pack.run(-(-columns // PACKING_SIDE), -(-window.height // PACKING_SIDE))
+        self._pack.run(-(-self._columns // PACKING_SIDE), -(-window.height // PACKING_SIDE))
         self._context.memory_barrier()
 
 
@@ -176,6 +183,8 @@ class Drawing:
     def submitted(self, size: int) -> None:
         """Have the first bytes copied once they are packed, and mark that moment."""
         gl = self._gl
+        if self._fence is not None:  # of a drawing that nobody has fetched
+            gl.glDeleteSync(self._fence)
         gl.glBindBuffer(gl.GL_COPY_READ_BUFFER, self.bitmaps.glo)
         gl.glBindBuffer(gl.GL_COPY_WRITE_BUFFER, self._fetched)
         gl.glCopyBufferSubData(gl.GL_COPY_READ_BUFFER, gl.GL_COPY_WRITE_BUFFER, 0, 0, size)
@@ -189,6 +198,7 @@ class Drawing:
         while state == gl.GL_TIMEOUT_EXPIRED:
             state = gl.glClientWaitSync(self._fence, 0, WAIT_NS)
         gl.glDeleteSync(self._fence)
+        self._fence = None
         if state == gl.GL_WAIT_FAILED:
             raise BackendFailed("stencil: the graphics device gave up a drawing: use mode 'draw-once'")
         bitmaps[:] = self._words[: bitmaps.size].reshape(bitmaps.shape)

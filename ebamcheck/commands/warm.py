@@ -75,6 +75,9 @@ def other_jobs(folder: Path) -> None:
     from ebamcheck.mesh.files import load
     from ebamcheck.pipeline.verify import verify
 
+    if registry.probe("stencil").available:
+        with Slicing(load(folder / "cube.stl"), "stencil", mode="literal") as literal:
+            literal.layers([1.0, 2.0, 3.0])
     with _errors_alone(), contextlib.redirect_stdout(io.StringIO()):
         verify(folder / "run")
         # Bodies of several islands that overlap: their rings are united.

@@ -14,7 +14,7 @@ from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.curves.thinning import FLAT_MM, distance, is_sharp
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.numeric.sorting import turn
+from ebamcheck.numeric.sorting import rotate_to
 
 LARGEST_TURN_RAD = np.deg2rad(60.0)
 """A smooth mesh edge at which the contour turns by more than this is the tip of a thin feature: it counts as a corner."""
@@ -276,11 +276,11 @@ def start_at_a_split(ring: Ring) -> None:
     for k in range(n):
         if ring.corner[k] or ring.straight[k] or ring.straight[k - 1]:
             if k:
-                turn(ring.rows, k)
-                turn(ring.corner, k)
-                turn(ring.straight, k)
-                turn(ring.before, k)
-                turn(ring.after, k)
+                rotate_to(ring.rows, k)
+                rotate_to(ring.corner, k)
+                rotate_to(ring.straight, k)
+                rotate_to(ring.before, k)
+                rotate_to(ring.after, k)
             return
 
 

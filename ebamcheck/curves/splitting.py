@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.numeric.sorting import turn
+from ebamcheck.numeric.sorting import rotate_to
 
 LINE, SPLINE, ARC = 0, 1, 2
 """Kinds of piece: the polyline of its control points, a cubic B-spline, a circular arc through three points."""
@@ -156,9 +156,9 @@ def _mark(
         if closed[ring]:
             pieces[ring] = max(splits, 1)
             if first > 0:
-                turn(rows[a:b], first)
-                turn(corners[a:b], first)
-                turn(straight[a:b], first)
+                rotate_to(rows[a:b], first)
+                rotate_to(corners[a:b], first)
+                rotate_to(straight[a:b], first)
         else:
             pieces[ring] = splits - 1
         sizes[ring] = segments + pieces[ring]

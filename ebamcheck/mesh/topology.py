@@ -202,10 +202,10 @@ def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 @kernel
 def _normalise(vector: NDArray[np.float64]) -> None:
-    """Give a vector (3,) the length 1."""
+    """Give a vector (3,) the length 1; one that has none becomes NaN."""
     length = math.sqrt(_dot(vector, vector))
     for k in range(3):
-        vector[k] /= length
+        vector[k] = np.true_divide(vector[k], length)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Sorting within kernels: each of these is compiled once, and not anew into every kernel that sorts."""
+"""Sorting and rotating columns within kernels: compiled once, and not anew into every kernel that does so."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def put_in_order(values: NDArray[Any], order: Ints) -> None:
 
 
 @kernel
-def turn(values: NDArray[Any], first: int) -> None:
+def rotate_to(values: NDArray[Any], first: int) -> None:
     """Let values (n,) that close on themselves begin with another one, in place."""
     before = values.copy()
     k = first
