@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
+from queue import SimpleQueue
 from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -33,6 +34,10 @@ MERGE_TOLERANCE = 1e-12
 LAYERS_AT_ONCE = 64
 """Layers whose rings are brought into canonical form together: their points stay in the processor's cache, and
 little memory is needed beyond the layers themselves."""
+
+
+_Cut = tuple[Floats, list[Floats], NDArray[np.int64]]
+"""Heights, polygons as manifold3d gives them, and where those of each layer begin."""
 
 
 class ManifoldSettings(BackendSettings):
@@ -108,26 +113,31 @@ class PreparedManifold:
         self._manifold = None
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
-        """Cut at strictly increasing heights (L,), mm; one thread, as manifold3d holds the interpreter lock."""
+        """Cut at strictly increasing heights (L,), mm, on one thread: manifold3d holds the interpreter lock."""
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        return stacked(self._blocks(self._manifold, heights, progress))
-
-    def _blocks(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[Layers]:
-        """Layers of a few heights at a time: one block is brought into canonical form while the next is cut."""
-        waiting: list[Future[Layers]] = []
+        cuts = self._cuts(self._manifold, heights, progress)
+        if thread_count() == 1:
+            return stacked(self._layers(*cut) for cut in cuts)
+        # One thread cuts, another one makes layers of what is cut.
+        waiting: SimpleQueue[_Cut | None] = SimpleQueue()
         with ThreadPoolExecutor(1) as pool:
-            for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
-                chosen = heights[first : first + LAYERS_AT_ONCE]
-                polygons, starts = self._cut(manifold, chosen)
-                yield from (block.result() for block in waiting)
-                waiting = [pool.submit(self._layers, chosen, polygons, starts)]
-                if thread_count() == 1:
-                    wait(waiting)
-                if progress is not None:
-                    progress(len(chosen))
-            yield from (block.result() for block in waiting)
+            whole = pool.submit(stacked, (self._layers(*cut) for cut in iter(waiting.get, None)))
+            try:
+                for cut in cuts:
+                    waiting.put(cut)
+            finally:
+                waiting.put(None)
+            return whole.result()
+
+    def _cuts(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[_Cut]:
+        """A few heights at a time and their polygons."""
+        for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
+            chosen = heights[first : first + LAYERS_AT_ONCE]
+            yield (chosen, *self._cut(manifold, chosen))
+            if progress is not None:
+                progress(len(chosen))
 
     def _cut(self, manifold: Manifold, heights: Floats) -> tuple[list[Floats], NDArray[np.int64]]:
         """Polygons of a few heights, as manifold3d gives them, and where those of each layer begin."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
-SPARE_POINTS = 2**20
+SPARE_POINTS = 2**22
 """Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed."""
 
 FIRST_POINTS = 4096
