@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from importlib.metadata import PackageNotFoundError, version
-from queue import SimpleQueue
 from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Self
 
@@ -18,7 +16,6 @@ from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.layers.stacking import stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups, split_corners, twins
-from ebamcheck.numeric.kernels import thread_count
 from ebamcheck_manifold.changes import doubtful_regions
 from ebamcheck_manifold.placement import Floats, Placement, exact_placement
 
@@ -117,19 +114,7 @@ class PreparedManifold:
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        cuts = self._cuts(self._manifold, heights, progress)
-        if thread_count() == 1:
-            return stacked(self._layers(*cut) for cut in cuts)
-        # One thread cuts, another one makes layers of what is cut.
-        waiting: SimpleQueue[_Cut | None] = SimpleQueue()
-        with ThreadPoolExecutor(1) as pool:
-            whole = pool.submit(stacked, (self._layers(*cut) for cut in iter(waiting.get, None)))
-            try:
-                for cut in cuts:
-                    waiting.put(cut)
-            finally:
-                waiting.put(None)
-            return whole.result()
+        return stacked(self._layers(*cut) for cut in self._cuts(self._manifold, heights, progress))
 
     def _cuts(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[_Cut]:
         """A few heights at a time and their polygons."""
