@@ -33,10 +33,6 @@ LAYERS_AT_ONCE = 64
 little memory is needed beyond the layers themselves."""
 
 
-_Cut = tuple[Floats, list[Floats], NDArray[np.int64]]
-"""Heights, polygons as manifold3d gives them, and where those of each layer begin."""
-
-
 class ManifoldSettings(BackendSettings):
     """manifold3d has no settings: a cut is exact."""
 
@@ -114,18 +110,18 @@ class PreparedManifold:
         if self._manifold is None:
             raise BackendFailed(f"manifold: part {self.part.name!r} was released: prepare it again")
         heights = np.ascontiguousarray(heights, dtype=np.float64)
-        return stacked(self._layers(*cut) for cut in self._cuts(self._manifold, heights, progress))
+        return stacked(self._blocks(self._manifold, heights, progress))
 
-    def _cuts(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[_Cut]:
-        """A few heights at a time and their polygons."""
+    def _blocks(self, manifold: Manifold, heights: Floats, progress: Progress | None) -> Iterator[Layers]:
+        """Layers of a few heights at a time."""
         for first in range(0, max(1, len(heights)), LAYERS_AT_ONCE):
-            chosen = heights[first : first + LAYERS_AT_ONCE]
-            yield (chosen, *self._cut(manifold, chosen))
+            block = self._layers(manifold, heights[first : first + LAYERS_AT_ONCE])
+            yield block
             if progress is not None:
-                progress(len(chosen))
+                progress(len(block))
 
-    def _cut(self, manifold: Manifold, heights: Floats) -> tuple[list[Floats], NDArray[np.int64]]:
-        """Polygons of a few heights, as manifold3d gives them, and where those of each layer begin."""
+    def _layers(self, manifold: Manifold, heights: Floats) -> Layers:
+        """Cut at a few heights."""
         least, greatest = self.part.bounds[:, 2]
         found: list[Floats] = []
         layer_starts = np.zeros(len(heights) + 1, np.int64)
@@ -134,10 +130,6 @@ class PreparedManifold:
                 section = manifold.slice(self.placement.height(z_mm))
                 found.extend(section.to_polygons())
             layer_starts[k + 1] = len(found)
-        return found, layer_starts
-
-    def _layers(self, heights: Floats, found: list[Floats], layer_starts: NDArray[np.int64]) -> Layers:
-        """Layers of polygons in the working units of manifold3d."""
         sizes = np.fromiter(map(len, found), np.int64, len(found))
         return canonical(
             heights,
