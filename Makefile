@@ -19,11 +19,11 @@ help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
 
 # What the demo runs on is a part of what tests, types and the documentation need.
-$(VENV)/runs: pyproject.toml .ci/setup
+$(VENV)/runs: pyproject.toml .ci/setup .ci/lock.txt
 	@.ci/setup $(VENV)
 	@touch $@
 
-$(VENV)/ready: pyproject.toml .ci/setup
+$(VENV)/ready: pyproject.toml .ci/setup .ci/lock.txt
 	@.ci/setup $(VENV) test,docs
 	@touch $(VENV)/runs $@
 

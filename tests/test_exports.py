@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import locale
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,6 @@ from ebamcheck.export.saving import CURVE_TOLERANCE_MM
 from ebamcheck.export.slices_3mf import keeping_locale, slice_heights
 from ebamcheck.layers.files import read_layers
 from ebamcheck.layers.stack import Layers, from_rings
-from ebamcheck.showing.plotting import ExtraMissing
 from ebamcheck_models import BLADE
 
 EXACT_MM = 1e-5
@@ -128,7 +126,8 @@ def test_dxf_is_pairs_of_codes_and_values(layers: Layers, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("with_mesh", [True, False])
 def test_3mf_slices_are_what_lib3mf_reads(layers: Layers, tmp_path: Path, with_mesh: bool) -> None:
-    lib3mf = pytest.importorskip("lib3mf", reason="lib3mf is an extra and is not installed")
+    import lib3mf
+
     stack = layers if with_mesh else layers.labelled(mesh=None)
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")
@@ -173,18 +172,9 @@ def test_3mf_slices_are_what_lib3mf_reads(layers: Layers, tmp_path: Path, with_m
     ],
 )
 def test_3mf_refuses_what_it_cannot_hold(stack: Layers, why: str, tmp_path: Path) -> None:
-    pytest.importorskip("lib3mf", reason="lib3mf is an extra and is not installed")
     with pytest.raises(SettingsError, match=why):
         ebamcheck.save(stack, tmp_path / "a.3mf")
     assert not list(tmp_path.iterdir())
-
-
-def test_without_lib3mf_the_extra_is_named(
-    layers: Layers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "lib3mf", None)
-    with pytest.raises(ExtraMissing, match=r"pip install 'ebamcheck\[3mf\]'"):
-        ebamcheck.save(layers, tmp_path / "a.3mf")
 
 
 def test_slices_reach_half_way_to_their_neighbours() -> None:

@@ -28,7 +28,7 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
     value
         A part (``.stl``, ``.vtp``), layers (``.parquet``, ``.cli``, ``.svg``, ``.vtp``, ``.dxf``, ``.3mf``), curves (``.parquet``;
         ``.vtp``, ``.dxf`` as polylines within :data:`CURVE_TOLERANCE_MM`), a scan plan (``.parquet``) or settings (``.toml``).
-        STL has 32-bit numbers; ``.3mf`` needs the extra ``3mf``.
+        STL has 32-bit numbers.
     path
         The file.
 

@@ -1,4 +1,4 @@
-"""Contours as a slice stack of 3MF (3MF Slice Extension 1.0), through lib3mf where it is installed.
+"""Contours as a slice stack of 3MF (3MF Slice Extension 1.0), through lib3mf.
 
 A slice stands for the metal up to its ``ztop``: half way from one cut to the next, and as far over the last one.
 """
@@ -18,7 +18,6 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.showing.plotting import missing
 
 
 @contextlib.contextmanager
@@ -39,15 +38,11 @@ def write_stack(layers: Layers, path: str | Path) -> None:
 
     Raises
     ------
-    ExtraMissing
-        If lib3mf is not installed.
     SettingsError
         If the stack is empty, its heights do not rise, or it has open paths, which 3MF cannot hold.
     """
-    try:
-        import lib3mf  # type: ignore[import-untyped, unused-ignore]
-    except ImportError:
-        raise missing("lib3mf", "3mf", f"{path}: writing 3MF slices") from None
+    import lib3mf
+
     bottom, tops = slice_heights(layers)
     open_paths = int(np.count_nonzero(~layers.closed))
     if open_paths:
