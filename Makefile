@@ -67,7 +67,6 @@ lint: setup
 
 types: setup
 	@$(BIN)/mypy
-	@MYPYPATH=.:backends:reference_models:reports $(BIN)/mypy --explicit-package-bases -p benchmarks
 
 format: setup ## Format the code
 	@$(BIN)/ruff check --fix .

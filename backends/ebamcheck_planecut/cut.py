@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 from types import TracebackType
@@ -105,7 +105,7 @@ class PreparedCut:
 
     def _joined(self, heights: NDArray[np.float64], columns: Columns, blocks: list[Block]) -> Layers:
         """Join blocks that were written to shared columns into one stack, in their order."""
-        run_blocks(lambda a, b: [_close_gaps(column, blocks) for column in columns[a:b]], len(columns))
+        run_blocks(lambda a, b: _close_gaps(columns[a:b], blocks), len(columns))
         filled = rings = 0
         ring_starts, layer_starts = [np.zeros(1, np.int64)], [np.zeros(1, np.int64)]
         for cut in blocks:
@@ -130,16 +130,17 @@ class PreparedCut:
         )
 
 
-def _close_gaps(column: NDArray[Any], blocks: list[Block]) -> None:
+def _close_gaps(columns: Sequence[NDArray[Any]], blocks: list[Block]) -> None:
     """Close the gaps between the rows of blocks, which rings without area and merged points leave."""
-    # numpy moves overlapping rows of one dimension in place; with two it would copy them to new memory first.
-    flat, width = column.reshape(-1), column.size // max(1, len(column))
-    filled = 0
-    for cut in blocks:
-        first, stop = int(cut.ring_starts[0]), int(cut.ring_starts[-1])
-        if filled < first:
-            flat[width * filled : width * (filled + stop - first)] = flat[width * first : width * stop]
-        filled += stop - first
+    for column in columns:
+        # numpy moves overlapping rows of one dimension in place; with two it would copy them to new memory first.
+        flat, width = column.reshape(-1), column.size // max(1, len(column))
+        filled = 0
+        for cut in blocks:
+            first, stop = int(cut.ring_starts[0]), int(cut.ring_starts[-1])
+            if filled < first:
+                flat[width * filled : width * (filled + stop - first)] = flat[width * first : width * stop]
+            filled += stop - first
 
 
 def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:

@@ -67,8 +67,8 @@ def cut_block(
         Whether to look for overlapping shells.
     """
     room = mesh.crossed[under]
-    total = room.sum()
-    most = room.max()
+    total = int(room.sum())
+    most = int(room.max())
     active = np.empty(most, np.int32)
     track = tracks(most)
     forms = _forms(most)

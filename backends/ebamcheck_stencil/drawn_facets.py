@@ -142,9 +142,9 @@ def _choose(
 @kernel
 def _is_near_a_centre(lattice: NDArray[np.int32], a: int, b: int, c: int, slack: int) -> bool:
     """Whether a pixel centre lies in a facet grown by a square of `slack` to each side (a Minkowski sum)."""
-    ax, ay = np.int64(lattice[a, 0]), np.int64(lattice[a, 1])
-    bx, by = np.int64(lattice[b, 0]), np.int64(lattice[b, 1])
-    cx, cy = np.int64(lattice[c, 0]), np.int64(lattice[c, 1])
+    ax, ay = int(lattice[a, 0]), int(lattice[a, 1])
+    bx, by = int(lattice[b, 0]), int(lattice[b, 1])
+    cx, cy = int(lattice[c, 0]), int(lattice[c, 1])
     if (bx - ax) * (cy - ay) < (by - ay) * (cx - ax):
         bx, by, cx, cy = cx, cy, bx, by
     first_row, last_row = _centres(min(ay, by, cy) - slack, max(ay, by, cy) + slack)

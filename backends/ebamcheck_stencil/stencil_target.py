@@ -178,7 +178,7 @@ class Drawing:
         address = gl.glMapBufferRange(gl.GL_COPY_WRITE_BUFFER, 0, size, access)
         if not address:
             raise BackendFailed(f"stencil: this driver maps no buffer of {size} bytes: use mode 'draw-once'")
-        self._words = np.frombuffer((ctypes.c_ubyte * size).from_address(int(address)), np.uint64)
+        self._words = np.frombuffer(memoryview((ctypes.c_ubyte * size).from_address(int(address))), np.uint64)
 
     def submitted(self, size: int) -> None:
         """Have the first bytes copied once they are packed, and mark that moment."""

@@ -103,8 +103,8 @@ class Allowing:
         starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
         a, b, c = (part.vertices[faces[:, k]] for k in range(3))
         normals = np.cross(b - a, c - a)
-        sizes = np.linalg.norm(normals, axis=1)
-        level = np.hypot(normals[:, 0], normals[:, 1]) / np.where(sizes > 0.0, sizes, 1.0)
+        lengths = np.linalg.norm(normals, axis=1)
+        level = np.hypot(normals[:, 0], normals[:, 1]) / np.where(lengths > 0.0, lengths, 1.0)
         growth = 1.0 / np.maximum(level, FLATTEST_SURFACE)
         known = no_surfaces(len(faces)) if exact is None else exact
         curved = sagittas.of_edge[sagittas.of_edge > LEAST_SAGITTA_MM]

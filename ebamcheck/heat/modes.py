@@ -199,4 +199,4 @@ def _region_modes(
     vectors[:, 1:] -= np.outer(vectors[:, 0], vectors[:, 0] @ vectors[:, 1:])
     kept = eigenvalue <= limit
     kept[0] = True
-    return eigenvalue[kept], vectors[:, kept] / root[:, None], cells
+    return np.asarray(eigenvalue[kept], np.float64), vectors[:, kept] / root[:, None], cells

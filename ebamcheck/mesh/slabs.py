@@ -203,7 +203,7 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
     [0, 2, 4]
     """
     layers = begins.size
-    weight = begins / max(begins.sum(), 1) + crossing / max(crossing.sum(), 1) + 1e-9
+    weight = begins / max(int(begins.sum()), 1) + crossing / max(int(crossing.sum()), 1) + 1e-9
     shares = np.cumsum(weight) / weight.sum()
     wanted = np.searchsorted(shares, np.arange(1, slabs) / slabs) + 1
     # Every slab has at least one layer.

@@ -113,7 +113,7 @@ def _rows(levels: tuple[float, ...], density: Floats) -> Floats:
 def _spread(density: Floats, least: int) -> Floats:
     """Parameters 0 .. 1 between which the integral of the density is at most 1 each."""
     padded = np.pad(density, 1, mode="edge")
-    highest = np.max([padded[:-2], padded[1:-1], padded[2:]], axis=0)
+    highest = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     highest = np.maximum(highest, LEAST_DENSITY * highest.max()) if highest.max() > 0 else highest + 1.0
     cumulated = np.concatenate([[0.0], np.cumsum(highest / density.size)])
     wanted = cumulated[-1] if density.max() > 0 else 0.0

@@ -64,7 +64,7 @@ def widest_part(
 def _patches(bare: BareSamples) -> tuple[np.ndarray, Floats]:
     """Boxes (P,) around patches of bare samples that touch, and the widest circle that each could hold, mm."""
     labels, _ = ndimage.label(bare.grid, structure=np.ones((3, 3)))
-    places = ndimage.find_objects(labels)
+    places = [place for place in ndimage.find_objects(labels) if place is not None]
     low = np.array([(x.start, y.start) for y, x in places], np.float64).reshape(-1, 2) - MARGIN
     high = np.array([(x.stop, y.stop) for y, x in places], np.float64).reshape(-1, 2) + MARGIN
     corners = np.hstack([low, high]) * bare.step_mm + np.tile(bare.origin, 2)

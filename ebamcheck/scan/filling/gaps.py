@@ -99,7 +99,7 @@ def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
     kept = [
         place
         for place, n in zip(ndimage.find_objects(labels), sizes, strict=True)
-        if n * bare.step_mm**2 >= least_mm2
+        if place is not None and n * bare.step_mm**2 >= least_mm2
     ]
     if not kept:
         return np.zeros(0, object)

@@ -37,7 +37,7 @@ def best_of_all(layer: Layer, longest_mm: float) -> Ints:
         total = powers_from(first, first, first, places, order, layer, np.inf, log)
         far, touches = (
             max(0.0, log.travel_mm[-1] - longest_mm),
-            touching_successors(layer.beside, order).sum(),
+            int(touching_successors(layer.beside, order).sum()),
         )
         shorter, as_short = far < best_far - JOINED_MM, far <= best_far + JOINED_MM
         as_good = touches == best_touches and (shorter or (as_short and total < best_total))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -79,7 +81,7 @@ def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
     if not file.is_file():
         return []
     field, layer, thickness_mm = read_field(file)
-    found = layers.set_index("layer").loc[layer]
+    found = layers[layers["layer"] == layer].iloc[0]
     name = f"layer {layer + 1}, Z {found['z_mm']:.3f}"
     svg = metal_picture.draw(
         field,
@@ -96,21 +98,24 @@ def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
     return [picture(inline(svg, "paper"), caption, name="metal-worst")]
 
 
-def _places(found: pd.Series, thickness_mm: float) -> tuple[list[metal_picture.Place], ...]:
+def _places(
+    found: pd.Series[Any], thickness_mm: float
+) -> tuple[list[metal_picture.Place], list[metal_picture.Place]]:
     """Worst places of a layer on its metal and on its surface, with their figures."""
     metal = {
         "zone": f"window {found['zone_settled']:.2f} of {thickness_mm:.2f} mm",
         "reach": f"{found['reach_mm']:.2f} mm beside the part",
     }
     surface = {"low": f"{found['low_mm']:.2f} mm too low", "high": f"{found['high_mm']:.2f} mm too high"}
-    return tuple(
-        [
+
+    def placed(names: dict[str, str]) -> list[metal_picture.Place]:
+        return [
             (float(found[f"{key}_x_mm"]), float(found[f"{key}_y_mm"]), text)
             for key, text in names.items()
             if np.isfinite(found[f"{key}_x_mm"]) and found.get(f"{key}_mm", 1.0) > 0.0
         ]
-        for names in (metal, surface)
-    )
+
+    return placed(metal), placed(surface)
 
 
 def _charts(solid: pd.DataFrame) -> list[Markup]:
