@@ -7,13 +7,15 @@ SHELL := /bin/bash
 unexport PYTHONDONTWRITEBYTECODE
 
 VENV := .venv
+# Locked, or newest or oldest of the ranges in pyproject.toml.
+export VERSIONS := locked
 BIN := $(VENV)/bin
 # Four at a time: the suite is made for two cores, and much of the time a worker waits for what its test has started.
 # Tests of one file stay together and share its fixtures.
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0
 
-.PHONY: help setup demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -28,6 +30,15 @@ $(VENV)/ready: pyproject.toml .ci/setup .ci/lock.txt
 	@touch $(VENV)/runs $@
 
 setup: $(VENV)/ready ## Make the virtual environment and install everything into it
+
+lock: setup ## Lock the newest versions that fit pyproject.toml, for every Python supported
+	@.ci/lock --upgrade
+
+newest: ## `make test` with the newest versions that pyproject.toml allows, in an environment of its own; says what moved
+	@$(MAKE) --no-print-directory VENV=build/newest VERSIONS=newest test
+
+oldest: ## The quick tests with the oldest versions that pyproject.toml allows, in an environment of their own
+	@$(MAKE) --no-print-directory VENV=build/oldest VERSIONS=oldest test-quick
 
 demo: $(VENV)/runs ## Slice, cross-check, fit, partition and program the demo part; the report is demo/run/report.html
 	@$(BIN)/ebamcheck warm
@@ -76,7 +87,6 @@ map: setup ## Make docs/map.md and ARCHITECTURE's table of rooms from the docstr
 	@$(BIN)/python docs/make_map.py
 
 docs: setup ## Build the documentation into site/, with warnings as errors
-	@$(BIN)/python -c 'import material' 2>/dev/null || $(BIN)/python -m pip install --quiet -e '.[docs]'
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 kernel-list: setup ## Write the list of kernels that `ebamcheck warm` compiles, from a main job with an empty cache
