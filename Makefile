@@ -13,7 +13,7 @@ BIN := $(VENV)/bin
 # Four at a time: the suite is made for two cores, and much of the time a worker waits for what its test has started.
 # Tests of one file stay together and share its fixtures.
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
-PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0
+PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0 $(PYTEST_OPTIONS)
 
 .PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
 
@@ -37,8 +37,9 @@ lock: setup ## Lock the newest versions that fit pyproject.toml, for every Pytho
 newest: ## `make test` with the newest versions that pyproject.toml allows, in an environment of its own; says what moved
 	@$(MAKE) --no-print-directory VENV=build/newest VERSIONS=newest test
 
+# What was no warning in their day is none of ours.
 oldest: ## The quick tests with the oldest versions that pyproject.toml allows, in an environment of their own
-	@$(MAKE) --no-print-directory VENV=build/oldest VERSIONS=oldest test-quick
+	@$(MAKE) --no-print-directory VENV=build/oldest VERSIONS=oldest PYTEST_OPTIONS='-W ignore::DeprecationWarning -W ignore::SyntaxWarning' test-quick
 
 demo: $(VENV)/runs ## Slice, cross-check, fit, partition and program the demo part; the report is demo/run/report.html
 	@$(BIN)/ebamcheck warm

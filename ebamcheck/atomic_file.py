@@ -53,6 +53,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     'whole'
     """
     path = Path(path)
+    if not path.parent.is_dir():
+        raise SettingsError(f"{path}: cannot be written: there is no folder {path.parent}: make it first")
     temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_ident()}.part")
     sweep_parts(path.parent)
     try:

@@ -218,7 +218,7 @@ def test_verify_a_run_and_a_program(place, here):
         (["run", "frame.stl", "-c", "nosuch.toml"], 2, ["nosuch.toml: cannot be read"]),
         (["run", "frame.stl", "--direction", "0,0,0"], 2, ["slicing direction"]),
         (["run", "frame.stl", "--backends", "planecut,nosuch"], 4, ["unknown backend 'nosuch'", "planecut"]),
-        (["slice", "frame.stl", "-o", "x.foo"], 2, ["unknown slice format '.foo'"]),
+        (["slice", "frame.stl", "-o", "x.foo"], 2, ["no format of layers has the suffix '.foo'"]),
         (["slice", "frame.stl", "-o", "nosuch/x.cli"], 2, ["nosuch/x.cli: cannot be written"]),
         (["slice", "frame.stl", "-o", "x.cli", "--set", "pixel=1"], 2, ["backend 'planecut': pixel: unknown key", "known keys: overlaps"]),
         (["slice", "frame.stl", "-o", "x.cli", "--heights", "1,nan"], 2, ["height 1 is nan"]),

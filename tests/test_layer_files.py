@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers import batches as layer_batches
 from ebamcheck.layers import files as layer_files
-from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.layers.stack import Layers, canonical, from_rings
 
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed", "edge", "edge_t", "dropped")
 
@@ -190,10 +190,10 @@ def test_missing_and_foreign_files_are_refused(tmp_path):
 
 def test_unknown_suffixes_and_folders_are_refused(tmp_path):
     layers = random_layers(1, 2)
-    with pytest.raises(SettingsError, match=r"\.dxf"):
-        layer_files.write_layers(layers, tmp_path / "a.dxf")
-    with pytest.raises(SettingsError, match=r"\.svg"):
-        layer_files.read_layers(tmp_path / "a.svg")
+    with pytest.raises(SettingsError, match=r"'\.foo'.*\.parquet, \.cli, \.svg, \.dxf, \.vtp, \.3mf, \.csv"):
+        layer_files.write_layers(layers, tmp_path / "a.foo")
+    with pytest.raises(SettingsError, match=r"'\.foo'"):
+        layer_files.read_layers(tmp_path / "a.foo")
     with pytest.raises(SettingsError, match="cannot be written"):
         layer_files.write_layers(layers, tmp_path / "nowhere" / "a.parquet")
 
@@ -222,11 +222,85 @@ def test_a_write_that_fails_keeps_the_file_that_was_there(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["s"]
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".cli", ".svg"])
-def test_every_suffix_writes_a_file(tmp_path, suffix):
+def plain_layers() -> Layers:
+    """Layers with holes, an open path and an empty layer, whose numbers every format holds."""
+    square = np.array([(0.0, 0.0), (8.0, 0.0), (8.0, 8.0), (0.0, 8.0)])
+    ring, hole = square + 0.125, (square[::-1] * 0.5) + 2.25
+    return from_rings([0.25, 0.75, 1.25, 1.75], [[ring, hole], [], [ring], [ring + 10.0, ring]])
+
+
+EXACT = (".parquet", ".cli", ".svg", ".vtp", ".csv")
+
+
+@pytest.mark.parametrize("suffix", layer_files.FORMATS)
+def test_what_a_format_writes_it_reads(tmp_path, suffix):
+    file = tmp_path / f"A{suffix.upper()}"
+    layers = plain_layers()
+    layer_files.write_layers(layers, file)
+    assert_same(layer_files.read_layers(file), layers)
+    layers = from_rings([0.5], [[]], [[[(0.0, 0.0), (1.0, 0.5), (2.0, 0.0)]]])
+    if suffix == ".3mf":
+        return  # slices are closed, and one height has no thickness
+    layer_files.write_layers(layers, file)
+    assert_same(layer_files.read_layers(file), layers)
+
+
+@pytest.mark.parametrize("suffix", EXACT)
+def test_a_format_with_every_digit_gives_every_bit_back(tmp_path, suffix):
     layers = random_layers(1, 4, edges=False)
     assert layers.closed.size > 3
-    layer_files.write_layers(layers, tmp_path / f"A{suffix.upper()}")
-    assert (tmp_path / f"A{suffix.upper()}").stat().st_size > 100
-    if suffix != ".svg":
-        assert_same(layer_files.read_layers(tmp_path / f"A{suffix.upper()}"), layers)
+    layer_files.write_layers(layers, tmp_path / f"a{suffix}")
+    back = layer_files.read_layers(tmp_path / f"a{suffix}")
+    labels = {name: getattr(layers, name) for name in ("part", "direction", "backend", "settings")}
+    assert_same(replace(back, **labels), layers)
+
+
+@pytest.mark.parametrize("suffix", [".svg", ".dxf", ".vtp", ".3mf", ".csv"])
+@pytest.mark.parametrize(
+    "content", [b"", b"nothing of the kind\n", b"<svg/>", b"layer,height_mm\n0,1\n", b"\xff\x00\n1\n"]
+)
+def test_a_file_that_is_not_what_its_suffix_says_is_named(tmp_path, suffix, content):
+    file = tmp_path / f"a{suffix}"
+    file.write_bytes(content)
+    with pytest.raises(InputError, match=rf"a\{suffix}: "):
+        layer_files.read_layers(file)
+    file.unlink()
+    with pytest.raises(InputError, match=rf"a\{suffix}: cannot be read"):
+        layer_files.read_layers(file)
+
+
+def test_a_drawing_of_a_cad_system_is_read_in_its_units(tmp_path):
+    import ezdxf
+
+    drawing = ezdxf.new("R2010", units=1)
+    space = drawing.modelspace()
+    corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0)]
+    space.add_lwpolyline(corners, close=True, dxfattribs={"elevation": 1.0})
+    space.add_polyline3d([(x, y, 2.0) for x, y in corners], close=True)
+    drawing.saveas(tmp_path / "a.dxf")
+    back = layer_files.read_layers(tmp_path / "a.dxf")
+    assert back.heights.tolist() == [25.4, 50.8]
+    assert back.areas() == pytest.approx([2 * 25.4**2] * 2)
+    space.add_lwpolyline([(0, 0, 0, 0, 1.0), (1, 0), (1, 1)], close=True)
+    drawing.saveas(tmp_path / "a.dxf")
+    with pytest.raises(InputError, match="bulges"):
+        layer_files.read_layers(tmp_path / "a.dxf")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("0,0.25,0,1,0.125,0.125", "0,0.25,0,1,,0.125"), "lacks a number"),
+        (("0,0.25,0,1,0.125,0.125", "0,0.25,0,1,inf,0.125"), "not finite"),
+        (("0,0.25,0,1,0.125,0.125", "0,0.3,0,1,0.125,0.125"), "several heights"),
+        (("0,0.25,0,1,0.125,0.125", "0,0.25,0,1,x,0.125"), "no table"),
+    ],
+)
+def test_a_table_of_contours_with_a_wrong_row_is_refused(tmp_path, change, said):
+    file = tmp_path / "a.csv"
+    layer_files.write_layers(plain_layers(), file)
+    text = file.read_text()
+    assert change[0] in text
+    file.write_text(text.replace(*change))
+    with pytest.raises(InputError, match=said):
+        layer_files.read_layers(file)

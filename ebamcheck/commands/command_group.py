@@ -6,6 +6,7 @@ import ast
 import functools
 import importlib.util
 import os
+import shlex
 import sys
 import traceback
 from collections.abc import Callable
@@ -45,6 +46,14 @@ class CommandGroup(TyperGroup):
         """Names of all commands: the house's own first."""
         own = super().list_commands(ctx)
         return [*own, *(name for name in sorted(_plugins()) if name not in own)]
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command; where a file stands in its place, the message says what to do with one."""
+        if args and self.get_command(ctx, args[0]) is None and Path(args[0]).exists():
+            ctx.fail(
+                f"{args[0]!r} is no command: to make a program of a part, `ebamcheck run {shlex.join(args)}`"
+            )
+        return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; None where there is none of that name or its plugin is broken."""

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from ebamcheck.atomic_file import made_folder
 from ebamcheck.commands.options import (
     ConfigOption,
     DirectionOption,
@@ -22,19 +23,21 @@ from ebamcheck.commands.options import (
     settings_of,
     within_work,
 )
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.errors import ExitCode
 from ebamcheck.showing.short_text import counted
 
 _log = logging.getLogger(__name__)
-
-SLICE_SUFFIXES = (".parquet", ".cli", ".svg")
-"""Formats that are written; looked at before the work, not after it."""
 
 
 def slice_command(
     part: PartArgument,
     output: Annotated[
-        Path, typer.Option("-o", "--output", help="FILE.parquet, .cli (Common Layer Interface) or .svg.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            help="FILE.parquet, .cli (Common Layer Interface), .svg, .dxf, .vtp, .3mf or .csv.",
+        ),
     ],
     backend: Annotated[
         str, typer.Option(help="Backend; default: the available exact one of the highest priority.")
@@ -52,11 +55,12 @@ def slice_command(
     yes: YesOption = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
-    if output.suffix.lower() not in SLICE_SUFFIXES:
-        raise SettingsError(
-            f"{output}: unknown slice format {output.suffix!r}: use {', '.join(SLICE_SUFFIXES)}"
-        )
+    from ebamcheck.layers.files import format_of
     from ebamcheck.plugins import registry
+
+    # A wrong name of the file is told before the work, not after it.
+    format_of(output)
+    made_folder(output.parent)
 
     config = settings_of(config_file, units, direction, layer_height)
     name = backend or config.slicing.primary or registry.default_backend()

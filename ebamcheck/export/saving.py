@@ -26,7 +26,7 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
     Parameters
     ----------
     value
-        A part (``.stl``, ``.vtp``), layers (``.parquet``, ``.cli``, ``.svg``, ``.vtp``, ``.dxf``, ``.3mf``), curves (``.parquet``;
+        A part (``.stl``, ``.vtp``), layers (``.parquet``, ``.cli``, ``.svg``, ``.vtp``, ``.dxf``, ``.3mf``, ``.csv``), curves (``.parquet``;
         ``.vtp``, ``.dxf`` as polylines within :data:`CURVE_TOLERANCE_MM`), a scan plan (``.parquet``) or settings (``.toml``).
         STL has 32-bit numbers.
     path
@@ -71,18 +71,12 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
 
 def _writers() -> Mapping[type, Mapping[str, Writer]]:
     """Writers of each kind of value, by suffix."""
-    from ebamcheck.export import dxf, slices_3mf, vtp
-    from ebamcheck.layers import files as layer_files
+    from ebamcheck.layers import dxf, vtp
+    from ebamcheck.layers.files import FORMATS
 
-    own = dict.fromkeys((".parquet", ".cli", ".svg"), layer_files.write_layers)
     return {
         Part: {".stl": _write_stl, ".vtp": vtp.write_part},
-        Layers: {
-            **own,
-            ".vtp": vtp.write_stack,
-            ".dxf": dxf.write_stack,
-            ".3mf": slices_3mf.write_stack,
-        },
+        Layers: {suffix: form.write for suffix, form in FORMATS.items()},
         Curves: {
             ".parquet": lambda curves, path: _replaced(curves.to_parquet, path),
             ".vtp": lambda curves, path: vtp.write_stack(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),

@@ -40,11 +40,11 @@ def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
     """
     column = checked_heights(heights)
     low, high = part.bounds[:, 2].tolist()
-    outside = np.flatnonzero((column < low) | (column >= max(high, np.nextafter(low, np.inf))))
+    outside = np.flatnonzero((column < low) | (column > high))
     if outside.size:
         more = f" (and {outside.size - 1} more)" if outside.size > 1 else ""
         raise SettingsError(
             f"{named}: {column[outside[0]]:.10g} mm{more} is outside of the part {part.name!r}, which reaches from "
-            f"z = {low:.10g} up to, and not including, {high:.10g} mm"
+            f"z = {low:.10g} to {high:.10g} mm"
         )
     return column

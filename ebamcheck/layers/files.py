@@ -6,13 +6,13 @@ of layers that was written at once. A stack that does not fit in memory is writt
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import pyarrow as pa
@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import COMPRESSION, replacing
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import common_layer_interface
-from ebamcheck.layers import svg as layer_svg
+from ebamcheck.layers import common_layer_interface, contour_table, dxf, slices_3mf, svg, vtp
 from ebamcheck.layers.batches import CONTOUR_COLUMNS, column_of, from_arrow, labels_of, to_arrow
 from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck.numeric.rings import Ints
@@ -31,41 +30,49 @@ from ebamcheck.numeric.rings import Ints
 
 
 def write_layers(layers: Layers, path: str | Path) -> None:
-    """Write layers in the format that the suffix names: ``.parquet``, ``.cli`` (ASCII) or ``.svg``.
+    """Write layers in the format that the suffix names, one of :data:`FORMATS`.
 
     Raises
     ------
     SettingsError
         If the suffix is another one, or the file cannot be written.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".parquet":
-        write_parquet(layers, path)
-    elif suffix == ".cli":
-        common_layer_interface.write_cli(layers, path)
-    elif suffix == ".svg":
-        with replacing(path) as temporary:
-            temporary.write_text(layer_svg.sheet_svg(layers), encoding="utf-8")
-    else:
-        raise SettingsError(f"{path}: unknown slice format {suffix!r}: use .parquet, .cli or .svg")
+    format_of(path).write(layers, path)
 
 
 def read_layers(path: str | Path) -> Layers:
-    """Read layers from a ``.parquet`` or ``.cli`` file, told apart by suffix.
+    """Read layers in the format that the suffix names, one of :data:`FORMATS`.
+
+    Parquet has the stack bit for bit; the other formats have its contours and heights, in the precision that the format's module
+    states.
 
     Raises
     ------
     InputError
         If the file is missing or not what its suffix says.
     SettingsError
-        If the suffix is neither of the two.
+        If the suffix is another one.
+    """
+    layers = format_of(path).read(path)
+    if not (np.isfinite(layers.points).all() and np.isfinite(layers.heights).all()):
+        raise InputError(f"{path}: a coordinate or a height is not finite")
+    return layers
+
+
+def format_of(path: str | Path) -> LayerFormat:
+    """Format that the suffix of a file names.
+
+    Raises
+    ------
+    SettingsError
+        If there is none of that suffix.
     """
     suffix = Path(path).suffix.lower()
-    if suffix == ".parquet":
-        return read_parquet(path)
-    if suffix == ".cli":
-        return common_layer_interface.read_cli(path)
-    raise SettingsError(f"{path}: cannot read layers from {suffix!r}: give a .parquet or .cli file")
+    if suffix not in FORMATS:
+        raise SettingsError(
+            f"{path}: no format of layers has the suffix {suffix!r}: use {', '.join(FORMATS)}"
+        )
+    return FORMATS[suffix]
 
 
 # -- Parquet ---------------------------------------------------------------------------------------
@@ -251,3 +258,22 @@ class LayerFile:
         except (OSError, pa.ArrowException) as error:
             line = (str(error).splitlines() or [type(error).__name__])[0]
             raise InputError(f"{self.path}: cannot be read as Parquet: {line}") from None
+
+
+class LayerFormat(NamedTuple):
+    """How layers are written in a format, and read back."""
+
+    write: Callable[[Layers, str | Path], None]
+    read: Callable[[str | Path], Layers]
+
+
+FORMATS: Mapping[str, LayerFormat] = {
+    ".parquet": LayerFormat(write_parquet, read_parquet),
+    ".cli": LayerFormat(common_layer_interface.write_cli, common_layer_interface.read_cli),
+    ".svg": LayerFormat(svg.write_stack, svg.read_stack),
+    ".dxf": LayerFormat(dxf.write_stack, dxf.read_stack),
+    ".vtp": LayerFormat(vtp.write_stack, vtp.read_stack),
+    ".3mf": LayerFormat(slices_3mf.write_stack, slices_3mf.read_stack),
+    ".csv": LayerFormat(contour_table.write_stack, contour_table.read_stack),
+}
+"""Formats of layers, by suffix."""

@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from ebamcheck.errors import SettingsError
-from ebamcheck.layers.stack import Layers
+from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.colours import COLOURS, DASHES
-from ebamcheck.showing.markup import Markup, element, svg_file, text
+from ebamcheck.showing.markup import NAMESPACE, Markup, element, svg_file, text
 
 REDUCTION_PX = 0.2
 """Largest distance of a drawn line from its points: well below what a screen shows."""
@@ -31,6 +34,8 @@ SMALLEST_EXTENT_MM = 1e-6
 LARGEST_HEIGHT = 4.0
 """Ratio of height to width beyond which a tall, narrow layer is drawn at a smaller scale."""
 SHEET_LAYERS = 16
+HEIGHT = "data-height-mm"
+"""Attribute of the group of a layer in a file for exchange."""
 
 SOLID = "#9fc3e8"
 RING = "#1b4f82"
@@ -149,6 +154,9 @@ def overlay_svg(
 def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = SHEET_LAYERS) -> str:
     """Draw up to `most` layers, evenly chosen from the stack, side by side at one scale.
 
+    The file holds all contours of all layers in millimetres with every digit, each layer in a group with its height; those that were
+    not chosen are hidden.
+
     Raises
     ------
     SettingsError
@@ -156,8 +164,6 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
     """
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
-    if len(layers) == 1:
-        return layer_svg(layers, 0, width_px=width_px)
     count = min(most, len(layers))
     chosen = np.unique(np.linspace(0, len(layers) - 1, count).round().astype(int)).tolist()
     columns = min(columns, len(chosen))
@@ -166,16 +172,81 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
     first = _view(box, cell_px, MARGIN_PX / 2, TITLE_PX)
     row_px = first.height_px + TITLE_PX + MARGIN_PX
     body: list[Markup] = []
-    for n, k in enumerate(chosen):
+    places = {k: n for n, k in enumerate(chosen)}
+    for k in range(len(layers)):
+        n = places.get(k, 0)
         left, top = (n % columns) * cell_px, TITLE_PX + (n // columns) * row_px
         view = _View(box, first.px_per_mm, left + first.left_px, top + TITLE_PX)
-        body.append(text(left + MARGIN_PX / 2, top + 18, _title(layers, k)))
-        body += _region(layers, k, view)
+        if k in places:
+            body.append(text(left + MARGIN_PX / 2, top + 18, _title(layers, k)))
+        body.append(_exact(layers, k, view, k in places))
     rows = math.ceil(len(chosen) / columns)
     bottom = _View(box, first.px_per_mm, MARGIN_PX, TITLE_PX + rows * row_px - first.height_px)
     body += _scale_bar(bottom)
     title = f"{len(chosen)} of {len(layers)} layers" + (f", {layers.backend}" if layers.backend else "")
     return _document(body, bottom, width_px, title)
+
+
+# -- exchange --------------------------------------------------------------------------------------
+
+
+def write_stack(layers: Layers, path: str | Path) -> None:
+    """Write all contours as one SVG, a sheet of layers to look at."""
+    with replacing(path) as temporary:
+        temporary.write_text(sheet_svg(layers), encoding="utf-8")
+
+
+def read_stack(path: str | Path) -> Layers:
+    """Read the contours of an SVG that :func:`write_stack` wrote, every number bit for bit.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or holds no such layers.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+        groups = [group for group in root.iter(f"{{{NAMESPACE}}}g") if group.get(HEIGHT)]
+        if not groups:
+            raise ValueError(f"it has no group with {HEIGHT}")
+        heights = [float(group.get(HEIGHT, "")) for group in groups]
+        lines = [[line for path in group for line in path.get("d", "").split("M")[1:]] for group in groups]
+        closed = [[_points(line[:-1]) for line in layer if line.endswith("Z")] for layer in lines]
+        open_ = [[_points(line) for line in layer if not line.endswith("Z")] for layer in lines]
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (ElementTree.ParseError, ValueError) as error:
+        raise InputError(
+            f"{path}: is no SVG with contours at heights, as `slice -o` writes it: {error}"
+        ) from None
+    return from_rings(heights, closed, open_)
+
+
+def _points(line: str) -> Floats:
+    return np.array(line.replace(",", " ").split(), np.float64).reshape(-1, 2)
+
+
+def _exact(layers: Layers, k: int, view: _View, shown: bool) -> Markup:
+    """Group of a layer whose paths are in millimetres."""
+    scale, x0, y1 = view.px_per_mm, view.box[0], view.box[3]
+    style = {"stroke_width": 1, "vector_effect": "non-scaling-stroke", "stroke_linejoin": "round"}
+    paths = [
+        element("path", class_=kind, d="".join(data), fill=fill, fill_rule="nonzero", stroke=stroke, **style)
+        for kind, end, fill, stroke in (("region", "Z", SOLID, RING), ("open", "", "none", OPEN))
+        if (data := [_data(layers.ring(r), end) for r in layers.rings_of(k) if layers.closed[r] == bool(end)])
+    ]
+    return element(
+        "g",
+        *paths,
+        transform=f"matrix({scale!r} 0 0 {-scale!r} {view.left_px - x0 * scale!r} {view.top_px + y1 * scale!r})",
+        display=None if shown else "none",
+        **{HEIGHT: repr(float(layers.heights[k]))},
+    )
+
+
+def _data(points: Floats, end: str) -> str:
+    """Path data of a ring or an open path with every digit, mm."""
+    return "M" + " ".join(f"{x!r},{y!r}" for x, y in points.tolist()) + end
 
 
 # -- pieces ----------------------------------------------------------------------------------------

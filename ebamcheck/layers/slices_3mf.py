@@ -1,6 +1,7 @@
 """Contours as a slice stack of 3MF (3MF Slice Extension 1.0), through lib3mf.
 
-A slice stands for the metal up to its ``ztop``: half way from one cut to the next, and as far over the last one.
+A slice stands for the metal up to its ``ztop``: half way from one cut to the next, and as far over the last one. What is read was cut
+half way up each slice. Coordinates are 32-bit numbers.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.errors import SettingsError
-from ebamcheck.layers.stack import Layers
+from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.numeric.rings import Floats
+
+MM_A_UNIT = {0: 0.001, 1: 1.0, 2: 10.0, 3: 25.4, 4: 304.8, 5: 1000.0}
+"""Millimetres of the units of a 3MF model, as lib3mf numbers them: micrometre to metre."""
 
 
 @contextlib.contextmanager
@@ -63,6 +67,49 @@ def write_stack(layers: Layers, path: str | Path) -> None:
     writer = model.QueryWriter("3mf")
     with replacing(path) as temporary, keeping_locale():
         writer.WriteToFile(str(temporary))
+
+
+def read_stack(path: str | Path) -> Layers:
+    """Read the one stack of slices in a file.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, is no 3MF, or holds none or several stacks of slices.
+    """
+    import lib3mf
+
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        with keeping_locale():
+            model = lib3mf.get_wrapper().CreateModel()
+            model.QueryReader("3mf").ReadFromBuffer(data)
+            found = model.GetSliceStacks()
+            if found.Count() != 1:
+                raise InputError(f"{path}: holds {found.Count()} stacks of slices, where one belongs")
+            found.MoveNext()
+            stack = found.GetCurrentSliceStack()
+            scale = MM_A_UNIT[model.GetUnit()]
+            bottom = stack.GetBottomZ()
+            slices = [stack.GetSlice(k) for k in range(stack.GetSliceCount())]
+            tops = np.array([bottom, *(one.GetZTop() for one in slices)])
+            rings = [_rings(one) for one in slices]
+    except lib3mf.ELib3MFException as error:
+        raise InputError(f"{path}: is no 3MF that can be read: {error}") from None
+    closed = [
+        [ring[:-1] * scale for ring in layer if ring[0].tolist() == ring[-1].tolist()] for layer in rings
+    ]
+    open_ = [[ring * scale for ring in layer if ring[0].tolist() != ring[-1].tolist()] for layer in rings]
+    return from_rings(0.5 * (tops[1:] + tops[:-1]) * scale, closed, open_)
+
+
+def _rings(one: Any) -> list[Floats]:
+    """Points of the polygons of a slice, in units of the file."""
+    points = np.array([tuple(vertex.Coordinates) for vertex in one.GetVertices()], np.float64).reshape(-1, 2)
+    return [points[np.array(one.GetPolygonIndices(k), np.int64)] for k in range(one.GetPolygonCount())]
 
 
 def slice_heights(layers: Layers) -> tuple[float, Floats]:
