@@ -149,9 +149,24 @@ def test_slice_takes_heights_direction_and_backend_settings(place, here):
     assert layers.settings["overlaps"] == "keep"
 
 
-def test_slice_draws_svg(place, here):
-    assert here("slice", "frame.stl", "-o", "frame.svg").returncode == 0
-    assert "<svg" in (place / "frame.svg").read_text()[:300]
+def test_slice_makes_the_folder_and_draws_svg(place, here):
+    assert here("slice", "frame.stl", "-o", "drawn/here/frame.svg").returncode == 0
+    assert "<svg" in (place / "drawn" / "here" / "frame.svg").read_text()[:300]
+
+
+def test_the_highest_height_of_a_part_is_a_height_without_a_contour(place, here):
+    told = here("slice", "frame.stl", "--heights", "0,12", "-o", "ends.csv")
+    assert (told.returncode, told.stderr) == (0, "")
+    layers = read_layers(place / "ends.csv")
+    assert layers.ring_counts().tolist() == [2, 0]
+
+
+@pytest.mark.parametrize("suffix", ["cli", "svg", "dxf", "vtp", "3mf", "csv"])
+def test_slices_in_every_format_compare_with_the_exact_file(place, here, suffix):
+    for name in ("exact.parquet", f"other.{suffix}"):
+        assert here("slice", "frame.stl", "--layer-height", "1", "-o", name).returncode == 0
+    told = here("compare", "exact.parquet", f"other.{suffix}")
+    assert (told.returncode, told.stdout.splitlines()[-1]) == (0, "12 of 12 layers agree within 0.001 mm")
 
 
 def test_compare(place, here):
@@ -219,10 +234,11 @@ def test_verify_a_run_and_a_program(place, here):
         (["run", "frame.stl", "--direction", "0,0,0"], 2, ["slicing direction"]),
         (["run", "frame.stl", "--backends", "planecut,nosuch"], 4, ["unknown backend 'nosuch'", "planecut"]),
         (["slice", "frame.stl", "-o", "x.foo"], 2, ["no format of layers has the suffix '.foo'"]),
-        (["slice", "frame.stl", "-o", "nosuch/x.cli"], 2, ["nosuch/x.cli: cannot be written"]),
+        (["frame.stl"], 2, ["'frame.stl' is no command", "`ebamcheck run frame.stl`"]),
+        (["compare", "frame.run/layers/planecut.parquet", "frame.run/layers/planecut.parquet", "-o", "nosuch/x.csv"], 2, ["there is no folder nosuch"]),
         (["slice", "frame.stl", "-o", "x.cli", "--set", "pixel=1"], 2, ["backend 'planecut': pixel: unknown key", "known keys: overlaps"]),
         (["slice", "frame.stl", "-o", "x.cli", "--heights", "1,nan"], 2, ["height 1 is nan"]),
-        (["compare", "frame.stl", "frame.stl"], 2, ["cannot read layers"]),
+        (["compare", "frame.stl", "frame.stl"], 2, ["no format of layers has the suffix '.stl'"]),
         (["verify", "nosuch"], 2, ["nosuch: there is no such"]),
         (["verify", "frame.stl"], 2, ["name its part with --part"]),
     ],

@@ -84,11 +84,9 @@ def test_slicing_alone_asks_too(block, tmp_path):
 
 def test_heights_are_those_of_the_part():
     part = moved(box((0, 0, 0), (10, 10, 30)), shift=(0, 0, 5))
-    assert heights_within(part, [5.0, 34.999], "x").tolist() == [5.0, 34.999]
-    for outside in (4.999, 35.0, 100.0, -1.0):
-        with pytest.raises(
-            SettingsError, match=rf"x: {outside:g} mm is outside .*z = 5 up to, and not including, 35 mm"
-        ):
+    assert heights_within(part, [5.0, 35.0], "x").tolist() == [5.0, 35.0]
+    for outside in (4.999, 35.001, 100.0, -1.0):
+        with pytest.raises(SettingsError, match=rf"x: {outside:g} mm is outside .*z = 5 to 35 mm"):
             heights_within(part, [10.0, outside], "x")
 
 
@@ -96,7 +94,7 @@ def test_heights_are_those_of_the_part():
     "arguments",
     [
         ("slice", "block.stl", "--heights", "100", "-o", "out.parquet"),
-        ("slice", "block.stl", "--heights", "10,40", "-o", "out.parquet"),
+        ("slice", "block.stl", "--heights", "10,40.001", "-o", "out.parquet"),
         ("scan", "block.stl", "--height", "300", "-o", "out"),
         ("check", "block.stl", "-c", "outside.toml", "-o", "out"),
         ("run", "block.stl", "-c", "outside.toml", "-o", "out"),
@@ -111,7 +109,7 @@ def test_heights_outside_of_the_part_are_refused_with_its_range(block, tmp_path,
     done = ebamcheck(*arguments, cwd=tmp_path)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
-    assert "outside of the part 'block', which reaches from z = 0 up to, and not including, 40 mm" in line
+    assert "outside of the part 'block', which reaches from z = 0 to 40 mm" in line
     assert set(tmp_path.iterdir()) == before
 
 

@@ -45,7 +45,9 @@ class ManifoldCut:
     """
 
     name: ClassVar[str] = "manifold"
-    summary: ClassVar[str] = "exact plane cut by manifold3d, double precision; refuses non-manifold meshes"
+    summary: ClassVar[str] = (
+        "exact plane cut by manifold3d, double precision; refuses meshes whose facets do not pair up at every edge"
+    )
     exact: ClassVar[bool] = True
     priority: ClassVar[int] = 50
     coplanar_rule: ClassVar[CoplanarRule] = "half-open"

@@ -152,8 +152,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
             f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool",
             "process.interpass",
             wait_s,
-            whole_s,
-            "s",
+            unit="s",
         )
     share = plan.metrics["power_share"].to_numpy()
     if share.size and np.nanmin(share) < 1.0:
@@ -227,7 +226,7 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
         yield Finding(
             "warning",
             "seam-at-corner",
-            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees, first here",
+            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees",
             _at(layer, heights, config, x_mm, y_mm),
             float(count),
             0.0,

@@ -8,7 +8,7 @@ from importlib.resources import files
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck_reports.markup import Markup, element, join, paragraph, section
+from ebamcheck_reports.markup import Markup, element, join, mark, paragraph, section
 from ebamcheck_reports.pages import page
 from ebamcheck_reports.run_data import RunData
 from ebamcheck_reports.sections import (
@@ -40,6 +40,17 @@ SECTIONS: tuple[tuple[str, str, Callable[[RunData], Markup]], ...] = (
     ("certificate", "Certificate", certificate.render),
     ("reproduce", "Reproduce", reproduce.render),
 )
+
+JUDGED_BY = {
+    "part": ("input",),
+    "slicers": ("agreement",),
+    "agreement": ("agreement",),
+    "fit": ("fit",),
+    "scan": ("coverage", "heat"),
+    "metal": ("deposit",),
+    "program": ("program", "entry"),
+}
+"""Gates that judge what a section shows. The section is folded where they passed; one that is judged by none, where all did."""
 
 OF_THE_PROGRAM = ("fit", "scan", "metal", "program", "certificate")
 """Sections that are left out for a cross-check alone."""
@@ -92,7 +103,7 @@ def _sections(run: RunData) -> list[Markup]:
     made = []
     for anchor, title, render in _chapters(run):
         try:
-            made.append(render(run))
+            made.append(_folded(run, anchor, title, render(run)))
         except EbamcheckError as error:
             # A missing or damaged file of the run costs its section, not the whole report.
             made.append(
@@ -101,6 +112,16 @@ def _sections(run: RunData) -> list[Markup]:
                 )
             )
     return made
+
+
+def _folded(run: RunData, anchor: str, title: str, rendered: Markup) -> Markup:
+    """The summary as it is; a section after it under its title, open where something did not pass."""
+    if anchor == "summary":
+        return rendered
+    shut = {str(gate["name"]) for gate in run.gates if not gate["passed"]} | set(run.missing_gates)
+    passed = not shut.intersection(JUDGED_BY[anchor]) if anchor in JUDGED_BY else run.passed
+    head = element("summary", element("b", title), " ", mark(True) if passed and anchor in JUDGED_BY else "")
+    return element("details", head, rendered, class_="chapter", open=None if passed else "open")
 
 
 def _footer() -> Markup:

@@ -17,8 +17,12 @@ WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0
 MOST_SLABS = 60
 """Most slabs drawn; of more layers some are chosen, each drawn as high as all layers up to the next chosen one."""
 
-REDUCTION_PX = 0.6
+REDUCTION_PX = 0.2
 """Largest distance of a drawn outline from its contour."""
+
+SHADED_OVER_PX = 10.0
+"""Length of an outline over which its direction is taken for the shade. Edges of the outline are cut otherwise on every layer: shaded
+by their own directions, a curved wall comes out in patches."""
 
 TURN_DEG, TILT_DEG = 28.0, 32.0
 """Direction of view: turn about the vertical, and tilt downwards."""
@@ -26,7 +30,7 @@ TURN_DEG, TILT_DEG = 28.0, 32.0
 LIGHT_DEG = 155.0
 """Where the light comes from, counter-clockwise from +X of the picture."""
 
-SHADES = 8
+SHADES = 16
 DARK, BRIGHT, TOP = (58, 84, 110), (166, 192, 214), "#c9d9e6"
 """Walls turned from the light and towards it, and tops: all between white and black, to be seen on either."""
 
@@ -113,7 +117,7 @@ def _slab(layers: Layers, layer: int, low_mm: float, high_mm: float, view: _View
         turned = _reduced(view.turned(layers.ring(ring)), REDUCTION_PX / view.px_per_mm)
         at = view.pixels(turned, high_mm)
         top += "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist()) + "Z"
-        for shade, run in _facing(turned):
+        for shade, run in _facing(turned, SHADED_OVER_PX / view.px_per_mm):
             walls.setdefault(shade, []).append(_wall(at[run], drop))
     parts = [
         element("path", d="".join(data), fill=_colour(shade), stroke=_colour(shade), stroke_width=0.6)
@@ -129,14 +133,17 @@ def _reduced(points: Floats, tolerance_mm: float) -> Floats:
     return kept if len(kept) >= 3 else points
 
 
-def _facing(ring: Floats) -> list[tuple[int, Ints]]:
+def _facing(ring: Floats, over_mm: float) -> list[tuple[int, Ints]]:
     """Runs of a ring's points along which it faces the viewer in one shade; the metal lies on the left of a ring."""
     step = np.roll(ring, -1, axis=0) - ring
-    length = np.maximum(np.hypot(*step.T), 1e-12)
-    normal = np.column_stack([step[:, 1], -step[:, 0]]) / length[:, None]
+    length = np.hypot(*step.T)
+    middle = np.cumsum(length) - 0.5 * length
+    half = 0.5 * min(over_mm, 0.25 * float(length.sum()))
+    chord = _places(ring, length, middle + half) - _places(ring, length, middle - half)
+    normal = np.column_stack([chord[:, 1], -chord[:, 0]]) / np.maximum(np.hypot(*chord.T), 1e-12)[:, None]
     light = np.array([math.cos(math.radians(LIGHT_DEG)), -math.sin(math.radians(LIGHT_DEG))])
     lit = np.rint((0.5 + 0.5 * normal @ light) * (SHADES - 1)).astype(np.int64)
-    shades = np.where(normal[:, 1] < 0.0, lit, -1)
+    shades = np.where(step[:, 0] > 0.0, lit, -1)
     cuts = np.flatnonzero(np.diff(shades)) + 1
     runs = np.split(np.arange(len(ring)), cuts)
     return [
@@ -144,6 +151,13 @@ def _facing(ring: Floats) -> list[tuple[int, Ints]]:
         for run in runs
         if shades[run[0]] >= 0
     ]
+
+
+def _places(ring: Floats, length: Floats, along: Floats) -> Floats:
+    """Points (n, 2) at lengths along a closed ring whose edges have these lengths."""
+    ends = np.concatenate([[0.0], np.cumsum(length)])
+    closed = np.vstack([ring, ring[:1]])
+    return np.column_stack([np.interp(along % ends[-1], ends, closed[:, k]) for k in range(2)])
 
 
 def _wall(edge: Floats, drop_px: float) -> str:

@@ -1,3 +1,14 @@
+// Links to sections open them also where a browser does not do so by itself, and print shows all.
+function unfold() {
+  var aim = location.hash.length > 1 && document.getElementById(location.hash.slice(1));
+  for (var box = aim; box; box = box.parentElement) { if (box.tagName === "DETAILS") { box.open = true; } }
+  if (aim) { aim.scrollIntoView(); }
+}
+addEventListener("hashchange", unfold);
+unfold();
+addEventListener("beforeprint", function () {
+  document.querySelectorAll(".chapter").forEach(function (box) { box.open = true; });
+});
 // Without this script all chosen layers stand below each other; with it a slider goes through them.
 document.querySelectorAll(".frames").forEach(function (box) {
   var frames = Array.from(box.querySelectorAll(".frame"));

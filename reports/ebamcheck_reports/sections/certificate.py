@@ -73,10 +73,10 @@ def render(run: RunData) -> Markup:
 
 
 def _findings(found: Mapping[str, Any]) -> list[Markup]:
-    """What is proved and left to do, and the findings; none in a certificate of an earlier version."""
+    """What is proved, and the findings; none in a certificate of an earlier version. What is left to do stands where it is signed."""
     said = [
         paragraph(element("b", f"{head}: "), "; ".join(found[name]), ".")
-        for head, name in (("Proved", "proved"), ("Left to you", "left_to_do"), ("Not proved", "not_proved"))
+        for head, name in (("Proved", "proved"), ("Not proved", "not_proved"))
         if found.get(name)
     ]
     rows = [

@@ -146,7 +146,7 @@ def _gates(run: RunData) -> Markup:
 def _findings(run: RunData) -> list[Markup]:
     """The gravest findings in a line each."""
     listed = [
-        element("li", element("b", found["severity"]), ": ", found["text"], *_remedy(found))
+        element("li", element("b", found["severity"]), ": ", found["text"], *_place(found), *_remedy(found))
         for found in run.findings[:MOST_FINDINGS]
     ]
     if not listed:
@@ -155,6 +155,10 @@ def _findings(run: RunData) -> list[Markup]:
     if more:
         listed.append(element("li", f"… and {counted(more, 'finding')} more, under Verdict."))
     return [element("h3", "Findings"), element("ul", *listed, class_="short")]
+
+
+def _place(found: Mapping[str, Any]) -> list[Markup]:
+    return [join([" (", found["place"], ")"])] if found["place"] else []
 
 
 def _remedy(found: Mapping[str, Any]) -> list[Markup]:

@@ -33,11 +33,15 @@ def render(run: RunData) -> Markup:
 
 def _banner(run: RunData) -> Markup:
     code = int(run.manifest["exit_code"])
+    # What is left to a person stands in the summary, where it is signed.
+    said = [
+        part for part in run.statement.parts() if part[1] and (run.is_check or part[1] != run.statement.left)
+    ]
     return element(
         "div",
         element("strong", _verdict(run)),
         paragraph(*_why(run)),
-        *(_said(head, clauses) for head, clauses in run.statement.parts() if clauses),
+        *(_said(head, clauses) for head, clauses in said),
         paragraph(
             f"Exit code {code}: {words.EXIT_CODES.get(code, 'see the documentation of exit codes')}.",
             class_="small",
