@@ -304,9 +304,26 @@ def test_no_part_of_the_page_is_wider_than_a_phone(copy: RunFolder, tmp_path: Pa
         with_failures(copy)
         with_slicers(copy, SLICERS)
     text, _ = page_of(copy)
-    wide, beyond = width_px(text, PHONE_PX, tmp_path)
+    unfolded = text.replace('<details class="chapter">', '<details class="chapter" open="open">')
+    wide, beyond = width_px(unfolded, PHONE_PX, tmp_path)
     assert wide <= PHONE_PX
     assert beyond == 0
+
+
+def test_sections_whose_gates_passed_are_folded_and_the_others_open(copy: RunFolder) -> None:
+    def opened() -> dict[str, bool]:
+        chapters = [box for box in page_of(copy)[1].iter("details") if box.get("class") == "chapter"]
+        return {str(box.find("section").get("id")): box.get("open") is not None for box in chapters}  # type: ignore[union-attr]
+
+    sound = opened()
+    assert set(sound) == {anchor for anchor, _, _ in html.SECTIONS} - {"summary"}
+    assert not any(sound.values())
+    manifest = copy.manifest()
+    for gate in manifest["gates"]:
+        gate["passed"] = gate["name"] != "heat"
+    write_json({**manifest, "exit_code": 1}, copy.path / "run.json")
+    shown = {anchor for anchor, is_open in opened().items() if is_open}
+    assert shown == {"verdict", "scan", "certificate", "reproduce"}
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0
 MOST_SLABS = 60
 """Most slabs drawn; of more layers some are chosen, each drawn as high as all layers up to the next chosen one."""
 
-REDUCTION_PX = 0.2
+REDUCTION_PX = 0.3
 """Largest distance of a drawn outline from its contour."""
 
 SHADED_OVER_PX = 10.0
@@ -30,7 +30,7 @@ TURN_DEG, TILT_DEG = 28.0, 32.0
 LIGHT_DEG = 155.0
 """Where the light comes from, counter-clockwise from +X of the picture."""
 
-SHADES = 16
+SHADES = 12
 DARK, BRIGHT, TOP = (58, 84, 110), (166, 192, 214), "#c9d9e6"
 """Walls turned from the light and towards it, and tops: all between white and black, to be seen on either."""
 
