@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0 $(PYTEST_OPTIONS)
 
-.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark tables benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -107,6 +107,13 @@ container: ## Build a container that brings its kernels compiled, where podman o
 benchmark: setup ## Time every slicer on the ladder; tables and plots in reports/benchmarks (an hour or two)
 	@$(BIN)/ebamcheck warm
 	@$(BIN)/python -m benchmarks
+
+tables: setup demo ## Make all tables anew that README and docs quote beside those of `make benchmark` (some hours)
+	@$(BIN)/python -m benchmarks.acceptance --again
+	@$(BIN)/python -m benchmarks.faults
+	@$(BIN)/python -m benchmarks.live demo/run --part demo/blade.stl
+	@$(BIN)/python -m benchmarks.scan_orders --orders thermal,farthest,raster --bases cooled
+	@$(BIN)/python -m benchmarks.curves --layers 3 --stack 200
 
 benchmark-gpu: setup ## The stencil alone, under the name of its renderer
 	@$(BIN)/ebamcheck warm
