@@ -243,12 +243,10 @@ class Building:
         plan = self.rule.plan(base_mm)
         top_mm = self.rule.slopes.top_mm
         if not len(plan):
-            off_mm = base_mm - top_mm
             if early := ended_early(self.maker.height_mm, base_mm, self.maker.config):
                 return _kept(reading, early), None
-            return {"answer": "done", "done": reading.done, "height_mm": base_mm, "off_mm": off_mm,
-                    "said": list(plan.said)}, None  # fmt: skip
-        limits, why = self.rule.outer, ""
+            return _done(reading, top_mm, *plan.said), None
+        limits, why, broken = self.rule.outer, "", False
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
         ground = Ground.of(reading, self.heat, self.metal, self.maker.config)
@@ -282,8 +280,12 @@ class Building:
                     return answer, (staged, made, certificate)
                 why = why or made.why
             except Exception as error:  # whatever a stage meets, the server stays
-                why = why or failure_of(error)
+                why, broken = why or failure_of(error), True
             shutil.rmtree(staged, ignore_errors=True)
+        if reading.done and not broken and not ended_early(self.maker.height_mm, base_mm, self.maker.config):
+            # What is left is less than the least layer: no other reading can come that would lead on.
+            return _done(reading, top_mm, f"no layer fills the last {top_mm - base_mm:.3f} mm ({why}): leave them to "
+                         "the machining allowance, or weld them up by hand"), None  # fmt: skip
         return _kept(reading, why), None
 
     def _refused(self, refusal: Refusal) -> Answer:
@@ -355,6 +357,12 @@ class Building:
 
 def _kept(reading: Reading, why: str) -> Answer:
     return {"answer": "kept", "done": reading.done, "height_mm": reading.height_mm, "reason": why}
+
+
+def _done(reading: Reading, top_mm: float, *said: str) -> Answer:
+    """The end of a build, how far it is off the top, and what is left to be done."""
+    off_mm = reading.height_mm - top_mm
+    return {"answer": "done", "done": reading.done, "height_mm": reading.height_mm, "off_mm": off_mm, "said": list(said)}  # fmt: skip
 
 
 def _refuse_relayered(folder: Path) -> None:
