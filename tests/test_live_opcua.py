@@ -7,6 +7,7 @@ import hashlib
 import json
 import math
 import shutil
+import stat
 
 import numpy as np
 import pytest
@@ -15,10 +16,13 @@ from opcua_controls import built, codes, control, door, on_a_desk, sound, until
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.building import Building
+from ebamcheck.live.journal import read_journal
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import Link, installed
 from ebamcheck.live.opcua.panel import FAULTS
+from ebamcheck.live.opcua.releasing import KEY_FILE
 from ebamcheck.live.publishing import LAYERS
+from ebamcheck.program.controls.sinumerik.release_keys import key_below
 
 SIZE = (30, 24, 5.2)
 
@@ -41,8 +45,8 @@ def maker(place):
 
 
 BUILDS = {
-    "heights": (["missing@1", "absurd@1", "inches@1", "jump@1", "late@2", "repeated@2", "count@2"],
-                {"missing", "absurd", "unit", "counter-jump", "late"}),
+    "heights": (["missing@1", "absurd@1", "inches@1", "jump@1", "late@2", "repeated@2", "count@2", "stray@2"],
+                {"not-a-number", "absurd", "unit", "counter-jump", "late", "two-servers"}),
     "connections": (["upload@2", "away@1", "sessions@2"], {"lost"}),
     "writes": (["refuse@1", "lost-writes@2", "other-file@3", "other-client@2"], {"rights", "write-lost", "other-file"}),
     "resets": (["reset@2", "reset-between@2"], {"counter-jump", "begins-again"}),
@@ -127,7 +131,7 @@ def test_texts_go_to_nodes_of_the_profile_and_a_map_stands_for_the_height(maker,
 async def write_from_outside(maker, opcua, role, text):
     """Another client, as who measures is one."""
     async with Link(maker.config.machine, opcua) as link:
-        await link.write_text(role, text)
+        await link.write_all({role: text})
 
 
 def test_a_release_that_is_gone_waits_for_the_operator(maker, tmp_path):
@@ -163,20 +167,117 @@ def test_a_door_that_comes_again_does_not_release_twice(maker, tmp_path):
     asyncio.run(play())
 
 
-@pytest.mark.slow
-def test_of_two_servers_the_last_one_writes_and_the_other_says_so(maker, tmp_path):
+def test_a_build_that_can_release_nothing_does_not_take_the_control_over(maker, tmp_path):
     async def play():
         opcua = on_a_desk()
         async with control(maker, opcua) as at, door(maker, tmp_path / "a", opcua) as first:
             await until(lambda: at["released"] == 1.0)
+            owner = at["owner"]
+            async with door(maker, tmp_path / "b", opcua) as second:
+                await until(lambda: "two-servers" in codes(second))
+                assert "1 is released there, and not by this build" in second[-1]["reason"]
+                at["done"] = 1.0
+                await until(
+                    lambda: "1 layers are done there, 0 in this build" in second[-1].get("reason", "")
+                )
+                at["height"], at["measured"] = 1.7, 1.0
+                await until(lambda: at["released"] == 2.0)
+                assert at["owner"] == owner
+                assert "two-servers" not in codes(first)
+
+    asyncio.run(play())
+
+
+@pytest.mark.slow
+def test_of_two_builds_that_could_go_on_the_last_one_writes_and_the_other_says_so(maker, tmp_path):
+    async def play():
+        opcua = on_a_desk()
+        async with control(maker, opcua, waits=False) as at, door(maker, tmp_path / "a", opcua) as first:
+            await until(lambda: "waiting" in codes(first))
             async with door(maker, tmp_path / "b", opcua) as second:
                 await until(lambda: "two-servers" in codes(first))
-                # A release that it did not make is taken back, and then it makes its own: the file is the same.
-                await until(lambda: "two-servers" in codes(second))
+                task = asyncio.create_task(at.wait())
                 await until(lambda: "released" in codes(second))
-                owner = at["owner"]
+                assert "released" not in codes(first)
+                task.cancel()
+
+    asyncio.run(play())
+
+
+@pytest.mark.parametrize("when", ["while the layer is laid", "before its height has come"])
+def test_a_release_by_another_client_is_set_to_0_and_the_build_goes_on(when, maker, tmp_path):
+    async def play():
+        opcua = on_a_desk()
+        async with control(maker, opcua, waits=False) as at, door(maker, tmp_path / "b", opcua) as told:
+            task = asyncio.create_task(at.wait())
+            await until(lambda: at["released"] == 1.0)
+            task.cancel()
+            first = (at["key"], at["seal"])
+            if when == "before its height has come":
+                at["done"] = 1.0
+            at["released"] = 2.0
+            await until(lambda: at["released"] == 0.0)
+            await until(lambda: "two-servers" in codes(told))
+            # Nobody can know the key of the layer that was written.
+            assert (at["key"], at["seal"]) == first
+            await asyncio.sleep(0.6)
+            assert "withdrawn" not in codes(told)
+            at["done"] = 1.0
+            at["height"], at["measured"] = 1.7, 1.0
+            task = asyncio.create_task(at.wait())
+            await until(lambda: at["released"] == 2.0)
+            task.cancel()
+            assert key_below(int(at["key"]), 2) == first[0]
+
+    asyncio.run(play())
+
+
+def test_a_restarted_build_goes_on_with_its_keys_whatever_was_written_meanwhile(maker, tmp_path):
+    async def play():
+        opcua = on_a_desk()
+        async with control(maker, opcua) as at:
+            async with door(maker, tmp_path / "b", opcua):
+                await until(lambda: at["released"] == 1.0)
+            first, at["released"] = at["key"], 5.0
+            assert stat.S_IMODE((tmp_path / "b" / KEY_FILE).stat().st_mode) == 0o600
+            async with door(maker, tmp_path / "b", opcua):
+                at["done"], at["height"], at["measured"] = 1.0, 1.7, 1.0
+                await until(lambda: at["released"] == 2.0)
+            assert key_below(int(at["key"]), 2) == first
+
+    asyncio.run(play())
+
+
+def test_a_layer_that_is_kept_back_is_told_once_and_tried_less_and_less_often(maker, tmp_path, monkeypatch):
+    tries = []
+
+    async def play():
+        opcua = on_a_desk(longest_retry_s=30.0)
+        with monkeypatch.context() as patch:
+            right = Building._made
+
+            def kept(self, reading):
+                tries.append(reading)
+                return {
+                    "answer": "kept",
+                    "done": reading.done,
+                    "height_mm": reading.height_mm,
+                    "reason": "no",
+                }, None
+
+            patch.setattr(Building, "_made", kept)
+            async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+                # After 0.1, 0.2, 0.4 and 0.8 s: looks come five times as often.
+                await until(lambda: len(tries) >= 4)
+                assert codes(told) == ["connected", "kept"]
                 await asyncio.sleep(0.5)
-                assert at["owner"] == owner
+                assert len(tries) <= 5
+                # One that can release nothing leads nothing.
+                assert at["owner"] == 0.0
+                patch.setattr(Building, "_made", right)
+                await until(lambda: at["released"] == 1.0)
+        entries = [entry["kind"] for entry in read_journal(tmp_path / "b" / "journal.jsonl")]
+        assert entries[:4] == ["begin", "height", "kept", "layer"]
 
     asyncio.run(play())
 

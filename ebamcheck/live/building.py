@@ -87,6 +87,7 @@ class Building:
         self._told: Answer = {}
         self._standing: Standing | None = None
         self._last: Reading | None = None
+        self._tried: tuple[Reading, Answer | None] | None = None
         # The lock comes first: two servers on one folder would publish over each other.
         _refuse_relayered(folder)
         self._journal = Journal(folder / JOURNAL)
@@ -191,13 +192,14 @@ class Building:
 
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
-        self._journal.append(reading.entry())
+        if self._tried is None or self._tried[0] != reading:
+            self._journal.append(reading.entry())
+            self._tried = reading, None
         answer, made = self._made(reading)
         if made is None:
             if answer["answer"] == "done":
                 self._take(reading, answer, None)
-            self._journal.append({"kind": str(answer["answer"]), **answer})
-            return answer
+            return self._noted(reading, answer)
         staged, layer, certificate = made
         try:
             entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
@@ -205,13 +207,18 @@ class Building:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
             current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
         except (EbamcheckError, OSError) as error:
-            answer = _kept(reading, failure_of(error))
-            self._journal.append({"kind": "kept", **answer})
-            return answer
+            return self._noted(reading, _kept(reading, failure_of(error)))
         finally:
             shutil.rmtree(staged, ignore_errors=True)
         answer = {**answer, **current}
         self._take(reading, answer, layer)
+        return answer
+
+    def _noted(self, reading: Reading, answer: Answer) -> Answer:
+        """Write down that no layer came of a reading; once, however often it is tried again."""
+        if self._tried != (reading, answer):
+            self._journal.append({"kind": str(answer["answer"]), **answer})
+            self._tried = reading, answer
         return answer
 
     def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:

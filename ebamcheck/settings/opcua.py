@@ -11,7 +11,20 @@ from ebamcheck.settings.base import Between, Section
 Seconds = Annotated[float, Between(0.01, 1e6)]
 """Time to wait, s."""
 
-ROLES = ("done", "released", "number", "wait", "waited", "height", "measured", "begin_at", "owner", "digest")
+ROLES = (
+    "done",
+    "released",
+    "number",
+    "wait",
+    "waited",
+    "height",
+    "measured",
+    "begin_at",
+    "owner",
+    "digest",
+    "key",
+    "seal",
+)
 """What the nodes of the handshake are called here, in the order in which their R parameters follow on ``machine.live_r``,
 where that of the time left (R5) is left out: the program alone uses it."""
 
@@ -51,7 +64,7 @@ class OpcuaSettings(Section):
     """Node of an R parameter; {r} is its number."""
     nodes: dict[str, str] = Field(default={})
     """Nodes that are no R parameters, by what they are: done, released, number, wait, waited, height, measured, begin_at, owner,
-    digest; and, where the control has such variables for text, name and sha256, which are written, and map: the name of the file of
+    digest, key, seal (the waiting main program reads its own in R parameters); and, where the control has such variables for text, name and sha256, which are written, and map: the name of the file of
     a height map, which stands for the height where it is not empty; and surface_k and after_s, the temperature
     that a pyrometer read, K, and how long after the layer, s, which are used where the first is not 0."""
     methods_node: str = "ns=2;s=/Methods"

@@ -204,7 +204,9 @@ class Link:
     async def _subscribe(self, client: Client) -> None:
         subscription = await client.create_subscription(1000.0 * self._opcua.grid_s, _Told(self.changed))
         watched = [
-            client.get_node(self._ids[role]) for role in ROLES if role not in ("number", "wait", "digest")
+            client.get_node(self._ids[role])
+            for role in ROLES
+            if role not in ("number", "wait", "digest", "key", "seal")
         ]
         await subscription.subscribe_data_change(watched)
 
@@ -243,26 +245,25 @@ class Link:
 
     async def write(self, role: str, value: float) -> None:
         """Write a number and read it back: without the right, a write can be lost without an error."""
-        await self._write(role, float(value))
+        await self.write_all({role: float(value)})
 
-    async def write_text(self, role: str, value: str) -> None:
-        """Write a text where the control has a node for it, and read it back."""
-        if role in self._ids:
-            await self._write(role, value)
-
-    async def _write(self, role: str, value: float | str) -> None:
+    async def write_all(self, values: Mapping[str, float | str]) -> None:
+        """Write several values at once and read them back; texts only where the control has nodes for them."""
         from asyncua import ua
 
-        client, node = self._there(), self._ids[role]
-        kind = ua.VariantType.String if isinstance(value, str) else ua.VariantType.Double
-        data = ua.DataValue(ua.Variant(value, kind))
-        await self._answered(client.get_node(node).write_value(data), f"writing {role}")
-        found = (await self._read({role: node}))[role]
-        if found != value:
-            raise NotTaken(
-                "write-lost",
-                f"{role} was written as {value!r} and reads {found!r}: the control takes no writes, or another writes to it",
-            )
+        client = self._there()
+        given = {role: value for role, value in values.items() if role in self._ids}
+        ids = {role: self._ids[role] for role in given}
+        kinds = {float: ua.VariantType.Double, str: ua.VariantType.String}
+        data = [ua.DataValue(ua.Variant(value, kinds[type(value)])) for value in given.values()]
+        nodes = [client.get_node(node) for node in ids.values()]
+        await self._answered(client.write_values(nodes, data), f"writing {', '.join(given)}")
+        for role, found in (await self._read(ids)).items():
+            if found != given[role]:
+                raise NotTaken(
+                    "write-lost",
+                    f"{role} was written as {given[role]!r} and reads {found!r}: the control takes no writes, or another writes to it",
+                )
 
     # -- files -------------------------------------------------------------------------------------
 
