@@ -6,6 +6,7 @@ import json
 
 import pytest
 from command_line import FAST, ebamcheck, started, write_stl
+from live_boxes import puts
 from parts import box
 
 from ebamcheck.errors import SettingsError
@@ -20,13 +21,6 @@ from ebamcheck.settings.config import Config
 CONFIG = Config().changed(machine={"live_timeout_s": 60.0})
 
 KEYS = ReleaseKeys(1_000_003)
-
-
-def puts(run, release):
-    """Write a release into the parameters of the program."""
-    run.values |= {
-        "R101": release.released, "R102": release.number, "R103": release.wait_s, "R111": release.key, "R112": release.seal,
-    }  # fmt: skip
 
 
 def text_of(config=CONFIG):

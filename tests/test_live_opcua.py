@@ -248,6 +248,20 @@ def test_a_restarted_build_goes_on_with_its_keys_whatever_was_written_meanwhile(
     asyncio.run(play())
 
 
+def test_a_count_of_the_height_that_is_one_behind_is_told_at_once(maker, tmp_path):
+    async def play():
+        opcua = on_a_desk(late_s=1e5)
+        async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+            await until(lambda: at["released"] == 1.0)
+            at["done"], at["height"], at["measured"] = 1.0, 1.7, 1.0
+            await until(lambda: at["released"] == 2.0)
+            at["done"], at["height"], at["measured"] = 2.0, 3.4, 1.0
+            await until(lambda: "counter-jump" in codes(told))
+            assert "said to be of layer 1, 2 layers are done" in told[-1]["reason"]
+
+    asyncio.run(play())
+
+
 def test_a_layer_that_is_kept_back_is_told_once_and_tried_less_and_less_often(maker, tmp_path, monkeypatch):
     tries = []
 

@@ -95,6 +95,7 @@ def live_command(
         if replay is not None:
             return _replayed(replay, maker, rule)
         folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
+        _tell_of_journal(folder)
         building = Building(maker, folder, rule)
         try:
             if link is not None:
@@ -103,6 +104,14 @@ def live_command(
         finally:
             building.close()
     return ExitCode.PASS
+
+
+def _tell_of_journal(folder: Path) -> None:
+    """Say beforehand what takes a while: the layers of a build that goes on are made again."""
+    journal = folder / JOURNAL
+    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal)) if journal.is_file() else 0
+    if layers:
+        typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
 
 
 def _replayed(journal: Path, maker: LayerMaker, rule: object) -> ExitCode:

@@ -41,6 +41,9 @@ TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 through vertices of the mesh, on which methods may differ, is left by each of them; and islands and hatch that lie as on a
 later layer, since where beads of one layout leave metal uneven, those of another may not."""
 
+MAKING = ".making."
+"""Begin of the names of folders in which layers are made."""
+
 Answer = dict[str, Any]
 
 
@@ -91,6 +94,9 @@ class Building:
         # The lock comes first: two servers on one folder would publish over each other.
         _refuse_relayered(folder)
         self._journal = Journal(folder / JOURNAL)
+        # What a kill has left: nobody else makes layers here.
+        for path in folder.glob(f"{MAKING}*"):
+            shutil.rmtree(path, ignore_errors=True)
         try:
             if self._journal.lines:
                 self._resume(read_journal(self._journal.path))
@@ -268,7 +274,7 @@ class Building:
                 continue
             name = layer_name(program, reading.done, number)
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
-            staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
+            staged = Path(tempfile.mkdtemp(prefix=MAKING, dir=self.folder))
             try:
                 made = self.maker.make(wanted, ground.heat, staged / PROGRAM, ground.surface(mended))
                 if made.passed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
@@ -99,6 +100,12 @@ class OpcuaSettings(Section):
             raise ValueError(
                 "give opc.tcp://HOST:PORT, without a user: that is opcua.user, its password in a variable"
             )
+        try:
+            port = urlsplit(value).port
+        except ValueError:
+            port = None
+        if not port:
+            raise ValueError("no port from 1 to 65535: give opc.tcp://HOST:PORT, that of a SINUMERIK is 4840")
         return value
 
     @field_validator("nodes")

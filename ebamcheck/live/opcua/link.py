@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.live.opcua.certificates import check_pair, content_of, is_offered
 from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
 from ebamcheck.live.opcua.waiting import BrokenOff, within
 from ebamcheck.settings.machine import MachineSettings
@@ -64,38 +65,17 @@ def checked(opcua: OpcuaSettings) -> None:
     ExtraMissing
         If asyncua is not installed.
     SettingsError
-        If certificates, user or password are missing.
+        If certificates, user or password are missing, or certificate, key and `application_uri` are not of one another.
     """
     installed()
     if opcua.problem:
         raise SettingsError(opcua.problem)
     if opcua.security != "none":
         for key in FILES:
-            _content(opcua, key)
+            content_of(opcua, key)
+        check_pair(opcua)
     if opcua.user and opcua.security != "none":
         password_of(opcua)
-
-
-def _content(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
-    """Content of a certificate or key, which is one, and its form."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import serialization
-
-    path = Path(str(getattr(opcua, key)))
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise SettingsError(f"opcua.{key} {str(path)!r}: cannot be read: {error.strerror}") from None
-    pem = b"-----BEGIN" in content
-    try:
-        if key == "private_key":
-            (serialization.load_pem_private_key if pem else serialization.load_der_private_key)(content, None)
-        else:
-            (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(content)
-    except (ValueError, TypeError):
-        what = "key without a password" if key == "private_key" else "certificate"
-        raise SettingsError(f"opcua.{key} {str(path)!r}: is no {what} in PEM or DER") from None
-    return content, "pem" if pem else "der"
 
 
 def installed() -> None:
@@ -186,8 +166,9 @@ class Link:
 
         opcua = self._opcua
         if opcua.security != "none":
+            await self._meet(client)
             mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
-            own, key, control = (CertProperties(*_content(opcua, name)) for name in FILES)
+            own, key, control = (CertProperties(*content_of(opcua, name)) for name in FILES)
             # The certificate of the control is given: that of whoever answers is not asked for.
             await client.set_security(
                 getattr(security_policies, f"SecurityPolicy{opcua.policy}"),
@@ -200,6 +181,23 @@ class Link:
                 client.set_user(opcua.user)
                 client.set_password(password_of(opcua))
         await client.connect()
+
+    async def _meet(self, client: Client) -> None:
+        """Hold the certificate that the control shows against the one that was given, before anything is encrypted for it."""
+        try:
+            shown = [
+                bytes(found.ServerCertificate or b"")
+                for found in await client.connect_and_get_server_endpoints()
+            ]
+        except (
+            Exception
+        ):  # a control that shows nothing to strangers: the channel itself tells, in its own way
+            return
+        if any(shown) and not is_offered(self._opcua, shown):
+            raise LoginRefused(
+                f"{self._opcua.url}: shows another certificate than opcua.server_certificate {self._opcua.server_certificate!r}: "
+                "copy that of the control anew, if it was changed there, or give the address of the right one"
+            )
 
     async def _subscribe(self, client: Client) -> None:
         subscription = await client.create_subscription(1000.0 * self._opcua.grid_s, _Told(self.changed))
