@@ -98,6 +98,7 @@ def test_a_bad_line_is_refused_and_changes_nothing(name, building):
     answer = answer_to(building, text)
     assert (answer["answer"], answer["code"]) == ("refused", code)
     assert "\n" not in answer["reason"]
+    assert len(answer["reason"]) < 120
     assert read_current(building.folder) == before
     assert building.expected_done == 1
 

@@ -49,7 +49,7 @@ def live_command(
         ),
     ] = 0,
     timeout: Annotated[
-        float, typer.Option(help="Time without a line after which the server says so, s.")
+        float, typer.Option(help="Time without a line after which it says so, s.")
     ] = 3600.0,
     replay: Annotated[
         Path | None,

@@ -91,7 +91,7 @@ class OpcuaSettings(Section):
     longest_retry_s: Seconds = 30.0
     """Longest time between two tries."""
     late_s: Seconds = 600.0
-    """Time after a layer is done, without its height, after which the server says that it is late."""
+    """Time after a layer is done, without its height, after which `live` says that it is late."""
 
     @field_validator("url")
     @classmethod
