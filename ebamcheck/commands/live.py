@@ -48,9 +48,7 @@ def live_command(
             min=0, help="Moves by which the order of islands is improved; each thousand takes time."
         ),
     ] = 0,
-    timeout: Annotated[
-        float, typer.Option(help="Time without a line after which it says so, s.")
-    ] = 3600.0,
+    timeout: Annotated[float, typer.Option(help="Time without a line after which it says so, s.")] = 3600.0,
     replay: Annotated[
         Path | None,
         typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),

@@ -162,7 +162,10 @@ class Building:
             return self._refused(Refusal("finished", "the part is built: no layer is left"))
         if reading.done != expected:
             return self._refused(
-                Refusal("counter-jump", f"{reading.done!s:.20} layers are said to be done, expected are {expected}")
+                Refusal(
+                    "counter-jump",
+                    f"{reading.done!s:.20} layers are said to be done, expected are {expected}",
+                )
             )
         if "height_map" not in message and reading.height_mm != message.get("height_mm"):
             said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"

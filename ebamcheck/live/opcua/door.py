@@ -194,7 +194,9 @@ class Door:
 
     async def _took_back(self, link: Link, seen: Seen) -> bool:
         """Whether somebody else has written a release, whenever it was: it is set to 0, and the program does not take it."""
-        if seen.released in self._own_releases:
+        # What a build of before has left is set to 0 by the main program when it is started.
+        old = self._released is None and not self._waiting.now
+        if old or seen.released in self._own_releases:
             return False
         await link.write("released", 0.0)
         self._taken_back_at = time.monotonic()
