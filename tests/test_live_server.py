@@ -72,7 +72,7 @@ def test_a_line_that_was_cut_off_goes_and_the_rest_stays(tmp_path):
 
 
 def test_two_servers_on_one_journal_are_refused(tmp_path):
-    with Journal(tmp_path / "j"), pytest.raises(SettingsError, match="another .ebamcheck live. writes to it"):
+    with Journal(tmp_path / "j"), pytest.raises(SettingsError, match="another `ebamcheck live` writes to it"):
         Journal(tmp_path / "j")
 
 
