@@ -121,10 +121,12 @@ def test_relayer_takes_a_map_for_the_height_and_the_layer_verifies_from_its_text
         (("--layer", 2, "--height-map", "m.csv", "--direction", "0,0,1"), "does not go with --direction"),
         (("--layer", 2, "--height-map", "no.csv"), "cannot be read"),
         (("--layer", 2, "--height-map", "m.csv"), "over its mean of"),
+        (("--layer", 2, "--height-map", "far.csv"), "knows 0 % of the layer"),
     ],
 )
 def test_relayer_says_what_is_wrong_with_a_map(arguments, said, place, tmp_path):
     write_csv(tmp_path / "m.csv", surface_of(3.4, 2.5))
+    (tmp_path / "far.csv").write_text("x_mm,y_mm,height_mm\n500,500,3.4\n501,500,3.4\n500,501,3.4\n")
     done = ebamcheck("relayer", place / "box.run", *arguments, "-o", "o", cwd=tmp_path)
     assert done.returncode == 2, done.stdout
     assert said in done.stderr

@@ -20,6 +20,7 @@ from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish, read_current
 from ebamcheck.live.readings import Reading, Refusal, fault_of, parsed, reading_of
+from ebamcheck.live.relaying import check_height
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 12)
@@ -117,19 +118,54 @@ def test_metal_of_a_layer_follows_its_real_height(maker, tmp_path):
 
 
 def test_a_shut_gate_keeps_the_old_layer_and_says_why(place, tmp_path):
+    run = shutil.copytree(place / "box.run", tmp_path / "box.run")
+    manifest = json.loads((run / "run.json").read_text())
+    manifest["settings"]["process"]["line_energy_j_mm"] = [150.0, 151.0]
+    (run / "run.json").write_text(json.dumps(manifest))
     done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 5, "--measured-z", 11.7, "-o", tmp_path / "o", cwd=tmp_path
-    )
-    assert done.returncode == 2
-    assert "nothing is left" in done.stderr
-    done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 5, "--measured-z", 11.5, "-o", tmp_path / "o", cwd=tmp_path
-    )
-    assert done.returncode == 1, done.stdout
+        "relayer", run, "--layer", 5, "--measured-z", 8.5, "-o", tmp_path / "o", "--part", place / "box.stl", cwd=tmp_path
+    )  # fmt: skip
+    assert done.returncode == 1, done.stdout + done.stderr
     assert "process window" in done.stdout
     assert "the old layer stays, MAIN_L0006.SPF" in done.stdout
     assert not (tmp_path / "o" / LAYERS).exists()
     assert not (tmp_path / "o" / CURRENT).exists()
+
+
+# Two layers of 12 / 7 mm: 0.75 of one is what a bead may be off.
+@pytest.mark.parametrize(
+    ("height", "said"),
+    [
+        (0.0, "is not over 1.714"),
+        (0.001, "is not over 1.714"),
+        (0.33, "is not over 1.714"),
+        (30.0, "off the plan, 3.429"),
+        (3.4 / 25.4, "in inches"),
+        (24 / 7 - 1.2 * 0.75 * 12 / 7, "off the plan"),
+        (24 / 7 + 1.2 * 0.75 * 12 / 7, "off the plan"),
+        (24 / 7 - 0.75 * 12 / 7 / 1.2, ""),
+        (24 / 7 + 0.75 * 12 / 7 / 1.2, ""),
+    ],
+)
+def test_a_single_layer_takes_the_heights_that_a_build_takes(height, said, place, tmp_path):
+    run, below = finished_run(place / "box.run"), tmp_path / "none"
+    if not said:
+        check_height(below, "MAIN", 2, height, run.tops_mm, run.thickness_mm)
+        return
+    with pytest.raises(SettingsError, match=said):
+        check_height(below, "MAIN", 2, height, run.tops_mm, run.thickness_mm)
+
+
+def test_a_layer_that_was_made_again_is_the_one_below_of_the_next(place, tmp_path):
+    made = ("relayer", place / "box.run", "-o", tmp_path / "o")
+    # 1.1 mm too low, and the next one once more: each is within 0.75 of a layer of the one below, not of the run.
+    assert ebamcheck(*made, "--layer", 2, "--measured-z", 2.4, cwd=tmp_path).returncode == 0
+    done = ebamcheck(*made, "--layer", 3, "--measured-z", 2.9, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    done = ebamcheck(*made, "--layer", 4, "--measured-z", 0.33, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "by MAIN_K0004R1" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from parts import box
 from ebamcheck.live import publishing
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
-from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.making import LayerMaker, MadeLayer
 from ebamcheck.live.publishing import read_current
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
@@ -61,6 +61,7 @@ def test_a_bad_height_on_a_line_is_refused_and_the_next_good_one_counts(name, bu
     before = read_current(building.folder)
     answer = answer_to(building, line(done=1, height_mm=height))
     assert (answer["answer"], answer["code"]) == ("refused", code)
+    assert len(answer["reason"]) < 120
     assert read_current(building.folder) == before
     good = answer_to(building, line(done=1, height_mm=1.8))
     assert good["answer"] == "published"
@@ -82,6 +83,8 @@ TEXTS = {
     "half a line": (b'{"event": "height", "done": 1, "hei', "unreadable"),
     "a line without end": (b'{"event": "height"' + b" " * 5000 + b"}", "unreadable"),
     "nested without end": (b"[" * 4000, "unreadable"),
+    "an empty line": (b"  ", "unreadable"),
+    "a counter twice": (b'{"event": "height", "done": 7, "done": 1, "height_mm": 1.8}', "unreadable"),
     "an event that is not known": (b'{"event": "launch"}', "event"),
     "no event": (b"{}", "event"),
 }  # fmt: skip
@@ -95,6 +98,7 @@ def test_a_bad_line_is_refused_and_changes_nothing(name, building):
     answer = answer_to(building, text)
     assert (answer["answer"], answer["code"]) == ("refused", code)
     assert "\n" not in answer["reason"]
+    assert len(answer["reason"]) < 120
     assert read_current(building.folder) == before
     assert building.expected_done == 1
 
@@ -113,6 +117,41 @@ def test_a_repeated_height_is_answered_and_another_one_for_the_same_layer_refuse
     assert again == {**first, "again": True}
     assert answer_to(building, line(done=1, height_mm=1.85))["code"] == "repeated"
     assert building.expected_done == 2
+
+
+def until_the_last(building):
+    """Lay all layers as planned but the last one; number of layers done when that is laid, and what it lies on."""
+    answer = building.start()
+    while answer["layers_left"] > 1:
+        done, top_mm = answer["layer"] + 1, answer["base_mm"] + answer["thickness_mm"]
+        answer = answer_to(building, line(done=done, height_mm=top_mm))
+    return answer["layer"] + 1
+
+
+@pytest.mark.parametrize("short_mm", [0.45, 0.55, 0.7, 0.8])
+def test_a_rest_under_the_least_layer_is_laid_by_the_least_and_the_build_ends(short_mm, building):
+    done = until_the_last(building)
+    least = answer_to(building, line(done=done, height_mm=TOP_MM - short_mm))
+    assert least["answer"] == "published", least
+    assert least["thickness_mm"] == pytest.approx(building.rule.limits.least_mm)
+    end = answer_to(building, line(done=done + 1, height_mm=least["base_mm"] + least["thickness_mm"]))
+    assert end["answer"] == "done"
+    assert 0.0 < end["off_mm"] <= building.rule.met_mm
+
+
+def test_a_rest_under_the_least_layer_that_no_gate_lets_through_ends_the_build_and_says_what_is_left(
+    building, tmp_path, maker, monkeypatch
+):
+    done = until_the_last(building)
+    with monkeypatch.context() as patch:
+        patch.setattr(MadeLayer, "passed", False)
+        patch.setattr(MadeLayer, "why", "gate deposit: too thin")
+        # A whole layer is left: the build waits for somebody who helps.
+        assert answer_to(building, line(done=done, height_mm=TOP_MM - 1.0))["answer"] == "kept"
+        end = answer_to(building, line(done=done, height_mm=TOP_MM - 0.6))
+    assert (end["answer"], end["off_mm"]) == ("done", pytest.approx(-0.6))
+    assert "no layer fills the last 0.600 mm (gate deposit: too thin)" in end["said"][0]
+    assert building.finished
 
 
 @pytest.mark.parametrize("place", ["certificate", "current"])
@@ -214,7 +253,7 @@ def test_every_bad_height_on_a_control_is_refused_and_releases_nothing(maker, tm
             # What no variable holds, `missing`, is one that is no number there.
             for name, (height, code) in HEIGHTS.items():
                 shown = math.nan if height is None else height
-                wanted = {"not-a-number", "missing"} if height is None or not math.isfinite(shown) else {code}
+                wanted = {"not-a-number"} if height is None or not math.isfinite(shown) else {code}
                 told.clear()
                 panel.set(r("height"), shown)
                 panel.set(r("measured"), 1.0)

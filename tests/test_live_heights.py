@@ -33,15 +33,35 @@ def test_layers_fill_the_way_to_the_top_within_limits_and_meet_what_they_do_not_
     if top - base <= rule.met_mm:
         assert not len(plan)
         return
-    assert plan.tops_mm[-1] == rule.slopes.top_mm == pytest.approx(top, abs=1e-12)
-    assert plan.thickness_mm.sum() == pytest.approx(top - base, abs=1e-9)
+    assert rule.slopes.top_mm == pytest.approx(top, abs=1e-12)
     named = " ".join(plan.said)
     for face in sorted({z for z in faces if z > base + rule.met_mm}):
         met = np.abs(plan.tops_mm - face).min() <= 2e-6
-        assert met or f"Z {face:.3f}" in named or any(abs(face - o) < 1e-6 and o != face for o in faces)
+        assert met or f"{face:.3f}" in named or any(abs(face - o) < 1e-6 and o != face for o in faces)
+    # Whatever the rest: what is planned can be laid, and the top is met within what counts as met.
+    assert (plan.thickness_mm >= LIMITS.least_mm - 1e-9).all(), plan.thickness_mm
+    assert (plan.thickness_mm <= LIMITS.most_mm + 1e-9).all()
+    assert abs(plan.tops_mm[-1] - top) <= rule.met_mm + 1e-9
     if "no number" not in named:
-        assert (plan.thickness_mm >= LIMITS.least_mm - 1e-9).all()
-        assert (plan.thickness_mm <= LIMITS.most_mm + 1e-9).all()
+        assert plan.tops_mm[-1] == rule.slopes.top_mm
+
+
+@pytest.mark.parametrize(
+    ("limits", "rest", "tops"),
+    [
+        (LIMITS, 0.39, []),
+        (LIMITS, 0.41, [0.8]),
+        (LIMITS, 0.79, [0.8]),
+        (LIMITS, 0.81, [0.81]),
+        # No number of layers from 0.8 to 1.2 mm fills 1.3 or 1.5 mm: one of 1.2, two of 0.8.
+        (Limits(0.8, 1.2, 1.0), 1.3, [1.2]),
+        (Limits(0.8, 1.2, 1.0), 1.5, [0.8, 1.6]),
+    ],
+)
+def test_a_rest_that_no_layer_fills_gets_the_nearest_that_can_be_laid(limits, rest, tops):
+    plan = HeightRule(Slopes.of(box((0, 0, 0), (20, 20, 10)), 0.05), limits).plan(10.0 - rest)
+    assert plan.tops_mm - (10.0 - rest) == pytest.approx(tops)
+    assert bool(plan.said) == (bool(tops) and abs(tops[-1] - rest) > 1e-6)
 
 
 @settings(deadline=None, max_examples=40)

@@ -15,6 +15,7 @@ from opcua_controls import built, codes, control, door, on_a_desk, sound, until
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.building import Building
+from ebamcheck.live.journal import read_journal
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import Link, installed
 from ebamcheck.live.opcua.panel import FAULTS
@@ -41,8 +42,8 @@ def maker(place):
 
 
 BUILDS = {
-    "heights": (["missing@1", "absurd@1", "inches@1", "jump@1", "late@2", "repeated@2", "count@2"],
-                {"missing", "absurd", "unit", "counter-jump", "late"}),
+    "heights": (["missing@1", "absurd@1", "inches@1", "jump@1", "late@2", "repeated@2", "count@2", "stray@2"],
+                {"not-a-number", "absurd", "unit", "counter-jump", "late", "two-servers"}),
     "connections": (["upload@2", "away@1", "sessions@2"], {"lost"}),
     "writes": (["refuse@1", "lost-writes@2", "other-file@3", "other-client@2"], {"rights", "write-lost", "other-file"}),
     "resets": (["reset@2", "reset-between@2"], {"counter-jump", "begins-again"}),
@@ -127,7 +128,7 @@ def test_texts_go_to_nodes_of_the_profile_and_a_map_stands_for_the_height(maker,
 async def write_from_outside(maker, opcua, role, text):
     """Another client, as who measures is one."""
     async with Link(maker.config.machine, opcua) as link:
-        await link.write_text(role, text)
+        await link.write_all({role: text})
 
 
 def test_a_release_that_is_gone_waits_for_the_operator(maker, tmp_path):
@@ -163,20 +164,52 @@ def test_a_door_that_comes_again_does_not_release_twice(maker, tmp_path):
     asyncio.run(play())
 
 
-@pytest.mark.slow
-def test_of_two_servers_the_last_one_writes_and_the_other_says_so(maker, tmp_path):
+def test_a_count_of_the_height_that_is_one_behind_is_told_at_once(maker, tmp_path):
     async def play():
-        opcua = on_a_desk()
-        async with control(maker, opcua) as at, door(maker, tmp_path / "a", opcua) as first:
+        opcua = on_a_desk(late_s=1e5)
+        async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
             await until(lambda: at["released"] == 1.0)
-            async with door(maker, tmp_path / "b", opcua) as second:
-                await until(lambda: "two-servers" in codes(first))
-                # A release that it did not make is taken back, and then it makes its own: the file is the same.
-                await until(lambda: "two-servers" in codes(second))
-                await until(lambda: "released" in codes(second))
-                owner = at["owner"]
+            at["done"], at["height"], at["measured"] = 1.0, 1.7, 1.0
+            await until(lambda: at["released"] == 2.0)
+            # The played control shows its values on a grid: the 0 of the release has to be on it before the same 1 comes again.
+            await asyncio.sleep(0.4)
+            at["done"], at["height"], at["measured"] = 2.0, 3.4, 1.0
+            await until(lambda: "counter-jump" in codes(told))
+            assert "said to be of layer 1, 2 layers are done" in told[-1]["reason"]
+
+    asyncio.run(play())
+
+
+def test_a_layer_that_is_kept_back_is_told_once_and_tried_less_and_less_often(maker, tmp_path, monkeypatch):
+    tries = []
+
+    async def play():
+        opcua = on_a_desk(longest_retry_s=30.0)
+        with monkeypatch.context() as patch:
+            right = Building._made
+
+            def kept(self, reading):
+                tries.append(reading)
+                return {
+                    "answer": "kept",
+                    "done": reading.done,
+                    "height_mm": reading.height_mm,
+                    "reason": "no",
+                }, None
+
+            patch.setattr(Building, "_made", kept)
+            async with control(maker, opcua) as at, door(maker, tmp_path / "b", opcua) as told:
+                # After 0.1, 0.2, 0.4 and 0.8 s: looks come five times as often.
+                await until(lambda: len(tries) >= 4)
+                assert codes(told) == ["connected", "kept"]
                 await asyncio.sleep(0.5)
-                assert at["owner"] == owner
+                assert len(tries) <= 5
+                # One that can release nothing leads nothing.
+                assert at["owner"] == 0.0
+                patch.setattr(Building, "_made", right)
+                await until(lambda: at["released"] == 1.0)
+        entries = [entry["kind"] for entry in read_journal(tmp_path / "b" / "journal.jsonl")]
+        assert entries[:4] == ["begin", "height", "kept", "layer"]
 
     asyncio.run(play())
 

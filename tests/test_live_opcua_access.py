@@ -12,7 +12,7 @@ import sys
 
 import pytest
 from command_line import ebamcheck
-from live_boxes import maker_of, run_of_box
+from live_boxes import maker_of, puts, run_of_box
 from opcua_controls import LONGEST_S, control, free_url, on_a_desk
 
 from ebamcheck.errors import SettingsError
@@ -23,6 +23,7 @@ from ebamcheck.live.opcua.handshake import node_ids
 from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, installed
 from ebamcheck.live.opcua.playing import planned_s, top_of
 from ebamcheck.program.controls.sinumerik.handshake import run_text
+from ebamcheck.program.controls.sinumerik.release_keys import ReleaseKeys
 from ebamcheck.program.controls.sinumerik.waiting import waiting_program
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
@@ -71,6 +72,12 @@ def test_nobody_writes_without_certificate_and_user(maker, tmp_path):
                 await link.write("wait", 3.0)
             assert at["wait"] == 3.0
             not_it = ours.model_copy(update={"server_certificate": str(other.certificate)})
+            # Another server is known before anything is said to it, and at once: it is a matter of settings.
+            with pytest.raises(
+                LoginRefused, match=r"shows another certificate than opcua\.server_certificate"
+            ):
+                async with Link(maker.config.machine, not_it):
+                    pass
             for bad in (ours.model_copy(update={"password_file": str(wrong)}), strange, not_it, opcua):
                 with pytest.raises((LoginRefused, LinkLost)):
                     async with Link(maker.config.machine, bad) as link:
@@ -100,10 +107,34 @@ def test_what_is_missing_for_a_safe_connection_is_told_before_anything_begins(ch
         checked(OpcuaSettings(**changes))
 
 
-@pytest.mark.parametrize("url", ["http://a", "opc.tcp://", "opc.tcp://user:secret@host:4840"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        "http://a",
+        "opc.tcp://",
+        "opc.tcp://user:secret@host:4840",
+        "opc.tcp://host",
+        "opc.tcp://host:0",
+        "opc.tcp://host:70000",
+    ],
+)
 def test_addresses_that_are_none_or_hold_a_password_are_refused(url):
     with pytest.raises(SettingsError, match=r"opcua\.url"):
         Config().changed(opcua={"url": url})
+
+
+def test_certificate_key_and_uri_have_to_be_of_one_another(tmp_path):
+    desk_profile(tmp_path / "a", OpcuaSettings())
+    desk_profile(tmp_path / "b", OpcuaSettings())
+    ours = load_config(tmp_path / "a" / "opcua.toml").opcua
+    checked(ours)
+    for changes, said in (
+        ({"private_key": str(tmp_path / "b" / "client-key.pem")}, "is not the key of opcua.certificate"),
+        ({"application_uri": "urn:other"}, "is for urn:ebamcheck:live, opcua.application_uri is 'urn:other'"),
+    ):
+        with pytest.raises(SettingsError, match=said) as told:
+            checked(ours.model_copy(update=changes))
+        assert "\n" not in str(told.value)
 
 
 # -- commands ----------------------------------------------------------------------------------------
@@ -189,14 +220,15 @@ def test_without_asyncua_the_extra_is_named(monkeypatch):
 
 
 def test_the_main_program_goes_on_at_the_layer_that_the_server_says():
-    config = Config().changed(machine={"live_timeout_s": 60.0})
+    config, keys = Config().changed(machine={"live_timeout_s": 60.0}), ReleaseKeys(1_000_003)
 
     def door(run):
         # After a RESET the program counts from 0: the server sets its count, and then releases.
         if run.time_s > 2.0 and run.values.get("R100") == 0.0:
-            run.values |= {"R100": 5.0, "R102": 2.0, "R101": 6.0}
+            run.values["R100"] = 5.0
+            puts(run, keys.release(6, 2, 0.0))
         elif run.calls:
-            run.values["R101"] = -1.0
+            puts(run, keys.built(6))
 
     run = run_text(waiting_program(config, 12.0)[1], door, config)
     assert [name for name, _ in run.calls] == ["MAIN_K0006R2_L0001"]

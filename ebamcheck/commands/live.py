@@ -48,9 +48,7 @@ def live_command(
             min=0, help="Moves by which the order of islands is improved; each thousand takes time."
         ),
     ] = 0,
-    timeout: Annotated[
-        float, typer.Option(help="Time without a line after which the server says so, s.")
-    ] = 3600.0,
+    timeout: Annotated[float, typer.Option(help="Time without a line after which it says so, s.")] = 3600.0,
     replay: Annotated[
         Path | None,
         typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
@@ -95,6 +93,7 @@ def live_command(
         if replay is not None:
             return _replayed(replay, maker, rule)
         folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
+        _tell_of_journal(folder)
         building = Building(maker, folder, rule)
         try:
             if link is not None:
@@ -103,6 +102,14 @@ def live_command(
         finally:
             building.close()
     return ExitCode.PASS
+
+
+def _tell_of_journal(folder: Path) -> None:
+    """Say beforehand what takes a while: the layers of a build that goes on are made again."""
+    journal = folder / JOURNAL
+    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal)) if journal.is_file() else 0
+    if layers:
+        typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
 
 
 def _replayed(journal: Path, maker: LayerMaker, rule: object) -> ExitCode:

@@ -80,13 +80,15 @@ def play_control(
             f"{row.layer:5d} {row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f} {row.wait_s:7.2f}s  {row.name}"
         )
 
-    typer.echo(f"listens at {opcua.url}; in another terminal: ")
-    typer.echo(f"    ebamcheck live {found.folder.path} --opcua --config {folder / PROFILE}")
-    typer.echo(f"{'layer':>5} {'base':>9} {'planned':>8} {'grown':>8} {'waited':>8}  program")
+    def listens() -> None:
+        typer.echo(f"listens at {opcua.url}; in another terminal: ")
+        typer.echo(f"    ebamcheck live {found.folder.path} --opcua --config {folder / PROFILE}")
+        typer.echo(f"{'layer':>5} {'base':>9} {'planned':>8} {'grown':>8} {'waited':>8}  program")
+
     with scratch_folder() as files:
         panel = Panel(files=StoredFiles(files))
         program, ended = asyncio.run(
-            played(found.config, opcua, access, top_mm, growth, speed, named, tell, sessions, panel)
+            played(found.config, opcua, access, top_mm, growth, speed, named, tell, sessions, panel, listens)
         )
     with replacing(folder / TABLE) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(PlayedLayer)])

@@ -18,7 +18,7 @@ from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.live.relaying import Relayered, relayer
+from ebamcheck.live.relaying import Relayered, check_height, relayer
 from ebamcheck.live.tilting import tilted
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.turned import stands_of
@@ -93,6 +93,9 @@ def relayer_command(
         if height_map is not None:
             metal, cells, measured_z = mapped(found, maker, layer, metal, height_map)
         assert measured_z is not None
+        if turned is None:
+            program = found.config.machine.program_name
+            check_height(folder, program, layer, measured_z, found.tops_mm, found.thickness_mm)
         done = relayer(maker, heat, layer, measured_z, folder, metal, cells)
     if as_json:
         print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})

@@ -41,6 +41,9 @@ TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 through vertices of the mesh, on which methods may differ, is left by each of them; and islands and hatch that lie as on a
 later layer, since where beads of one layout leave metal uneven, those of another may not."""
 
+MAKING = ".making."
+"""Begin of the names of folders in which layers are made."""
+
 Answer = dict[str, Any]
 
 
@@ -87,9 +90,13 @@ class Building:
         self._told: Answer = {}
         self._standing: Standing | None = None
         self._last: Reading | None = None
+        self._tried: tuple[Reading, Answer | None] | None = None
         # The lock comes first: two servers on one folder would publish over each other.
         _refuse_relayered(folder)
         self._journal = Journal(folder / JOURNAL)
+        # What a kill has left: nobody else makes layers here.
+        for path in folder.glob(f"{MAKING}*"):
+            shutil.rmtree(path, ignore_errors=True)
         try:
             if self._journal.lines:
                 self._resume(read_journal(self._journal.path))
@@ -155,7 +162,10 @@ class Building:
             return self._refused(Refusal("finished", "the part is built: no layer is left"))
         if reading.done != expected:
             return self._refused(
-                Refusal("counter-jump", f"{reading.done} layers are said to be done, expected are {expected}")
+                Refusal(
+                    "counter-jump",
+                    f"{reading.done!s:.20} layers are said to be done, expected are {expected}",
+                )
             )
         if "height_map" not in message and reading.height_mm != message.get("height_mm"):
             said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
@@ -191,13 +201,14 @@ class Building:
 
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
-        self._journal.append(reading.entry())
+        if self._tried is None or self._tried[0] != reading:
+            self._journal.append(reading.entry())
+            self._tried = reading, None
         answer, made = self._made(reading)
         if made is None:
             if answer["answer"] == "done":
                 self._take(reading, answer, None)
-            self._journal.append({"kind": str(answer["answer"]), **answer})
-            return answer
+            return self._noted(reading, answer)
         staged, layer, certificate = made
         try:
             entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
@@ -205,13 +216,18 @@ class Building:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
             current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
         except (EbamcheckError, OSError) as error:
-            answer = _kept(reading, failure_of(error))
-            self._journal.append({"kind": "kept", **answer})
-            return answer
+            return self._noted(reading, _kept(reading, failure_of(error)))
         finally:
             shutil.rmtree(staged, ignore_errors=True)
         answer = {**answer, **current}
         self._take(reading, answer, layer)
+        return answer
+
+    def _noted(self, reading: Reading, answer: Answer) -> Answer:
+        """Write down that no layer came of a reading; once, however often it is tried again."""
+        if self._tried != (reading, answer):
+            self._journal.append({"kind": str(answer["answer"]), **answer})
+            self._tried = reading, answer
         return answer
 
     def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:
@@ -243,12 +259,10 @@ class Building:
         plan = self.rule.plan(base_mm)
         top_mm = self.rule.slopes.top_mm
         if not len(plan):
-            off_mm = base_mm - top_mm
             if early := ended_early(self.maker.height_mm, base_mm, self.maker.config):
                 return _kept(reading, early), None
-            return {"answer": "done", "done": reading.done, "height_mm": base_mm, "off_mm": off_mm,
-                    "said": list(plan.said)}, None  # fmt: skip
-        limits, why = self.rule.outer, ""
+            return _done(reading, top_mm, *plan.said), None
+        limits, why, broken = self.rule.outer, "", False
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
         ground = Ground.of(reading, self.heat, self.metal, self.maker.config)
@@ -263,7 +277,7 @@ class Building:
                 continue
             name = layer_name(program, reading.done, number)
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
-            staged = Path(tempfile.mkdtemp(prefix=".making.", dir=self.folder))
+            staged = Path(tempfile.mkdtemp(prefix=MAKING, dir=self.folder))
             try:
                 made = self.maker.make(wanted, ground.heat, staged / PROGRAM, ground.surface(mended))
                 if made.passed:
@@ -282,8 +296,12 @@ class Building:
                     return answer, (staged, made, certificate)
                 why = why or made.why
             except Exception as error:  # whatever a stage meets, the server stays
-                why = why or failure_of(error)
+                why, broken = why or failure_of(error), True
             shutil.rmtree(staged, ignore_errors=True)
+        if reading.done and not broken and not ended_early(self.maker.height_mm, base_mm, self.maker.config):
+            # What is left is less than the least layer: no other reading can come that would lead on.
+            return _done(reading, top_mm, f"no layer fills the last {top_mm - base_mm:.3f} mm ({why}): leave them to "
+                         "the machining allowance, or weld them up by hand"), None  # fmt: skip
         return _kept(reading, why), None
 
     def _refused(self, refusal: Refusal) -> Answer:
@@ -355,6 +373,12 @@ class Building:
 
 def _kept(reading: Reading, why: str) -> Answer:
     return {"answer": "kept", "done": reading.done, "height_mm": reading.height_mm, "reason": why}
+
+
+def _done(reading: Reading, top_mm: float, *said: str) -> Answer:
+    """The end of a build, how far it is off the top, and what is left to be done."""
+    off_mm = reading.height_mm - top_mm
+    return {"answer": "done", "done": reading.done, "height_mm": reading.height_mm, "off_mm": off_mm, "said": list(said)}  # fmt: skip
 
 
 def _refuse_relayered(folder: Path) -> None:

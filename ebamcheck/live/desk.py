@@ -71,8 +71,6 @@ def serve(
         if line is None:
             said_late = True
             answer: Answer = {**building.status(), "answer": "late", "waited_s": timeout_s}
-        elif not line.strip():
-            continue
         else:
             said_late = False
             answer = answer_to(building, line)

@@ -112,7 +112,10 @@ def in_cells(found: HeightMap, surface: Surface) -> MapCells:
     inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     cell = row[inside] * columns + column[inside]
     count = np.bincount(cell, minlength=rows * columns).reshape(rows, columns).astype(np.float64)
-    total = np.bincount(cell, found.height_mm[inside], rows * columns).reshape(rows, columns)
+    # Sums over no place at all are whole numbers to numpy.
+    total = (
+        np.bincount(cell, found.height_mm[inside], rows * columns).astype(np.float64).reshape(rows, columns)
+    )
     known = count > 0.0
     height = np.divide(total, count, out=np.full_like(total, np.nan), where=known)
     reach = found.step_mm / surface.step_mm

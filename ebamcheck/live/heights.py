@@ -255,11 +255,14 @@ class HeightRule:
             made, problem = self._between(low, high)
             thickness += made
             said += [problem] if problem else []
-            low = high
+            low += sum(made)
+            low = high if abs(low - high) <= LEVEL_MM else low
         tops = base_mm + np.cumsum(thickness) if thickness else np.zeros(0)
-        # Sums round; faces are met exactly.
+        # Sums round; faces that are met are met exactly.
         for high in stations:
-            tops[np.argmin(np.abs(tops - high))] = high
+            near = np.argmin(np.abs(tops - high))
+            if abs(tops[near] - high) <= LEVEL_MM:
+                tops[near] = high
         steps = np.diff(tops, prepend=base_mm)
         cusp = np.array([t * self.slopes.steepest(top - t, top) for t, top in zip(steps, tops, strict=True)])
         return HeightPlan(base_mm, tops, cusp, tuple(said))
@@ -321,12 +324,19 @@ class HeightRule:
                     if self.mode == "listed" and count > 1:
                         said = f"the step of {gap:.3f} mm to Z {high_mm:.3f} is laid in {count} layers: the greatest is {within.most_mm:.3f} mm"
                     return even.tolist(), said or self._said_of_cusp(even, low_mm)
-        count = max(1, round(gap / limits.usual_mm))
+        # What cannot be laid is not planned: the nearest that can misses the height by half the least layer at most.
+        fewest = max(1, math.floor(gap / outer.most_mm))
+        count, thick = min(
+            ((n, min(max(gap / n, outer.least_mm), outer.most_mm)) for n in (fewest, fewest + 1)),
+            key=lambda planned: abs(planned[0] * planned[1] - gap),
+        )
+        off_mm = count * thick - gap
         said = (
             f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {outer.least_mm:.3f} mm "
-            f"({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]})"
+            f"({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]}): it is planned {abs(off_mm):.3f} mm too "
+            f"{'high' if off_mm > 0.0 else 'low'}"
         )
-        return [gap / count] * count, said
+        return [thick] * count, said
 
     def _within(self, thickness: Floats, limits: Limits) -> bool:
         low, high = limits.least_mm * (1.0 - ROUNDING), limits.most_mm * (1.0 + ROUNDING)

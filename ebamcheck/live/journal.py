@@ -41,7 +41,9 @@ class Journal:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise SettingsError(f"{path}: another server writes to it: end that one first") from None
+            raise SettingsError(
+                f"{path}: another `ebamcheck live` writes to it: end that one first"
+            ) from None
         try:
             self._last, whole, self.lines = FIRST, 0, 0
             for line, _ in _lines(path):

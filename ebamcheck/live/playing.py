@@ -53,10 +53,10 @@ class Server:
             self._process.stdin.write(line.replace(b"\n", b" ") + b"\n")
             self._process.stdin.flush()
         except BrokenPipeError:
-            raise BackendFailed(f"the server has ended with exit code {self._process.wait()}") from None
+            raise BackendFailed(f"`ebamcheck live` has ended with exit code {self._process.wait()}") from None
         found = self._process.stdout.readline()
         if not found:
-            raise BackendFailed(f"the server has ended with exit code {self._process.wait()}")
+            raise BackendFailed(f"`ebamcheck live` has ended with exit code {self._process.wait()}")
         answer: dict[str, Any] = json.loads(found)
         return answer
 
@@ -140,4 +140,4 @@ def _refused(server: Server, done: int, base_mm: float, top_mm: float) -> None:
     for code, line in bad_lines(done, base_mm, top_mm):
         answer = server.ask(line)
         if answer["answer"] != "refused" or answer["code"] != code:
-            raise BackendFailed(f"the server takes {line!r:.80} for {answer!r:.200}, not as {code}")
+            raise BackendFailed(f"`ebamcheck live` takes {line!r:.80} for {answer!r:.200}, not as {code}")

@@ -72,12 +72,26 @@ def parsed(line: bytes) -> dict[str, Any] | Refusal:
     """Return a line as a JSON object, or why it is none."""
     if len(line) > LONGEST_LINE:
         return Refusal("unreadable", f"a line of more than {LONGEST_LINE} bytes")
+    if not line.strip():
+        return Refusal("unreadable", "the line is empty")
     try:
-        found = json.loads(line.decode("utf-8"))
+        found = json.loads(line.decode("utf-8"), object_pairs_hook=_once)
+    except KeyError as error:
+        return Refusal("unreadable", f"{error.args[0]!r:.40} is in the line twice")
     except (ValueError, RecursionError):
         return Refusal("unreadable", "the line is no JSON")
     if not isinstance(found, dict):
         return Refusal("unreadable", "the line is no JSON object")
+    return found
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return an object whose keys are there once: which of two values was meant, nobody knows."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise KeyError(key)
+        found[key] = value
     return found
 
 
@@ -130,5 +144,10 @@ def fault_of(reading: Reading, base_mm: float, top_mm: float) -> Refusal | None:
         )
     return Refusal(
         "absurd",
-        f"height_mm {height:g} is {abs(height - top_mm):.3f} mm off the plan, {top_mm:.3f}: over {room:.3f}",
+        f"height_mm {height:g} is {_shown(abs(height - top_mm))} mm off the plan, {top_mm:.3f}: over {room:.3f}",
     )
+
+
+def _shown(length_mm: float) -> str:
+    """Return a length to a micrometre; one that no machine has, to a few digits."""
+    return f"{length_mm:.3f}" if length_mm < 1e6 else f"{length_mm:.4g}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import tempfile
 from dataclasses import dataclass
@@ -17,8 +18,17 @@ from ebamcheck.live.height_map import MapCells
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.live.publishing import JOURNAL, LAYERS, PROGRAM, certificate_of, layer_name, publish
-from ebamcheck.live.readings import Reading
+from ebamcheck.live.publishing import (
+    CERTIFICATE,
+    JOURNAL,
+    LAYERS,
+    PROGRAM,
+    certificate_of,
+    layer_name,
+    publish,
+)
+from ebamcheck.live.readings import Reading, fault_of
+from ebamcheck.numeric.rings import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +58,46 @@ def wanted_layer(
             f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, nothing is left to be laid{said}"
         )
     return Wanted(layer, measured_mm, float(plan.thickness_mm[0]), name), plan.said
+
+
+def check_height(
+    folder: Path, program: str, layer: int, measured_mm: float, tops_mm: Floats, thickness_mm: Floats
+) -> None:
+    """Refuse a height that the layer below cannot have, by the rule of `live`.
+
+    Parameters
+    ----------
+    folder, program
+        Folder of the layers that `relayer` made, and name of the run's program: the newest of them below stands for that of the run.
+    tops_mm, thickness_mm
+        (L,) Z of the tops and heights of the layers of the run.
+
+    Raises
+    ------
+    SettingsError
+        If the height is further from the top of the layer below than a bead can come out.
+    """
+    if layer == 0:
+        base_mm, top_mm, by = -float(thickness_mm[0]), 0.0, "the base plate"
+    else:
+        top_mm = float(tops_mm[layer - 1])
+        base_mm, by = top_mm - float(thickness_mm[layer - 1]), "the run"
+        if made := _newest(folder, program, layer - 1):
+            paper = json.loads((made / CERTIFICATE).read_text(encoding="utf-8"))
+            base_mm, top_mm, by = float(paper["base_mm"]), float(paper["top_mm"]), made.name
+    if fault := fault_of(Reading(layer, measured_mm), base_mm, top_mm):
+        raise SettingsError(
+            f"layer {layer}: the measured height {measured_mm:g} mm cannot be: {fault.reason}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
+            "again; where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
+        )
+
+
+def _newest(folder: Path, program: str, layer: int) -> Path | None:
+    """Folder of the layer of that number that was made last; None where none was."""
+    number, found = 1, None
+    while (place := folder / LAYERS / layer_name(program, layer, number)).is_dir():
+        number, found = number + 1, place
+    return found
 
 
 def relayer(

@@ -164,8 +164,9 @@ class MachineSettings(Section):
     """Rotary axes of its tilt table, from the machine's bed to the plate: the second is carried by the first. With them the program of
     a turned layer turns the table and sets the frame; without them the user does."""
     live_r: Annotated[int, Between(0, 990)] = 100
-    """First of the six R parameters by which a main program that waits between layers (`run --live`) and a server agree: layers
-    done, layer released (-1: the part is built), number of its program, least wait before it, and two of the program's own."""
+    """First of the R parameters by which a main program that waits between layers (`run --live`) and `live` agree: layers done,
+    layer released (-1: the part is built), number of its program, least wait before it, two of the program's own, and, as the
+    twelfth and thirteenth, key and seal of the release."""
     live_poll_s: Annotated[float, Between(0.01, 60.0)] = 0.5
     """How often that program looks whether its next layer is released."""
     live_timeout_s: Annotated[float, Between(1.0, 1e6)] = 1800.0

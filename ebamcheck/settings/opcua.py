@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Annotated, Literal, Self
+from urllib.parse import urlsplit
 
 from pydantic import Field, field_validator, model_validator
 
@@ -11,7 +12,20 @@ from ebamcheck.settings.base import Between, Section
 Seconds = Annotated[float, Between(0.01, 1e6)]
 """Time to wait, s."""
 
-ROLES = ("done", "released", "number", "wait", "waited", "height", "measured", "begin_at", "owner", "digest")
+ROLES = (
+    "done",
+    "released",
+    "number",
+    "wait",
+    "waited",
+    "height",
+    "measured",
+    "begin_at",
+    "owner",
+    "digest",
+    "key",
+    "seal",
+)
 """What the nodes of the handshake are called here, in the order in which their R parameters follow on ``machine.live_r``,
 where that of the time left (R5) is left out: the program alone uses it."""
 
@@ -51,7 +65,7 @@ class OpcuaSettings(Section):
     """Node of an R parameter; {r} is its number."""
     nodes: dict[str, str] = Field(default={})
     """Nodes that are no R parameters, by what they are: done, released, number, wait, waited, height, measured, begin_at, owner,
-    digest; and, where the control has such variables for text, name and sha256, which are written, and map: the name of the file of
+    digest, key, seal (the waiting main program reads its own in R parameters); and, where the control has such variables for text, name and sha256, which are written, and map: the name of the file of
     a height map, which stands for the height where it is not empty; and surface_k and after_s, the temperature
     that a pyrometer read, K, and how long after the layer, s, which are used where the first is not 0."""
     methods_node: str = "ns=2;s=/Methods"
@@ -77,7 +91,7 @@ class OpcuaSettings(Section):
     longest_retry_s: Seconds = 30.0
     """Longest time between two tries."""
     late_s: Seconds = 600.0
-    """Time after a layer is done, without its height, after which the server says that it is late."""
+    """Time after a layer is done, without its height, after which `live` says that it is late."""
 
     @field_validator("url")
     @classmethod
@@ -86,6 +100,12 @@ class OpcuaSettings(Section):
             raise ValueError(
                 "give opc.tcp://HOST:PORT, without a user: that is opcua.user, its password in a variable"
             )
+        try:
+            port = urlsplit(value).port
+        except ValueError:
+            port = None
+        if not port:
+            raise ValueError("no port from 1 to 65535: give opc.tcp://HOST:PORT, that of a SINUMERIK is 4840")
         return value
 
     @field_validator("nodes")

@@ -164,8 +164,9 @@ async def played(
     told: Callable[[PlayedLayer], None],
     sessions: int = SESSIONS,
     panel: Panel | None = None,
+    listens: Callable[[], None] = lambda: None,
 ) -> tuple[PlayedProgram, bool]:
-    """Play a control until its program ends; what it laid, and whether it came to its end.
+    """Play a control until its program ends; what it laid, and whether it came to its end. `listens` is called when it can be reached.
 
     Raises
     ------
@@ -186,6 +187,7 @@ async def played(
     )
     try:
         async with server.serving():
+            listens()
             ended = await _in_thread(program)
             await asyncio.sleep(ENDED_S)
     except OSError as error:

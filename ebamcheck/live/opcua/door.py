@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import math
 import secrets
 import time
 from collections.abc import Callable
@@ -20,8 +19,10 @@ from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import failure_of
-from ebamcheck.live.opcua.handshake import BUILT, OFFSETS, Seen, digest, program_number
+from ebamcheck.live.opcua.handshake import BUILT, OFFSETS, Seen, Waiting
 from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken
+from ebamcheck.live.opcua.releasing import keys_of, proved_program, release_of, told_of, written_before
+from ebamcheck.live.opcua.telling import Telling
 from ebamcheck.live.opcua.waiting import within
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import OpcuaSettings
@@ -29,7 +30,7 @@ from ebamcheck.settings.opcua import OpcuaSettings
 OWNERS = 2**31
 """Range of the number by which a door knows that it is the one that writes."""
 
-UPLOADED, RELEASED, AGAIN = "uploaded", "released", "again"
+LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"
 """Kinds of lines in the journal that tell what was done to the control."""
 
 
@@ -52,22 +53,26 @@ class Door:
         told: Callable[[Answer], None],
     ) -> None:
         self._building, self._machine, self._opcua = building, machine, opcua
-        self._tell_all = told
         self._owner = float(1 + secrets.randbelow(OWNERS - 1))
-        self._claimed = False
-        self._told: dict[str, str] = {}
-        self._waited, self._waits_since = math.nan, -math.inf
+        self._owners, self._claimed = {0.0}, False
+        self._telling = Telling(told, opcua.retry_s, opcua.longest_retry_s)
+        self._waiting = Waiting(3.0 * max(machine.live_poll_s, opcua.look_s, opcua.grid_s))
         self._measured: str | None = None
         self._done_since: tuple[int, float] | None = None
         self._released: int | None = None
         self._uploaded = ""
-        self._retry_at, self._pause_s = -math.inf, opcua.retry_s
+        self._keeps = False
+        self._released_at = time.monotonic()
+        self._taken_back_at: float | None = None
+        self._keys = keys_of(building.folder)
         self._recall()
 
     def _recall(self) -> None:
         """Take from the journal what was done to the control before."""
         for entry in read_journal(self._building.journal_file):
-            if entry["kind"] == UPLOADED:
+            if entry["kind"] == LEADS:
+                self._owners.add(float(entry["owner"]))
+            elif entry["kind"] == UPLOADED:
                 self._uploaded = str(entry["file"])
             elif entry["kind"] == RELEASED:
                 self._released = int(entry["layer"])
@@ -88,7 +93,7 @@ class Door:
         while True:
             try:
                 async with Link(self._machine, self._opcua) as link:
-                    self._say("connected", url=self._opcua.url)
+                    self._telling.say("connected", url=self._opcua.url)
                     self._fresh_link()
                     while True:
                         answer = await self._look(link)
@@ -109,12 +114,12 @@ class Door:
             pause_s = min(2.0 * pause_s, self._opcua.longest_retry_s)
 
     def _lost(self, reason: str) -> None:
-        self._say("lost", reason=reason, kept="what was published stays; trying again")
+        self._telling.say("lost", reason=reason, kept="what was published stays; trying again")
 
     def _fresh_link(self) -> None:
-        self._waited, self._waits_since = math.nan, -math.inf
-        self._told.pop("lost", None)
-        self._retry_at = -math.inf
+        self._waiting.forget()
+        self._telling.forget("lost")
+        self._telling.soon()
 
     async def _changed(self, link: Link) -> None:
         """Wait until something has changed on the control, or it is time to look anyway."""
@@ -129,58 +134,88 @@ class Door:
     async def _look(self, link: Link) -> Answer | None:
         """Look at the control, and do what follows from it; the last answer where the build is over."""
         seen = await link.seen()
-        self._notice_waiting(seen)
+        self._waiting.notice(seen.waited)
         try:
-            if not await self._owns(link, seen):
-                return None
-            return await self._step(link, seen)
+            if await self._begun() and await self._owns(link, seen) and not await self._took_back(link, seen):
+                return await self._step(link, seen)
         except NotTaken as error:
-            self._hold(error.code, str(error))
+            self._telling.hold(error.code, str(error))
         except LinkLost:
             raise
         except Exception as error:  # a full disk, a fault of the software: what was published stays
-            self._hold("held", failure_of(error))
+            self._telling.hold("held", failure_of(error))
         return None
 
+    async def _begun(self) -> bool:
+        """Whether the lowest layer is published: before that nothing is led here."""
+        if self._building.expected_done:
+            return True
+        if self._telling.due:
+            self._telling.made(await asyncio.to_thread(self._building.start))
+        return self._building.expected_done > 0
+
     async def _owns(self, link: Link, seen: Seen) -> bool:
-        """Whether this server is the one that writes: the last one that came is, and the one before notices."""
+        """Whether this is the `live` that writes: the last one that came and could go on is, and the one before notices."""
         if seen.owner == self._owner:
             return True
+        leads = f"another `ebamcheck live` leads the control ({self._name('owner')} is {seen.owner:.0f})"
         if self._claimed and seen.owner != 0.0:
-            self._refuse(
-                "two-servers", f"another server has taken over (owner {seen.owner:.0f}, not {self._owner:.0f}): nothing is "
-                "written here any more; end one of them, and start the other anew"
+            self._telling.refuse(
+                "two-servers", f"{leads} and has taken over: nothing is written here any more; end one of them, and start the "
+                "other anew"
             )  # fmt: skip
-        elif time.monotonic() >= self._retry_at:
+        elif seen.owner not in self._owners and (why := self._cannot_go_on(seen)):
+            self._telling.refuse(
+                "two-servers", f"{leads}, and this build cannot go on there: {why}; end the other one, and set "
+                f"{self._name('owner')} to 0 where it has gone already"
+            )  # fmt: skip
+        elif self._telling.due:
             await link.write("owner", self._owner)
             self._claimed = True
+            self._note(LEADS, owner=self._owner)
             link.changed.set()
         return False
 
-    def _notice_waiting(self, seen: Seen) -> None:
-        """A program that waits counts the time: one whose count stands still is not there, or at work."""
-        now = time.monotonic()
-        if not math.isnan(self._waited) and seen.waited != self._waited and seen.waited > 0.0:
-            self._waits_since = now
-        self._waited = seen.waited
+    def _cannot_go_on(self, seen: Seen) -> str:
+        """Why this build can release nothing on the control as it stands; empty where it can."""
+        done = self._building.expected_done - 1
+        # The layer that this build released last may be done since.
+        if seen.done != done and (seen.done, self._released) != (done + 1, done):
+            return f"{seen.done:g} layers are done there, {done} in this build"
+        if seen.released not in self._own_releases:
+            return f"{seen.released:g} is released there, and not by this build"
+        return ""
 
     @property
-    def _waits(self) -> bool:
-        limit_s = 3.0 * max(self._machine.live_poll_s, self._opcua.look_s, self._opcua.grid_s)
-        return time.monotonic() - self._waits_since <= limit_s
+    def _own_releases(self) -> tuple[float, ...]:
+        """What this build may have left in the variable of the layer that is released."""
+        ours = () if self._released is None else (self._released + 1.0,)
+        return (0.0, *ours, *((BUILT,) if self._building.finished else ()))
+
+    async def _took_back(self, link: Link, seen: Seen) -> bool:
+        """Whether somebody else has written a release, whenever it was: it is set to 0, and the program does not take it."""
+        # What a build of before has left is set to 0 by the main program when it is started.
+        old = self._released is None and not self._waiting.now
+        if old or seen.released in self._own_releases:
+            return False
+        await link.write("released", 0.0)
+        self._taken_back_at = time.monotonic()
+        self._telling.refuse(
+            "two-servers", f"{self._name('released')} was {seen.released:g}, which was not released here: it is set to 0; a main "
+            "program that waits does not take it without its key"
+        )  # fmt: skip
+        link.changed.set()
+        return True
 
     async def _step(self, link: Link, seen: Seen) -> Answer | None:
         building = self._building
-        if building.expected_done == 0:
-            self._tell(await asyncio.to_thread(building.start))
-            if building.expected_done == 0:
-                self._hold("held", "the lowest layer is not published")
-                return None
         if building.finished:
             return await self._finish(link, seen)
         next_layer = building.expected_done - 1
         if not float(seen.done).is_integer() or seen.done < 0.0:
-            self._refuse("counter", f"the control counts {seen.done:g} layers: that is no number of layers")
+            self._telling.refuse(
+                "counter", f"the control counts {seen.done:g} layers: that is no number of layers"
+            )
         elif seen.begin_at != 0.0:
             await self._begin_again(link, seen, next_layer)
         elif seen.done == next_layer + 1:
@@ -190,7 +225,7 @@ class Door:
         else:
             again = f"set {self._name('begin_at')} to the layer that is to be begun, {next_layer + 1}, or {next_layer + 2} where that one is whole"
             what = "was RESET" if seen.done == 0.0 else f"counts {seen.done:g} layers"
-            self._refuse(
+            self._telling.refuse(
                 "counter-jump",
                 f"the control {what}, {next_layer} layers are done: nothing is released; {again}",
             )
@@ -207,13 +242,13 @@ class Door:
         if self._done_since is None or self._done_since[0] != done:
             self._done_since, self._measured = (done, now), None
         if seen.measured != done:
-            if seen.measured not in (0.0, float(done - 1)):
-                self._refuse(
+            if seen.measured != 0.0:
+                self._telling.refuse(
                     "counter-jump",
                     f"a height is said to be of layer {seen.measured:g}, {done} layers are done",
                 )
             if now - self._done_since[1] > self._opcua.late_s:
-                self._say("late", done=done, waited_s=self._opcua.late_s)
+                self._telling.say("late", done=done, waited_s=self._opcua.late_s)
             return
         # Two looks have to agree: values that are written one by one are not there at once.
         await asyncio.sleep(self._opcua.grid_s)
@@ -221,18 +256,20 @@ class Door:
         if again.reading != seen.reading:
             link.changed.set()
             return
-        if self._measured == seen.reading:
+        if self._measured == seen.reading and not (self._keeps and self._telling.due):
             return
         message: dict[str, Any] = {"event": "height", "done": done}
         if seen.map:
             message["height_map"] = seen.map
         else:
-            message["height_mm"] = None if math.isnan(seen.height) else seen.height
+            message["height_mm"] = seen.height
         if seen.surface_k != 0.0:
             message |= {"surface_k": seen.surface_k, "after_s": seen.after_s}
-        self._tell(await asyncio.to_thread(self._building.height, message))
-        # One that a fault of ours came in between is taken again.
-        self._measured = seen.reading
+        # One that a fault of ours came in between, or on which a layer was kept back, is tried again, and less and less often.
+        self._measured, self._keeps = seen.reading, True
+        answer = await asyncio.to_thread(self._building.height, message)
+        self._keeps = answer["answer"] == "kept"
+        self._telling.made(answer)
         link.changed.set()
 
     # -- releases ----------------------------------------------------------------------------------
@@ -240,42 +277,28 @@ class Door:
     async def _release(self, link: Link, seen: Seen, layer: int) -> None:
         """The layer that is published is the next one of the control: release it, unless that was done."""
         if self._released == layer:
-            if seen.released != layer + 1:
-                self._refuse(
-                    "withdrawn", f"layer {layer + 1} was released and is so no more (RESET): look at the part, then set "
-                    f"{self._name('begin_at')} to {layer + 1} to have it laid from its beginning"
-                )  # fmt: skip
+            self._judge_release(seen, layer)
             return
-        if seen.released == layer + 1:
-            await link.write("released", 0.0)
-            raise NotTaken(
-                "two-servers",
-                f"layer {layer + 1} was released by somebody else: it was taken back, before it was called if time allowed",
-            )
-        if time.monotonic() < self._retry_at:
+        if not self._telling.due:
             return
-        if not self._waits:
-            self._say(
+        if not self._waiting.now:
+            self._telling.say(
                 "waiting",
                 layer=layer + 1,
                 reason="the main program is not seen to wait: start it on the control",
             )
             return
         current = self._building.status()["published"]
-        data, name = self._program(current)
+        data, name = proved_program(self._building.folder, current, self._opcua.file_limit_mb)
         await self._put(link, name, data, str(current["sha256"]))
-        await link.write("measured", 0.0)
-        await link.write("number", program_number(str(current["name"])))
-        await link.write("wait", round(float(current["wait_s"]), 3))
-        await link.write("digest", digest(str(current["sha256"])))
-        await link.write_text("name", str(current["name"]))
-        await link.write_text("sha256", str(current["sha256"]))
+        release = release_of(self._keys, layer + 1, current)
+        await link.write_all({"measured": 0.0, **told_of(current), **written_before(release)})
         now = await link.seen()
         if now.owner != self._owner or now.done != layer or now.released == layer + 1:
             raise NotTaken(
                 "two-servers", "another client wrote to the handshake meanwhile: the layer is kept back"
             )
-        if now.number != program_number(str(current["name"])):
+        if now.number != release.number:
             raise NotTaken(
                 "two-servers", f"the number of the program was changed to {now.number:g} by another client"
             )
@@ -288,20 +311,27 @@ class Door:
             self._note(AGAIN, layer=layer, why="the release was not taken")
             self._released = None
             raise
-        self._retry_at, self._pause_s = -math.inf, self._opcua.retry_s
-        self._forget("refused", "waiting", "late", "held")
-        self._say("released", layer=layer + 1, name=current["name"], sha256=current["sha256"])
+        self._released_at, self._taken_back_at = time.monotonic(), None
+        self._telling.soon()
+        self._telling.forget("refused", "waiting", "late", "held")
+        self._telling.say("released", layer=layer + 1, name=current["name"], sha256=current["sha256"])
 
-    def _program(self, current: dict[str, Any]) -> tuple[bytes, str]:
-        path = self._building.folder / str(current["program"])
-        data = path.read_bytes()
-        if hashlib.sha256(data).hexdigest() != current["sha256"]:
-            raise SettingsError(f"{path}: is not the file that was verified: it is not released")
-        if len(data) > 1e6 * self._opcua.file_limit_mb:
-            raise SettingsError(
-                f"{path}: has {len(data) / 1e6:.3f} MB, over opcua.file_limit_mb {self._opcua.file_limit_mb:g}: it is not released"
-            )
-        return data, path.name
+    def _judge_release(self, seen: Seen, layer: int) -> None:
+        """Say what has become of a release that no layer has followed yet."""
+        counts_since = self._waiting.after(max(self._released_at, self._taken_back_at or 0.0))
+        if seen.released == layer + 1:
+            if counts_since:
+                self._telling.refuse(
+                    "not-called", f"layer {layer + 1} is released, and the main program goes on waiting: it follows the keys of "
+                    f"another build, or another client wrote over the release; RESET and start it, then set "
+                    f"{self._name('begin_at')} to {layer + 1}"
+                )  # fmt: skip
+        elif self._taken_back_at is None or counts_since:
+            # What was written over in the middle of the layer is of no matter: the program has taken its release.
+            self._telling.refuse(
+                "withdrawn", f"layer {layer + 1} was released and is so no more (RESET): look at the part, then set "
+                f"{self._name('begin_at')} to {layer + 1} to have it laid from its beginning"
+            )  # fmt: skip
 
     async def _put(self, link: Link, name: str, data: bytes, sha256: str) -> None:
         """Bring a file to the control under its new name, and read it back."""
@@ -327,13 +357,13 @@ class Door:
         """The operator says at which layer the control, that was RESET, is to go on."""
         wanted = seen.begin_at
         if wanted not in (layer + 1, layer + 2):
-            self._refuse(
+            self._telling.refuse(
                 "begin-at",
                 f"{self._name('begin_at')} is {wanted:g}: give {layer + 1} or, where that layer is whole, {layer + 2}",
             )
             return
-        if not self._waits:
-            self._say(
+        if not self._waiting.now:
+            self._telling.say(
                 "waiting",
                 layer=int(wanted),
                 reason="the main program is not seen to wait: start it on the control",
@@ -345,15 +375,17 @@ class Door:
         await link.write("measured", 0.0)
         await link.write("done", wanted - 1.0)
         await link.write("begin_at", 0.0)
-        self._forget("refused", "waiting")
-        self._say("begins-again", layer=int(wanted))
+        self._telling.forget("refused", "waiting")
+        self._telling.say("begins-again", layer=int(wanted))
         link.changed.set()
 
     async def _finish(self, link: Link, seen: Seen) -> Answer | None:
         """The part is built: say so to the control."""
-        if time.monotonic() < self._retry_at:
+        if not self._telling.due:
             return None
-        if seen.released != BUILT:
+        release = self._keys.built(self._building.expected_done)
+        if (seen.released, seen.key, seen.seal) != (BUILT, release.key, release.seal):
+            await link.write_all(written_before(release))
             await link.write("released", BUILT)
         await link.write("owner", 0.0)
         return {**self._building.told, "answer": "built"}
@@ -362,27 +394,3 @@ class Door:
 
     def _note(self, kind: str, **entry: Any) -> None:
         self._building.note({"kind": kind, **entry})
-
-    def _tell(self, answer: Answer) -> None:
-        self._told.clear()
-        self._tell_all(answer)
-
-    def _say(self, kind: str, **answer: Any) -> None:
-        """Tell an answer once, until another one of its kind is told."""
-        text = repr(answer)
-        if self._told.get(kind) != text:
-            self._told[kind] = text
-            self._tell_all({"answer": kind, **answer})
-
-    def _forget(self, *kinds: str) -> None:
-        for kind in kinds:
-            self._told.pop(kind, None)
-
-    def _refuse(self, code: str, reason: str) -> None:
-        self._say("refused", code=code, reason=reason)
-
-    def _hold(self, code: str, reason: str) -> None:
-        """Say why nothing is released, and try again later."""
-        self._refuse(code, reason)
-        self._retry_at = time.monotonic() + self._pause_s
-        self._pause_s = min(2.0 * self._pause_s, self._opcua.longest_retry_s)

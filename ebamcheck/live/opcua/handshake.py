@@ -1,13 +1,14 @@
 """What the nodes of the handshake are, what was seen in them, and what a layer puts into them.
 
-R parameters from ``machine.live_r`` on: the first six are those of the waiting main program, the others are of the server and of
-who measures.
+R parameters from ``machine.live_r`` on: the first six, and key and seal at the end, are those of the waiting main program, the others
+are of `live` and of who measures.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -16,7 +17,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 
-OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10), strict=True))
+OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))
 """R parameter of each role, counted from ``machine.live_r``; the fifth is the program's own."""
 
 BUILT = -1.0
@@ -47,18 +48,20 @@ def file_path(machine: MachineSettings, opcua: OpcuaSettings, name: str) -> str:
 
 @dataclass(frozen=True)
 class Seen:
-    """Values of the handshake as they were read at once; NaN for one that is no number."""
+    """Values of the handshake as they were read at once; NaN for one that is no number, None for a height that the control does not give."""
 
     done: float
     released: float
     number: float
     wait: float
     waited: float
-    height: float
+    height: float | None
     measured: float
     begin_at: float
     owner: float
     digest: float
+    key: float
+    seal: float
     map: str = ""
     surface_k: float = 0.0
     after_s: float = 0.0
@@ -68,7 +71,8 @@ class Seen:
         """Take values as they came."""
         name = values.get("map")
         text = name.strip() if isinstance(name, str) else ""
-        numbers = {role: _number(values.get(role)) for role in ROLES}
+        numbers: dict[str, Any] = {role: _number(values.get(role)) for role in ROLES}
+        numbers["height"] = None if values.get("height") is None else numbers["height"]
         warmth = {role: _number(values.get(role, 0.0)) for role in WARMTH_ROLES}
         return cls(**numbers, **warmth, map=text)
 
@@ -107,3 +111,36 @@ def digest(sha256: str) -> float:
     True
     """
     return float(int(sha256[:DIGEST_DIGITS], 16))
+
+
+class Waiting:
+    """Whether the main program is seen to wait: it counts the time then; one whose count stands still is not there, or at work.
+
+    Parameters
+    ----------
+    noticed_s
+        Time in which a count that goes on, or stands still, is noticed.
+    """
+
+    def __init__(self, noticed_s: float) -> None:
+        self._noticed_s = noticed_s
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin to look anew."""
+        self._waited, self._since = math.nan, -math.inf
+
+    def notice(self, waited: float) -> None:
+        """Take the count as it is now."""
+        if not math.isnan(self._waited) and waited != self._waited and waited > 0.0:
+            self._since = time.monotonic()
+        self._waited = waited
+
+    @property
+    def now(self) -> bool:
+        """Whether it waits."""
+        return time.monotonic() - self._since <= self._noticed_s
+
+    def after(self, moment_s: float) -> bool:
+        """Whether it still waited when a moment of the clock, and the time to notice it, were over."""
+        return self._since > moment_s + self._noticed_s

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.live.opcua.certificates import check_pair, content_of, is_offered
 from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
 from ebamcheck.live.opcua.waiting import BrokenOff, within
 from ebamcheck.settings.machine import MachineSettings
@@ -64,38 +65,17 @@ def checked(opcua: OpcuaSettings) -> None:
     ExtraMissing
         If asyncua is not installed.
     SettingsError
-        If certificates, user or password are missing.
+        If certificates, user or password are missing, or certificate, key and `application_uri` are not of one another.
     """
     installed()
     if opcua.problem:
         raise SettingsError(opcua.problem)
     if opcua.security != "none":
         for key in FILES:
-            _content(opcua, key)
+            content_of(opcua, key)
+        check_pair(opcua)
     if opcua.user and opcua.security != "none":
         password_of(opcua)
-
-
-def _content(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
-    """Content of a certificate or key, which is one, and its form."""
-    from cryptography import x509
-    from cryptography.hazmat.primitives import serialization
-
-    path = Path(str(getattr(opcua, key)))
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise SettingsError(f"opcua.{key} {str(path)!r}: cannot be read: {error.strerror}") from None
-    pem = b"-----BEGIN" in content
-    try:
-        if key == "private_key":
-            (serialization.load_pem_private_key if pem else serialization.load_der_private_key)(content, None)
-        else:
-            (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(content)
-    except (ValueError, TypeError):
-        what = "key without a password" if key == "private_key" else "certificate"
-        raise SettingsError(f"opcua.{key} {str(path)!r}: is no {what} in PEM or DER") from None
-    return content, "pem" if pem else "der"
 
 
 def installed() -> None:
@@ -186,8 +166,9 @@ class Link:
 
         opcua = self._opcua
         if opcua.security != "none":
+            await self._meet(client)
             mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
-            own, key, control = (CertProperties(*_content(opcua, name)) for name in FILES)
+            own, key, control = (CertProperties(*content_of(opcua, name)) for name in FILES)
             # The certificate of the control is given: that of whoever answers is not asked for.
             await client.set_security(
                 getattr(security_policies, f"SecurityPolicy{opcua.policy}"),
@@ -201,10 +182,29 @@ class Link:
                 client.set_password(password_of(opcua))
         await client.connect()
 
+    async def _meet(self, client: Client) -> None:
+        """Hold the certificate that the control shows against the one that was given, before anything is encrypted for it."""
+        try:
+            shown = [
+                bytes(found.ServerCertificate or b"")
+                for found in await client.connect_and_get_server_endpoints()
+            ]
+        except (
+            Exception
+        ):  # a control that shows nothing to strangers: the channel itself tells, in its own way
+            return
+        if any(shown) and not is_offered(self._opcua, shown):
+            raise LoginRefused(
+                f"{self._opcua.url}: shows another certificate than opcua.server_certificate {self._opcua.server_certificate!r}: "
+                "copy that of the control anew, if it was changed there, or give the address of the right one"
+            )
+
     async def _subscribe(self, client: Client) -> None:
         subscription = await client.create_subscription(1000.0 * self._opcua.grid_s, _Told(self.changed))
         watched = [
-            client.get_node(self._ids[role]) for role in ROLES if role not in ("number", "wait", "digest")
+            client.get_node(self._ids[role])
+            for role in ROLES
+            if role not in ("number", "wait", "digest", "key", "seal")
         ]
         await subscription.subscribe_data_change(watched)
 
@@ -243,26 +243,25 @@ class Link:
 
     async def write(self, role: str, value: float) -> None:
         """Write a number and read it back: without the right, a write can be lost without an error."""
-        await self._write(role, float(value))
+        await self.write_all({role: float(value)})
 
-    async def write_text(self, role: str, value: str) -> None:
-        """Write a text where the control has a node for it, and read it back."""
-        if role in self._ids:
-            await self._write(role, value)
-
-    async def _write(self, role: str, value: float | str) -> None:
+    async def write_all(self, values: Mapping[str, float | str]) -> None:
+        """Write several values at once and read them back; texts only where the control has nodes for them."""
         from asyncua import ua
 
-        client, node = self._there(), self._ids[role]
-        kind = ua.VariantType.String if isinstance(value, str) else ua.VariantType.Double
-        data = ua.DataValue(ua.Variant(value, kind))
-        await self._answered(client.get_node(node).write_value(data), f"writing {role}")
-        found = (await self._read({role: node}))[role]
-        if found != value:
-            raise NotTaken(
-                "write-lost",
-                f"{role} was written as {value!r} and reads {found!r}: the control takes no writes, or another writes to it",
-            )
+        client = self._there()
+        given = {role: value for role, value in values.items() if role in self._ids}
+        ids = {role: self._ids[role] for role in given}
+        kinds = {float: ua.VariantType.Double, str: ua.VariantType.String}
+        data = [ua.DataValue(ua.Variant(value, kinds[type(value)])) for value in given.values()]
+        nodes = [client.get_node(node) for node in ids.values()]
+        await self._answered(client.write_values(nodes, data), f"writing {', '.join(given)}")
+        for role, found in (await self._read(ids)).items():
+            if found != given[role]:
+                raise NotTaken(
+                    "write-lost",
+                    f"{role} was written as {given[role]!r} and reads {found!r}: the control takes no writes, or another writes to it",
+                )
 
     # -- files -------------------------------------------------------------------------------------
 

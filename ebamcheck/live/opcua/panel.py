@@ -16,6 +16,7 @@ FAULTS = {
     "lost-writes": "writes are lost for a while without an error, before the layer is released",
     "other-file": "the first upload of the layer reads back as another file",
     "other-client": "another client writes another number over the one that was just written, once",
+    "stray": "another client writes the number of the next layer before the height has come",
     "late": "the height comes late",
     "missing": "the height is no number, before it comes",
     "repeated": "the height comes twice, the second time another one",

@@ -17,7 +17,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.live.bed import Growth
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
 from ebamcheck.live.opcua.panel import Panel
-from ebamcheck.program.controls.sinumerik.handshake import Run, run_text
+from ebamcheck.program.controls.sinumerik.waiting_run import Run, run_text
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
 
@@ -130,7 +130,7 @@ class PlayedProgram:
 
     def _exchange(self, run: Run) -> None:
         """What the program has set goes out; all else comes in."""
-        for number in range(self._first, self._first + 12):
+        for number in range(self._first, self._first + 1 + max(OFFSETS.values())):
             name = f"R{number}"
             mine = float(run.values.get(name, self._known.get(number, self.panel.get(number))))
             if name in run.values and mine != self._known.get(number):
@@ -214,6 +214,10 @@ class PlayedProgram:
             time.sleep(SHOWN_S)
             self.panel.set(self._r("done"), float(layer))
             time.sleep(SHOWN_S)
+        if self._has(layer, "stray"):
+            self.panel.set(self._r("released"), layer + 1.0)
+            time.sleep(SHOWN_S)
+            self.panel.set(self._r("released"), layer + 1.0)
         for name, shown, of in (
             ("missing", math.nan, layer),
             ("absurd", height + 500.0, layer),

@@ -29,7 +29,7 @@ AWAY_S = 1.0
 LONGER_THAN_AWAY_S = 5.0
 """Time for which an upload hangs that the server does not outlive."""
 
-R_PARAMETERS = 12
+R_PARAMETERS = 13
 """R parameters from ``machine.live_r`` on that are shown."""
 
 

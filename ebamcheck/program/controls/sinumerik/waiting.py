@@ -1,9 +1,11 @@
 """The main program that waits between layers for the next one to be released, and calls it by its name.
 
-Six R parameters are the handshake, from ``machine.live_r`` on: layers done, layer released, number of its program, least wait
-before it, time waited, and what is left to wait. A server writes the second, third and fourth, the second last of all; -1 in it says
-that the part is built. Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, STOPRE); written by
-the book and tried on no control.
+Eight R parameters are the handshake, from ``machine.live_r`` on: layers done, layer released, number of its program, least wait
+before it, time waited, what is left to wait, and, from the eleventh further on, key and seal of the release. The layer is released last
+of all; -1 says that the part is built. A release counts whose seal fits its values and whose key follows that of the layer below
+(:mod:`ebamcheck.program.controls.sinumerik.release_keys`); the first one after the start brings the key that all others follow.
+Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, TRUNC, STOPRE); written by the book and tried on no
+control.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from ebamcheck.program.controls.sinumerik.control import CONTROL, NAME
+from ebamcheck.program.controls.sinumerik.release_keys import PRIME, SET_OFF
 from ebamcheck.program.controls.sinumerik.writing import modes
 from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.files import NOT_VALIDATED, legal_name
@@ -20,6 +23,12 @@ from ebamcheck.program.language.templates import process_values, usable_template
 from ebamcheck.program.writing.blocks import BlockFormat, numbered
 from ebamcheck.program.writing.safe_states import end_blocks, start_blocks
 from ebamcheck.settings.config import Config
+
+KEY, SEAL = 11, 12
+"""R parameters of key and seal, counted from ``machine.live_r``."""
+
+LONGEST_S = 1_000_000
+"""Longest wait before a layer, s."""
 
 STEM = 10
 """Characters of the program's name that a layer's name keeps, as the server that makes layers has it."""
@@ -42,6 +51,12 @@ def waiting_program(
         NOT_VALIDATED,
         *(comment(f"{key}: {value}") for key, value in known.items()),
         "DEF INT LIVE_N",
+        "DEF REAL LIVE_KEY",
+        "DEF REAL LIVE_LAST",
+        "DEF REAL LIVE_LAYER",
+        "DEF REAL LIVE_R",
+        "DEF REAL LIVE_S",
+        "DEF REAL LIVE_H",
         "DEF STRING[32] LIVE_DIGITS",
         "DEF STRING[32] LIVE_NAME",
         *start_blocks(modes(machine), values, templates),
@@ -56,32 +71,54 @@ def _handshake(config: Config, safe: list[str]) -> list[str]:
     """The loop: ask, wait, call; what happens when nobody answers; and the way out."""
     machine = config.machine
     done, released, number, wait, waited, rest = (f"R{machine.live_r + k}" for k in range(6))
+    key, seal = f"R{machine.live_r + KEY}", f"R{machine.live_r + SEAL}"
     poll, limit = plain(machine.live_poll_s), plain(machine.live_timeout_s)
     late = ["M0", "MSG()", "GOTOB LIVE_NEXT"] if machine.live_late == "stop" else ["GOTOF LIVE_END"]
+    remainder = f"LIVE_H=LIVE_H-TRUNC(LIVE_H/{PRIME})*{PRIME}"
     return [
-        f"{done}=0",
-        f"{released}=0",
-        f"{number}=0",
-        f"{wait}=0",
+        *(f"{given}=0" for given in (done, released, number, wait, key, seal)),
+        "LIVE_LAST=0",
         f"LIVE_NEXT: {waited}=0",
         "LIVE_WAIT: STOPRE",
-        f"IF {released}=={done}+1 GOTOF LIVE_CALL",
-        f"IF {released}==-1 GOTOF LIVE_END",
-        f"IF {waited}>={limit} GOTOF LIVE_LATE",
+        f"LIVE_LAYER={released}",
+        f"IF LIVE_LAYER=={done}+1 GOTOF LIVE_CHECK",
+        "IF LIVE_LAYER==-1 GOTOF LIVE_CHECK",
+        f"LIVE_NO: IF {waited}>={limit} GOTOF LIVE_LATE",
         f"G4 F{poll}",
         f"{waited}={waited}+{poll}",
         "GOTOB LIVE_WAIT",
-        "LIVE_CALL: STOPRE",
-        f"{rest}={wait}-{waited}",
+        # From here on nothing that is written over the release counts.
+        f"LIVE_CHECK: LIVE_R={number}",
+        f"LIVE_S={wait}",
+        f"LIVE_KEY={key}",
+        "IF LIVE_R<0 GOTOB LIVE_NO",
+        "IF LIVE_R>9999 GOTOB LIVE_NO",
+        "IF LIVE_S<0 GOTOB LIVE_NO",
+        f"IF LIVE_S>{LONGEST_S} GOTOB LIVE_NO",
+        "IF LIVE_KEY<1 GOTOB LIVE_NO",
+        f"IF LIVE_KEY>{PRIME} GOTOB LIVE_NO",
+        "IF LIVE_LAST==0 GOTOF LIVE_SEAL",
+        f"LIVE_H=LIVE_KEY*LIVE_KEY+{done}+1",
+        remainder,
+        "IF LIVE_H<>LIVE_LAST GOTOB LIVE_NO",
+        f"LIVE_SEAL: LIVE_H=LIVE_KEY*LIVE_KEY+{SET_OFF}+LIVE_R",
+        remainder,
+        "LIVE_H=LIVE_H*LIVE_H+TRUNC(1000*LIVE_S+0.5)",
+        remainder,
+        "LIVE_H=LIVE_H*LIVE_H+LIVE_LAYER+1",
+        remainder,
+        f"IF LIVE_H<>{seal} GOTOB LIVE_NO",
+        "LIVE_LAST=LIVE_KEY",
+        "IF LIVE_LAYER==-1 GOTOF LIVE_END",
+        f"{rest}=LIVE_S-{waited}",
         f"IF {rest}<=0 GOTOF LIVE_GO",
         f"G4 F={rest}",
-        "LIVE_GO: STOPRE",
-        f"LIVE_N=10001+{done}",
+        "LIVE_GO: LIVE_N=10000+LIVE_LAYER",
         'LIVE_DIGITS=""<<LIVE_N',
-        f"LIVE_N={number}",
+        "LIVE_N=LIVE_R",
         f'LIVE_NAME="{machine.program_name[:STEM]}_K"<<SUBSTR(LIVE_DIGITS,1,4)<<"R"<<LIVE_N<<"_L0001"',
         "CALL LIVE_NAME",
-        f"{done}={done}+1",
+        f"{done}=LIVE_LAYER",
         "GOTOB LIVE_NEXT",
         f"LIVE_LATE: {safe[0]}",
         *safe[1:],
