@@ -20,7 +20,7 @@ from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.heat_again import highest_entry_k
-from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, within_range
+from ebamcheck.program.checking.interpass_checks import AGAIN, HEAT_CHECKS, INTERPASS, MELTING, within_range
 from ebamcheck.program.checking.remedies import frames
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
@@ -170,7 +170,7 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
 def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Gate:
     """No bead is entered above the limit, by the plan and by the balance of the program's text; and its wire melts."""
     limit_k, ambient_k = highest_entry_k(config), config.process.ambient_temperature_k
-    by_name = {check.name: check for check in checks if check.name in (INTERPASS, MELTING, AGAIN)}
+    by_name = {check.name: check for check in checks if check.name in HEAT_CHECKS}
     again = by_name.pop(AGAIN, None)
     if len(by_name) < 2:
         why = "no program was written: there is no contour"
@@ -205,7 +205,7 @@ def program_gate(checks: Iterable[Check]) -> Gate:
     made = [
         check
         for check in checks
-        if check.name not in (*DEPOSIT_CHECKS, *OF_THE_MESH, INTERPASS, MELTING, AGAIN)
+        if check.name not in (*DEPOSIT_CHECKS, *OF_THE_MESH, *HEAT_CHECKS)
     ]
     failed = [c for c in made if not c.passed]
     if not made:

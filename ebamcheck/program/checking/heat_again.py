@@ -16,6 +16,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.kernels import kernel
@@ -71,21 +72,26 @@ def may_differ_k(config: Config) -> float:
     return max(MODELS_SHARE * rise_k, MODELS_K)
 
 
-def melting_power_w(config: Config, thickness_mm: float) -> float:
-    """Power of the beam at which the wire of a layer, and the metal that is remelted with it, melts from the cold, W.
+def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
+    """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
 
     Where the full power is too little for both, all of it, or that for the wire alone, is asked for.
+
+    Parameters
+    ----------
+    thickness_mm
+        (...) height of what a bead lays where its metal is spread over one spacing, at the feed of the process.
     """
     process, material = config.process, config.material
-    wire_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing * thickness_mm
-    kg_s = wire_mm3_s * 1e-9 * material.density_kg_m3
+    each_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing
+    kg_s = each_mm3_s * np.asarray(thickness_mm, np.float64) * 1e-9 * material.density_kg_m3
     rise_k = max(material.liquidus_k - process.ambient_temperature_k, 0.0)
     kelvin = process.ambient_temperature_k + rise_k * (np.arange(SUMMED) + 0.5) / SUMMED
     sensible = float(np.interp(kelvin, *_data(material.heat_capacity_by_temperature)).mean()) * rise_k
     efficiency = process.melting_efficiency * material.absorptivity
     wire_w = kg_s * (sensible + material.latent_heat_j_kg) / efficiency
     full_w, both_w = process.voltage_kv * process.current_ma, wire_w / (1.0 - process.dilution)
-    return both_w if both_w <= full_w else max(wire_w, full_w)
+    return np.where(both_w <= full_w, both_w, np.maximum(wire_w, full_w))
 
 
 def _data(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
