@@ -21,6 +21,7 @@ from ebamcheck.heat.melting import (
 )
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.program.checking.interpass_checks import (
@@ -54,7 +55,7 @@ def tube(config=CONFIG, count=LAYERS):
 
 def planned(**process):
     config = CONFIG.changed(process=process)
-    return config, plan_stack(tube(config), config)
+    return config, plan_program(tube(config), config)
 
 
 @pytest.fixture(scope="module")
@@ -229,7 +230,7 @@ def test_waits_and_power_are_written_and_read_back(plans, tmp_path, control):
     nc, checks = judged(config, files, plan, curves)
     for name in ("layer pause", "power", INTERPASS, MELTING):
         assert checks[name].passed, checks[name].text
-    assert layer_shares(nc, config.process.power_w) == pytest.approx(
+    assert layer_shares(nc, config) == pytest.approx(
         plan.metrics["power_share"].to_numpy(), abs=1e-6
     )
     rings = 2

@@ -46,7 +46,7 @@ from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
-from ebamcheck.program.checking.interpass_checks import AGAIN
+from ebamcheck.program.checking.interpass_checks import AGAIN, COLD
 from ebamcheck.program.checking.metal_field import FIELD_FILE
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
@@ -80,6 +80,7 @@ OF_TEXT_ALONE = (
     WIRE_OF_BEADS,
     # Not by runs of an earlier version.
     AGAIN,
+    COLD,
     *OF_THE_MESH,
 )
 """Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version."""

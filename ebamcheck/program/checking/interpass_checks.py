@@ -9,11 +9,12 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_end_checks import ramp_power
 from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.cold_entries import COLD, cold_check
 from ebamcheck.program.checking.heat_again import (
     BeadHeat,
     entries_k,
@@ -38,7 +39,7 @@ from ebamcheck.settings.config import Config
 INTERPASS, AGAIN = "interpass temperature", "balance of the heat"
 """Names of two checks."""
 
-HEAT_CHECKS = (INTERPASS, MELTING, AGAIN)
+HEAT_CHECKS = (INTERPASS, MELTING, AGAIN, COLD)
 """Names of the checks that the heat gate reads."""
 
 PAUSE_TOLERANCE_S = 1e-6
@@ -88,9 +89,12 @@ def heat_checks(
     melting = melting_check(nc, config, ramp_power(nc, np.flatnonzero(nc.deposit), config)[1] > 0.0)
     if before is None and config.base_mm > 0.0:
         return [melting]
+    bed_k, _ = text_bed_k(beads, config, shapes, before, known[0] if known else None)
+    checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     checks = [
         melting,
-        _entries(nc, beads, config, shapes, before, known[0] if known else None),
+        _entries(nc, beads, bed_k, checked, config),
+        cold_check(nc, beads, bed_k, checked, config),
     ]
     own = sections_of_text(nc, config, witness or sections)
     if before is None and not beads.scans and own:
@@ -194,7 +198,7 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     faults += [
         (
             nc.where(int(beads.row[n])),
-            f"waits {beads.wait_s[n]:g} s before {_named(beads, n)} in place of {wanted[n]:g} s",
+            f"waits {beads.wait_s[n]:g} s before {beads.named(n)} in place of {wanted[n]:g} s",
         )
         for n in np.flatnonzero(bad).tolist()
     ]
@@ -223,33 +227,18 @@ def _of(values: Floats, number: Ints) -> Floats:
     return result
 
 
-def _named(beads: TextBeads, n: int) -> str:
-    if beads.enters_layer[n]:
-        return f"layer {beads.layer[n] + 1}"
-    what = f"island {beads.island[n]}" if beads.island[n] >= 0 else f"ring {beads.ring[n]}"
-    what = f"a further bead of {what}" if beads.inner[n] else what
-    return f"{what} of layer {beads.layer[n] + 1}"
-
-
-def _entries(
-    nc: NCProgram,
-    beads: TextBeads,
-    config: Config,
-    shapes: Sequence[LayerShape],
-    before: HeatColumn | None = None,
-    lowest: BaseGeometry | None = None,
-) -> Check:
+def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
     """Temperature of the surface when a bead is entered, by the balance, against the limit."""
     limit_k = highest_entry_k(config)
-    bed_k, _ = text_bed_k(beads, config, shapes, before, lowest)
-    checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     if not checked.any():
         return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")
     rows = np.flatnonzero(checked)
     worst = int(rows[np.argmax(bed_k[rows])])
     figure_k, mark = within_range(float(bed_k[worst]), config)
     over = int((bed_k[rows] > limit_k).sum())
-    text = f"surface at {figure_k:.0f} K{mark} when {_named(beads, worst)} is entered, by the balance of the heat"
+    text = (
+        f"surface at {figure_k:.0f} K{mark} when {beads.named(worst)} is entered, by the balance of the heat"
+    )
     if over:
         text += f"; {over} of {rows.size} entries are over {limit_k:.0f} K"
     return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
@@ -276,7 +265,7 @@ def _again(
     bead = int(np.argmax(bed_k))
     figure_k, mark = within_range(float(bed_k[bead]), config)
     text = (
-        f"surface at {figure_k:.0f} K{mark} when {_named(beads, bead)} is entered, by a second balance of the heat; "
+        f"surface at {figure_k:.0f} K{mark} when {beads.named(bead)} is entered, by a second balance of the heat; "
         f"{limit_k:.0f} K is the limit, and {most_k - limit_k:.0f} K more is what balances may differ by"
     )
     return Check(

@@ -75,6 +75,7 @@ REMEDIES: Mapping[str, str] = {
     "preheat balance": MISTAKE,
     "part of the file": MISTAKE,
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
+    "least entry temperature": "shorten the wait (make the program again), preheat (preheat.when), or lower process.least_entry_temperature_k",
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
     **dict.fromkeys(("preheat calls", "preheat state", "preheat path", "preheat count", "preheat lines"), AGAIN),
     "preheat temperature": "more passes or current (preheat.most_passes, preheat.current_ma), a shorter wait (preheat.soak_s), or a lower target_k",
