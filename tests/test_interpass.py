@@ -26,10 +26,10 @@ from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.program.checking.interpass_checks import (
     INTERPASS,
-    MELTING,
     OVER_RANGE,
     layer_shares,
 )
+from ebamcheck.program.checking.melting_check import MELTING
 from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.controls.sinumerik.writing import write_program
