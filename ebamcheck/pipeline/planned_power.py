@@ -19,6 +19,7 @@ from ebamcheck.program.toolpath.bead_ends import with_bead_ends, written_form
 from ebamcheck.program.toolpath.bead_parts import path_points
 from ebamcheck.program.toolpath.bead_power import along_beads
 from ebamcheck.program.toolpath.cuts import segment_lengths
+from ebamcheck.program.toolpath.seams import NO_SEAMS
 from ebamcheck.program.toolpath.tracks import toolpath
 from ebamcheck.program.toolpath.wire import bare_surface, wired
 from ebamcheck.scan import ScanPlan, plan_stack
@@ -51,9 +52,10 @@ def power_by_wire(
     if isinstance(process.power_schedule, str) and process.interpass in ("off", "dwell"):
         return None
     surface = stands.copy() if stands is not None else None
+    seams = NO_SEAMS
 
     def power_of(layer: OrderedLayer, thickness_mm: float) -> BeadPower:
-        nonlocal surface
+        nonlocal surface, seams
         if surface is None:
             surface = bare_surface(sections, config)
         plan, machine = _OneLayer.of(layer), config.machine
@@ -68,7 +70,9 @@ def power_by_wire(
             machine.line_tolerance_mm,
         )
         path = replace(path, z=np.array([config.base_mm + thickness_mm]))
-        path = with_bead_ends(path, process, decimals)
+        path = with_bead_ends(path, process, decimals, seams)
+        here = path.start[path.ring >= 0]
+        seams = here if here.size else seams
         if not path.kind.size:
             return BeadPower(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
         points = path_points(path)

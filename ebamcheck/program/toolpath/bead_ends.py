@@ -21,7 +21,7 @@ from ebamcheck.program.toolpath.bead_parts import (
 )
 from ebamcheck.program.toolpath.cuts import segment_lengths
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
-from ebamcheck.program.toolpath.seams import seam_shifts
+from ebamcheck.program.toolpath.seams import NO_SEAMS, seam_shifts
 from ebamcheck.program.toolpath.segments import Form
 from ebamcheck.program.toolpath.tracks import Toolpath, toolpath
 from ebamcheck.program.toolpath.wire import with_wire
@@ -54,13 +54,15 @@ def written_form(machine: MachineSettings) -> Form:
     return forms.get(machine.curve_form) or control(machine.control).splines
 
 
-def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int) -> Toolpath:
+def with_bead_ends(
+    path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS
+) -> Toolpath:
     """Start, overlap and ramp the beads of a path as the process asks.
 
     A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start
     for ``process.overlap_mm``, at most once around. Along the first ``process.ramp_up_mm`` of every bead the power
     rises in steps, along the last ``process.crater_fill_mm`` it falls; where a bead is shorter than both, they
-    shrink alike.
+    shrink alike. `below` (n, 2) are the seams under the lowest layer.
     """
     if not (process.shapes_bead_ends and path.kind.size):
         return path
@@ -70,7 +72,7 @@ def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int) -> T
     seams = np.zeros(path.ring.size)
     if process.seam_shift_mm > 0.0:
         seams = seam_shifts(
-            path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm
+            path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm, below
         )
     return cut(path, points, lengths, parts_of(path, tracks, _stretches(tracks, seams, process)), decimals)
 
