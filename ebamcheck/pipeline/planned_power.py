@@ -15,7 +15,7 @@ from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.toolpath.bead_ends import with_bead_ends, written_form
+from ebamcheck.program.toolpath.bead_ends import uppermost_seams, with_bead_ends, written_form
 from ebamcheck.program.toolpath.bead_parts import path_points
 from ebamcheck.program.toolpath.bead_power import along_beads
 from ebamcheck.program.toolpath.cuts import segment_lengths
@@ -70,9 +70,8 @@ def power_by_wire(
             machine.line_tolerance_mm,
         )
         path = replace(path, z=np.array([config.base_mm + thickness_mm]))
-        path = with_bead_ends(path, process, decimals, seams)
-        here = path.start[path.ring >= 0]
-        seams = here if here.size else seams
+        below, seams = seams, uppermost_seams(path, process, seams)
+        path = with_bead_ends(path, process, decimals, below)
         if not path.kind.size:
             return BeadPower(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
         points = path_points(path)

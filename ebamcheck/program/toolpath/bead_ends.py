@@ -69,12 +69,28 @@ def with_bead_ends(
     points = path_points(path)
     lengths = segment_lengths(path.kind, points)
     tracks = Tracks.of(path, lengths)
-    seams = np.zeros(path.ring.size)
-    if process.seam_shift_mm > 0.0:
-        seams = seam_shifts(
-            path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm, below
-        )
+    seams, _ = _seams(path, process, tracks, points, lengths, below)
     return cut(path, points, lengths, parts_of(path, tracks, _stretches(tracks, seams, process)), decimals)
+
+
+def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> Floats:
+    """Seams (n, 2) of the uppermost layer of a path before its beads are started; `below` as of :func:`with_bead_ends`."""
+    if process.seam_shift_mm <= 0.0 or not path.kind.size:
+        return below
+    points = path_points(path)
+    lengths = segment_lengths(path.kind, points)
+    return _seams(path, process, Tracks.of(path, lengths), points, lengths, below)[1]
+
+
+def _seams(
+    path: Toolpath, process: ProcessSettings, tracks: Tracks, points: Floats, lengths: Floats, below: Floats
+) -> tuple[Floats, Floats]:
+    """Shift of each track, (T,), and the seams of the uppermost layer."""
+    if process.seam_shift_mm <= 0.0:
+        return np.zeros(path.ring.size), below
+    return seam_shifts(
+        path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm, below
+    )
 
 
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:

@@ -28,8 +28,8 @@ def seam_shifts(
     lengths: Floats,
     shift_mm: float,
     below: Floats = NO_SEAMS,
-) -> Floats:
-    """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below.
+) -> tuple[Floats, Floats]:
+    """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
 
     A contour starts a shift further along itself than its place next to the seam below.
 
@@ -55,7 +55,7 @@ def seam_shifts(
                 shifts[t] = along[chosen]
                 seams.append(places[chosen])
         below = np.array(seams) if seams else below
-    return shifts
+    return shifts, below
 
 
 def _places(points: Floats, lengths: Floats) -> tuple[Floats, Floats]:
