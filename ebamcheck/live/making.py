@@ -271,7 +271,6 @@ class LayerMaker:
         surface = None if stands is None else stands.surface
         with clock.stage("plan"):
             plan, after, wait_s = self._planned(smooth, wanted, heat, aimed_lower(config, cooler_k), surface)
-            plan = replace(plan, stands=surface)
         made = [
             self.sound,
             comparing.result(),
@@ -309,7 +308,8 @@ class LayerMaker:
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
-            made += _gates_of_program(checks, plan, config)
+            made += [gates.deposit_gate(checks, config), gates.heat_gate(checks, plan.metrics, config)]
+            made.append(gates.program_gate(checks))
             files = marked_validated(files) if all(gate.passed for gate in made) else files
         return MadeLayer(
             wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
@@ -379,18 +379,9 @@ class LayerMaker:
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under)
+        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under, stands=surface)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
-
-
-def _gates_of_program(checks: list[Check], plan: ScanPlan, config: Config) -> list[Gate]:
-    """Gates that the text of a program has to pass."""
-    return [
-        gates.deposit_gate(checks, config),
-        gates.heat_gate(checks, plan.metrics, config),
-        gates.program_gate(checks),
-    ]
 
 
 def program_settings_sha256(config: Config) -> str:
