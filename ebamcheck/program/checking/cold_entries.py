@@ -20,7 +20,7 @@ COLD = "least entry temperature"
 
 WARM_SHARE = 0.6
 """Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less.
-Plans wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of twelve sections and
+Plans wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and
 settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56."""
 
 WAITED_S = 1e-6

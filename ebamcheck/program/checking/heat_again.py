@@ -38,7 +38,7 @@ PLATE_CELLS = 6
 """Cells of the base plate."""
 
 STEPS = 24
-"""Steps of every time, growing evenly: what is uneven evens out at first. With 12 a column on a wide foot is found 62 K too warm."""
+"""Steps of every time, growing evenly: what is uneven evens out at first."""
 
 SINGLE_LAYERS, MOST_CELLS = 48, 128
 """Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down."""
