@@ -11,11 +11,11 @@ import shapely
 
 from ebamcheck.curves import fit
 from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.program import verify_file
 from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.controls.sinumerik.writing import write_program
-from ebamcheck.scan import plan_stack
 from ebamcheck.settings.config import Config
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
@@ -66,7 +66,7 @@ def made(shape: str) -> Made:
     heights = (np.arange(LAYERS) + 0.5) * config.layer_height_mm
     sections = from_polygons(heights, [list(shapely.get_parts(SHAPES[shape](k))) for k in range(LAYERS)])
     smooth = smooth_layers(fit(sections, config.curves.method, config.curves))
-    plan = plan_stack(smooth, config)
+    plan = plan_program(smooth, config)
     return Made(config, sections, plan, bead_paths(smooth, plan, config))
 
 

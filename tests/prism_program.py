@@ -4,12 +4,12 @@ import numpy as np
 
 from ebamcheck.curves import Curves
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program, write_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.toolpath.inputs import deposition_heights
-from ebamcheck.scan import plan_stack
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})
@@ -25,7 +25,7 @@ class Made:
         self.layers = from_polygons(
             heights, [[s] for s in (section if isinstance(section, list) else [section] * layers)]
         )
-        self.plan = plan_stack(self.layers, config)
+        self.plan = plan_program(self.layers, config)
         self.beads: Curves = bead_paths(self.layers, self.plan, config)
         self.files = write_program(self.beads, self.plan, config, folder / "program")
         self.z = deposition_heights(heights, config.layer_height_mm)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import shapely
 from benchmarks.faults.program_text import without_comments
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS
@@ -59,7 +61,15 @@ class Made:
         heights = (np.arange(LAYERS) + 0.5) * config.layer_height_mm
         self.layers = from_polygons(heights, [[SECTION]] * LAYERS)
         stack = Stack([layer_section(self.layers.polygons(k)) for k in range(LAYERS)], heights, range(LAYERS))
-        self.ordered = list(ordered_layers(stack, config, config.scan.order, 0, carry=True))
+        self.powers, by_wire = [], power_by_wire(stack.sections, config)
+
+        def power_of(layer, thickness_mm):
+            self.powers.append(by_wire(layer, thickness_mm))
+            return self.powers[-1]
+
+        self.ordered = list(
+            ordered_layers(stack, config, config.scan.order, 0, carry=True, power_of=by_wire and power_of)
+        )
         self.plan = stack_plans([in_order(layer) for layer in self.ordered], config, config.scan.order, 0)
         self.curves = bead_paths(self.layers, self.plan, config)
         self.files = write_plain_gcode(self.curves, self.plan, config, folder)
@@ -69,7 +79,8 @@ class Made:
         done = self.ordered[layer]
         heat = done.islands.cold_heat()
         contours = contour_beads(done.laid, self.config, heat)
-        return bead_sequence(done.laid, contours, self.config, heat, done.order, done.options)[0]
+        beads = bead_sequence(done.laid, contours, self.config, heat, done.order, done.options)[0]
+        return replace(beads, power=self.powers[layer] if self.powers else None)
 
     def entries(self):
         """Beads of the text as they are entered, with nothing known but the text."""
@@ -98,9 +109,9 @@ def test_the_heat_of_a_plan_is_that_of_its_events_and_of_its_text(ends, tmp_path
     starts = metal["starts"].groupby(metal["layer"]).sum()
     for k in range(LAYERS):
         beads = made.planned(k)
-        power_w = made.plan.metrics["power_share"][k] * config.process.power_w
+        on = beads.at_share(made.plan.metrics["power_share"][k]).on
         assert beads.time_s.sum() == pytest.approx(seconds[k], rel=1e-4)
-        assert power_w * (beads.time_s @ beads.on) == pytest.approx(joules[k], rel=1e-4)
+        assert config.process.power_w * (beads.time_s @ on) == pytest.approx(joules[k], rel=1e-4)
         assert len(beads) == starts[k]
     planned_k = np.concatenate([layer.heat.mean_k for layer in made.ordered])
     _, found, bed_k = made.entries()

@@ -8,6 +8,7 @@ import shapely
 
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS, heat_checks
@@ -56,7 +57,8 @@ def made(shape, config, folder):
     layers = from_polygons(heights, [[shape((k + 0.5) / LAYERS)] for k in range(LAYERS)])
     order, seed = config.scan.order, config.scan.seed
     stack = Stack([layer_section(layers.polygons(k)) for k in range(LAYERS)], heights, range(LAYERS))
-    done = list(ordered_layers(stack, config, order, seed, carry=True))
+    power_of = power_by_wire(stack.sections, config)
+    done = list(ordered_layers(stack, config, order, seed, carry=True, power_of=power_of))
     plan = stack_plans([in_order(layer) for layer in done], config, order, seed)
     files = write_program(bead_paths(layers, plan, config), plan, config, folder)
     return plan, np.concatenate([layer.heat.mean_k for layer in done]), read_program(files.main, config)

@@ -21,14 +21,15 @@ from ebamcheck.heat.melting import (
 )
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.program.checking.interpass_checks import (
     INTERPASS,
-    MELTING,
     OVER_RANGE,
     layer_shares,
 )
+from ebamcheck.program.checking.melting_check import MELTING
 from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.controls.sinumerik.writing import write_program
@@ -54,7 +55,7 @@ def tube(config=CONFIG, count=LAYERS):
 
 def planned(**process):
     config = CONFIG.changed(process=process)
-    return config, plan_stack(tube(config), config)
+    return config, plan_program(tube(config), config)
 
 
 @pytest.fixture(scope="module")
@@ -229,9 +230,7 @@ def test_waits_and_power_are_written_and_read_back(plans, tmp_path, control):
     nc, checks = judged(config, files, plan, curves)
     for name in ("layer pause", "power", INTERPASS, MELTING):
         assert checks[name].passed, checks[name].text
-    assert layer_shares(nc, config.process.power_w) == pytest.approx(
-        plan.metrics["power_share"].to_numpy(), abs=1e-6
-    )
+    assert layer_shares(nc, config) == pytest.approx(plan.metrics["power_share"].to_numpy(), abs=1e-6)
     rings = 2
     waits = plan.metrics["wait_s"].sum() + (rings - 1) * plan.metrics["ring_wait_s"].sum()
     waits += plan.island_wait_s.sum() + plan.inner_wait_s[plan.further_beads()].sum()
@@ -377,6 +376,7 @@ def test_a_layer_that_fits_is_simulated_once_and_is_the_one_with_waits(name, mon
         return result
 
     monkeypatch.setattr(whole_part, "cooled_layer", both_ways)
-    planned(interpass=name, interpass_limit_k=1900.0)
+    config = CONFIG.changed(process={"interpass": name, "interpass_limit_k": 1900.0})
+    plan_stack(tube(config), config)
     assert len(alike) > LAYERS // 2
     assert any(layer.power_share < 1.0 for layer in alike)

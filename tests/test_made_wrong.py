@@ -22,7 +22,8 @@ from ebamcheck.program.checking.heat_again import (
     highest_entry_k,
     melting_power_w,
 )
-from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, heat_checks
+from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, heat_checks
+from ebamcheck.program.checking.melting_check import MELTING
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.language import files

@@ -7,10 +7,10 @@ import pytest
 import shapely
 
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.program.controls.gcode.writing import write_plain_gcode
-from ebamcheck.scan import plan_stack
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(
@@ -32,7 +32,7 @@ def plate(parts, count=2):
 
 def power_check(parts, folder, config=CONFIG, count=2):
     layers = plate(parts, count)
-    plan = plan_stack(layers, config)
+    plan = plan_program(layers, config)
     files = write_plain_gcode(bead_paths(layers, plan, config), plan, config, folder)
     nc = read_program(files.main, config)
     checks = verify_program(nc, config=config, layers=layers, heat=True)

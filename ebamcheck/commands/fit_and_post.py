@@ -36,6 +36,7 @@ from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part_source import read_reference
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.run_folder import MANIFEST
 from ebamcheck.preflight.layer_height import chosen_height
@@ -43,7 +44,6 @@ from ebamcheck.program import write_program
 from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
 from ebamcheck.program.writing.entry import begin_at_layer, check_entry
-from ebamcheck.scan import plan_stack
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
@@ -161,7 +161,7 @@ def post_command(
         config = chosen_height(placed, inspect(placed).passed, config).config
         layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
         smooth = smooth_layers(fit_for_program(layers, config.curves, placed))
-        plan = plan_stack(smooth, config)
+        plan = plan_program(smooth, config)
         beads, sha256 = bead_paths(smooth, plan, config), placed.source_sha256
     if control:
         config = config.changed(machine={"control": control})

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
+
+WIDER = 1.0005
+"""Width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program."""
 
 
 def melting_heat_j_kg(config: Config) -> float:
@@ -22,13 +26,48 @@ def least_power_share(config: Config, thickness_mm: float | None = None) -> floa
     the metal that is remelted with it; both are heated from the chamber's temperature, which is on the safe side. If
     full power is too little for both, all of it is needed and less is remelted, as long as it melts the wire.
     """
-    process, material = config.process, config.material
+    process = config.process
     height_mm = config.layer_height_mm if thickness_mm is None else thickness_mm
-    laid_mm3_s = process.travel_speed_mm_s * process.hatch_spacing_mm * height_mm
-    wire_w = 1e-9 * material.density_kg_m3 * laid_mm3_s * melting_heat_j_kg(config)
-    wire = wire_w / (process.melting_efficiency * material.absorptivity * process.power_w)
+    wire = process.travel_speed_mm_s * process.hatch_spacing_mm * height_mm / melted_mm3_s(config)
     pool = wire / (1.0 - process.dilution)
     return pool if pool <= 1.0 else max(wire, 1.0)
+
+
+def melted_mm3_s(config: Config) -> float:
+    """Metal of the wire that the full power melts from the chamber's temperature, with none of the metal beside it, mm3/s."""
+    process, material = config.process, config.material
+    melting_w = process.melting_efficiency * material.absorptivity * process.power_w
+    return melting_w / (1e-9 * material.density_kg_m3 * melting_heat_j_kg(config))
+
+
+def own_power_shares(config: Config, width_mm: Floats, thickness_mm: float) -> Floats:
+    """Share of the beam's power that each bead needs for itself, since it lays more metal than its neighbours.
+
+    A layer has the power that its beads need at one spacing. A wider one gets as much more as its metal is more, up to the full
+    power; and as much as `process.metal_energy_j_mm3` asks for.
+
+    Parameters
+    ----------
+    width_mm
+        (n,) metal of each bead, in section over the height of its layer.
+    thickness_mm
+        That height.
+
+    Returns
+    -------
+    (n,) 0 where a bead lays one spacing or less.
+
+    Examples
+    --------
+    >>> own_power_shares(Config(), np.array([4.0, 4.5, 6.8]), 1.6755).round(3)
+    array([0.   , 0.398, 0.601])
+    """
+    process = config.process
+    metal_mm3_s = process.travel_speed_mm_s * width_mm * thickness_mm
+    pool = metal_mm3_s / (melted_mm3_s(config) * (1.0 - process.dilution))
+    window = process.metal_energy_j_mm3[0] * metal_mm3_s / process.power_w
+    wider = width_mm > WIDER * process.hatch_spacing_mm
+    return np.where(wider, np.minimum(np.maximum(pool, window), 1.0), 0.0)
 
 
 def entry_limit_k(config: Config) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from ebamcheck.heat.melting import melting_heat_j_kg
+from ebamcheck.heat.melting import melted_mm3_s
 from ebamcheck.program.toolpath.wire import MOST_MENDED
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import speed_window
@@ -50,7 +50,7 @@ def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] =
     >>> speed_share(Config().changed(process={"wire_speed_max_mm_s": 30.0}), 1.7)
     0.8213
     """
-    process, material = config.process, config.material
+    process = config.process
     wire = nominal_wire_speed_mm_s(config, thickness_mm)
     low, high = speed_window(config)
     low = max(low, process.wire_speed_min_mm_s / (wire * room[0]))
@@ -58,8 +58,7 @@ def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] =
     metal_mm3_s = wire * wire_area_mm2(config)
     high = min(high, process.power_w / (metal_mm3_s * process.metal_energy_j_mm3[0]))
     low = max(low, process.power_w / (metal_mm3_s * process.metal_energy_j_mm3[1]))
-    melting_w = 1e-9 * material.density_kg_m3 * metal_mm3_s * melting_heat_j_kg(config)
-    high = min(high, process.melting_efficiency * material.absorptivity * process.power_w / melting_w)
+    high = min(high, melted_mm3_s(config) / metal_mm3_s)
     if low > high:
         return None
     if low <= 1.0 <= high:

@@ -33,12 +33,14 @@ from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
 from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.metal import Surface
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import as_placed
+from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
@@ -266,9 +268,9 @@ class LayerMaker:
             verdict = self._fitted(contours, config)
             smooth = smooth_layers(verdict.curves)
         stands = None if metal is None else metal.measured()
+        surface = None if stands is None else stands.surface
         with clock.stage("plan"):
-            plan, after, wait_s = self._planned(smooth, wanted, heat, aimed_lower(config, cooler_k))
-            plan = replace(plan, stands=None if stands is None else stands.surface)
+            plan, after, wait_s = self._planned(smooth, wanted, heat, aimed_lower(config, cooler_k), surface)
         made = [
             self.sound,
             comparing.result(),
@@ -306,7 +308,8 @@ class LayerMaker:
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
-            made += _gates_of_program(checks, plan, config)
+            made += [gates.deposit_gate(checks, config), gates.heat_gate(checks, plan.metrics, config)]
+            made.append(gates.program_gate(checks))
             files = marked_validated(files) if all(gate.passed for gate in made) else files
         return MadeLayer(
             wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
@@ -356,7 +359,7 @@ class LayerMaker:
         return None if at_mm is None else self.section_at(at_mm, backend)
 
     def _planned(
-        self, smooth: Layers, wanted: Wanted, heat: HeatSoFar, config: Config
+        self, smooth: Layers, wanted: Wanted, heat: HeatSoFar, config: Config, surface: Surface | None
     ) -> tuple[ScanPlan, HeatSoFar, float]:
         """Plan of the layer on the heat so far; the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
@@ -368,25 +371,17 @@ class LayerMaker:
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
         warm, passes = preheated(heat.part, [section], 0, wanted.base_mm, config, under)
+        power_of = power_by_wire([section], config, surface)
         done, part, last = ordered_on(
-            warm, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid
+            warm, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid, power_of
         )
         if done.heat is not None:
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under)
+        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under, stands=surface)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
-
-
-def _gates_of_program(checks: list[Check], plan: ScanPlan, config: Config) -> list[Gate]:
-    """Gates that the text of a program has to pass."""
-    return [
-        gates.deposit_gate(checks, config),
-        gates.heat_gate(checks, plan.metrics, config),
-        gates.program_gate(checks),
-    ]
 
 
 def program_settings_sha256(config: Config) -> str:

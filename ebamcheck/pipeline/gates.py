@@ -18,9 +18,11 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
+from ebamcheck.program.checking.cold_entries import COLD
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.heat_again import highest_entry_k
-from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, MELTING, within_range
+from ebamcheck.program.checking.interpass_checks import AGAIN, HEAT_CHECKS, INTERPASS, within_range
+from ebamcheck.program.checking.melting_check import MELTING
 from ebamcheck.program.checking.remedies import frames
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
@@ -168,10 +170,10 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
 
 
 def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Gate:
-    """No bead is entered above the limit, by the plan and by the balance of the program's text; and its wire melts."""
+    """No bead is entered above the limit, by the plan and by the balance of the text, or too cold after a wait; and its wire melts."""
     limit_k, ambient_k = highest_entry_k(config), config.process.ambient_temperature_k
-    by_name = {check.name: check for check in checks if check.name in (INTERPASS, MELTING, AGAIN)}
-    again = by_name.pop(AGAIN, None)
+    by_name = {check.name: check for check in checks if check.name in HEAT_CHECKS}
+    again, cold = by_name.pop(AGAIN, None), by_name.pop(COLD, None)
     if len(by_name) < 2:
         why = "no program was written: there is no contour"
         if config.base_mm > 0.0:
@@ -193,6 +195,8 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
     passed = text.passed and planned_k <= limit_k and melting.passed and not unknown.size
     if again is not None and not again.passed:
         passed, said = False, f"{again.text}; {said}"
+    if cold is not None and not cold.passed:
+        passed, said = False, f"{cold.text}; {said}"
     if unknown.size:
         said = f"the plan has no temperature for layer {int(unknown[0]) + 1}, which has beads; {said}"
     if not melting.passed:
@@ -202,11 +206,7 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
 
 def program_gate(checks: Iterable[Check]) -> Gate:
     """Every check of the program that was read back passed; what other gates are about is theirs."""
-    made = [
-        check
-        for check in checks
-        if check.name not in (*DEPOSIT_CHECKS, *OF_THE_MESH, INTERPASS, MELTING, AGAIN)
-    ]
+    made = [check for check in checks if check.name not in (*DEPOSIT_CHECKS, *OF_THE_MESH, *HEAT_CHECKS)]
     failed = [c for c in made if not c.passed]
     if not made:
         return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")

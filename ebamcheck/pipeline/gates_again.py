@@ -43,6 +43,7 @@ from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
+from ebamcheck.program.checking.cold_entries import COLD
 from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
@@ -80,6 +81,7 @@ OF_TEXT_ALONE = (
     WIRE_OF_BEADS,
     # Not by runs of an earlier version.
     AGAIN,
+    COLD,
     *OF_THE_MESH,
 )
 """Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version."""

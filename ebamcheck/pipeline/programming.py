@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.atomic_file import COMPRESSION
-from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
@@ -25,6 +25,7 @@ from ebamcheck.pipeline.entry_program import Entry, write_entry
 from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_against
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
+from ebamcheck.pipeline.planned_power import bead_curves, plan_program
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.solid_metal import of_mesh, solid_check
 from ebamcheck.pipeline.work import Job, one_beside
@@ -43,7 +44,7 @@ from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import event_totals, process_events
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.program.toolpath.tracks import Toolpath
-from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 
 SAMPLING_MM = 0.002
@@ -113,7 +114,7 @@ def make_program(
         with_reference = aside.submit(lambda: held_against(job, layers, compared.result(), fine))
         with job.stage("partition and order", len(layers)):
             smooth = smooth_layers(fit_result.curves)
-            plan = plan_stack(smooth, config, progress=job.observer.advance)
+            plan = plan_program(smooth, config, job.observer.advance)
             plan.to_parquet(job.folder.path / "scan.parquet")
             plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
         job.add_finding(*noticed_in_program.of_heat(plan, config))
@@ -175,11 +176,7 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
         backend=layers.backend,
         settings=layers.settings,
     )
-    # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
-    method = "bounded" if config.curves.method in LIFTED else config.curves.method
-    # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
-    bulge_mm = min(config.curves.largest_bulge_mm, 2.0 * config.curves.tolerance_mm)
-    return fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
+    return bead_curves(lines, config)
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:

@@ -172,6 +172,9 @@ class ProcessSettings(Section):
     and waits where the least power is still too much (both), or nothing (off)."""
     interpass_limit_k: Temperature | None = None
     """Temperature over which no bead may be entered; None: that of the material. With `interpass` off, the solidus."""
+    least_entry_temperature_k: Temperature | None = None
+    """Temperature under which no bead may be entered; None: no wait may leave a bead less than 0.6 of the rise of the limit over the
+    chamber, or of the bead before where that is less."""
     pyrometer_limit_k: Annotated[float, Between(1.0, 1000.0)] = 150.0
     """How far a measured temperature of the surface may lie off the model, which it then corrects (`live`); beyond it is refused."""
     interpass_at: Literal["bead", "layer"] = "bead"
@@ -254,6 +257,11 @@ class ProcessSettings(Section):
         }.items():
             if low >= high:
                 raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")
+        least_k, limit_k = self.least_entry_temperature_k, self.interpass_limit_k
+        if least_k is not None and limit_k is not None and least_k >= limit_k:
+            raise ValueError(
+                f"least_entry_temperature_k {least_k:g} is not under interpass_limit_k {limit_k:g}"
+            )
         ramps = {"ramp_up_window_s": self.ramp_up_window_s, "crater_fill_window_s": self.crater_fill_window_s}
         for name, window in ramps.items():
             if window is not None and window[0] > window[1]:

@@ -42,7 +42,7 @@ def line_energy_j_mm(config: Config) -> float:
 
 
 def least_window_share(config: Config) -> float:
-    """Share of the power under which its line energy, its current, or its energy for the wire of the widest beads leaves the process window.
+    """Share of the power under which its line energy, its current, or its energy for the wire of a bead leaves the process window.
 
     Examples
     --------
@@ -50,9 +50,7 @@ def least_window_share(config: Config) -> float:
     0.25
     """
     process = config.process
-    metal_mm3_s = (
-        MOST_SPACINGS * wire_area_mm2(config) * nominal_wire_speed_mm_s(config, config.layer_height_mm)
-    )
+    metal_mm3_s = wire_area_mm2(config) * nominal_wire_speed_mm_s(config, config.layer_height_mm)
     return max(
         process.line_energy_j_mm[0] / line_energy_j_mm(config),
         process.current_window_ma[0] / process.current_ma,

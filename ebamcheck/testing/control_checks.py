@@ -17,13 +17,13 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.curves import Curves, fit
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.language.control import Control, control
 from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.language.templates import process_values, usable_templates
-from ebamcheck.scan import plan_stack
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.testing.figures import Figure, truth
@@ -92,7 +92,7 @@ def _stack(config: Config) -> tuple[Curves, ScanPlan]:
     height = config.layer_height_mm
     layers = from_polygons(height * (np.arange(LAYERS) + 0.5), [[section]] * LAYERS)
     smooth = smooth_layers(fit(layers, "paper", config.curves))
-    plan = plan_stack(smooth, config)
+    plan = plan_program(smooth, config)
     return bead_paths(smooth, plan, config), plan
 
 

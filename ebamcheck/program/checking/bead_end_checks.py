@@ -6,6 +6,7 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place, worst_check
+from ebamcheck.program.checking.melting_check import own_shares
 from ebamcheck.program.language.increments import power_slack_w
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.bead_parts import SHORTEST_BLOCK_MM
@@ -32,15 +33,16 @@ def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check
 
 
 def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
-    """Power of every deposit against that of its layer, on ramps against the straight ramp, within half a step."""
+    """Power of every deposit against that of its layer, or what its wire needs; on ramps against the straight ramp, within half a step."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     share = nc.power_w[rows] / process.power_w
-    wanted, step = _expected_power(nc, rows, config)
+    wanted, step = ramp_power(nc, rows, config)
     # A program may have layers that the plan does not know.
     known = (nc.layer[rows] >= 0) & (nc.layer[rows] < shares.size)
     of_layer = np.ones(rows.size)
     of_layer[known] = shares[nc.layer[rows[known]]]
+    of_layer = np.maximum(of_layer, own_shares(nc, rows, config))
     slack_w = power_slack_w(config.machine, process.voltage_kv, process.current_ma)
     wanted, step = wanted * of_layer, step * of_layer + slack_w / process.power_w
     off = np.maximum(np.abs(share - wanted) - step, 0.0)
@@ -61,7 +63,7 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     )
 
 
-def _expected_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Floats]:
+def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Floats]:
     """Share of the full power in the middle of each motion, and how far a step of the ramp may be from it."""
     process = config.process
     if not process.ramps_beam:

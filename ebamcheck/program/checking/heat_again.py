@@ -16,6 +16,7 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.kernels import kernel
@@ -37,7 +38,7 @@ PLATE_CELLS = 6
 """Cells of the base plate."""
 
 STEPS = 24
-"""Steps of every time, growing evenly: what is uneven evens out at first. With 12 a column on a wide foot is found 62 K too warm."""
+"""Steps of every time, growing evenly: what is uneven evens out at first."""
 
 SINGLE_LAYERS, MOST_CELLS = 48, 128
 """Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down."""
@@ -71,21 +72,26 @@ def may_differ_k(config: Config) -> float:
     return max(MODELS_SHARE * rise_k, MODELS_K)
 
 
-def melting_power_w(config: Config, thickness_mm: float) -> float:
-    """Power of the beam at which the wire of a layer, and the metal that is remelted with it, melts from the cold, W.
+def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
+    """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
 
     Where the full power is too little for both, all of it, or that for the wire alone, is asked for.
+
+    Parameters
+    ----------
+    thickness_mm
+        (...) height of what a bead lays where its metal is spread over one spacing, at the feed of the process.
     """
     process, material = config.process, config.material
-    wire_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing * thickness_mm
-    kg_s = wire_mm3_s * 1e-9 * material.density_kg_m3
+    each_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing
+    kg_s = each_mm3_s * np.asarray(thickness_mm, np.float64) * 1e-9 * material.density_kg_m3
     rise_k = max(material.liquidus_k - process.ambient_temperature_k, 0.0)
     kelvin = process.ambient_temperature_k + rise_k * (np.arange(SUMMED) + 0.5) / SUMMED
     sensible = float(np.interp(kelvin, *_data(material.heat_capacity_by_temperature)).mean()) * rise_k
     efficiency = process.melting_efficiency * material.absorptivity
     wire_w = kg_s * (sensible + material.latent_heat_j_kg) / efficiency
     full_w, both_w = process.voltage_kv * process.current_ma, wire_w / (1.0 - process.dilution)
-    return both_w if both_w <= full_w else max(wire_w, full_w)
+    return np.where(both_w <= full_w, both_w, np.maximum(wire_w, full_w))
 
 
 def _data(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
@@ -207,7 +213,7 @@ class _Column:
         wide_k = max(material.liquidus_k - material.solidus_k, 1.0)
         melts = (kelvin >= material.solidus_k) & (kelvin < material.solidus_k + wide_k)
         capacity += np.where(melts, material.latent_heat_j_kg / wide_k, 0.0)
-        self._capacity = 1e-9 * material.density_kg_m3 * capacity
+        self._content = np.cumsum(1e-9 * material.density_kg_m3 * capacity)
         self._conductivity = 1e-3 * np.interp(kelvin, *_data(material.conductivity_by_temperature))
         self._laid = np.zeros((0, 5))  # of each layer what a shape has of it
         self._first = np.zeros(0, np.int64)  # of the layers in each cell above the plate
@@ -269,7 +275,7 @@ class _Column:
         self._lost |= not (math.isfinite(time_s) and math.isfinite(heat_j))
         if self._lost or time_s <= 0.0 or not len(self._laid):
             return
-        tables = self._capacity, self._conductivity
+        tables = self._content, self._conductivity
         cells = self._height, self._area, self._shining
         _follow(self._kelvin, cells, tables, self._ambient, self._cooled, time_s, heat_j / time_s)
 
@@ -284,23 +290,26 @@ def _follow(
     time: float,
     power: float,
 ) -> None:
-    """Let a time go by; `kelvin` (n,) goes from its start to its end.
+    """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end.
 
     Parameters
     ----------
     cells
         Height, section, and surface that radiates times its emissivity, (n,) each, from the table up.
     tables
-        Heat capacity, J/mm^3 K, and conductivity, W/mm K, at every kelvin.
+        Heat content, J/mm^3, and conductivity, W/mm K, at every kelvin.
     power
         Heat that the uppermost cell takes up, W.
     """
     for step in range(STEPS):
-        share = (2 * step + 1) / STEPS**2
-        middle = kelvin.copy()
-        _step(middle, kelvin, cells, tables, ambient, cooled, share * time, power)
-        middle = 0.5 * (middle + kelvin)
-        _step(kelvin, middle, cells, tables, ambient, cooled, share * time, power)
+        span = (2 * step + 1) / STEPS**2 * time
+        end, whole = kelvin.copy(), kelvin.copy()
+        _step(end, kelvin, cells, tables, ambient, cooled, span, power)
+        _step(whole, 0.5 * (kelvin + end), cells, tables, ambient, cooled, span, power)
+        _step(kelvin, 0.75 * kelvin + 0.25 * whole, cells, tables, ambient, cooled, 0.5 * span, power)
+        _step(kelvin, 0.5 * (kelvin + whole), cells, tables, ambient, cooled, 0.5 * span, power)
+        # What two halves differ by from the whole is the error of one order: twice it is taken out.
+        kelvin[:] = 2.0 * kelvin - whole
 
 
 @kernel
@@ -314,16 +323,22 @@ def _step(
     time: float,
     power: float,
 ) -> None:
-    """One implicit step with the data of the material at given temperatures (n,)."""
+    """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step.
+
+    Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.
+    """
     height, area, shining = cells
-    capacity, conductivity = tables
+    content, conductivity = tables
     count = kelvin.size
     pivot, right, link = np.empty(count), np.empty(count), np.empty(count)
     below = 0.0
     for i in range(count):
-        k = min(max(int(data_at[i]), 0), capacity.size - 1)
+        k = min(max(int(data_at[i]), 0), conductivity.size - 1)
+        a = min(max(int(min(kelvin[i], 2.0 * data_at[i] - kelvin[i])), 0), content.size - 2)
+        b = min(max(int(max(kelvin[i], 2.0 * data_at[i] - kelvin[i])), a + 1), content.size - 1)
+        capacity = (content[b] - content[a]) / (b - a)
         half = 0.5 * height[i] / (conductivity[k] * area[i])
-        held = capacity[k] * height[i] * area[i] / time
+        held = capacity * height[i] * area[i] / time
         glow = shining[i] * (data_at[i] ** 2 + ambient**2) * (data_at[i] + ambient)
         pivot[i], right[i] = held + glow, held * kelvin[i] + glow * ambient
         if i > 0:

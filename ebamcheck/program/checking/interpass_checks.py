@@ -9,17 +9,19 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.bead_end_checks import ramp_power
 from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.cold_entries import COLD, cold_check
 from ebamcheck.program.checking.heat_again import (
     BeadHeat,
     entries_k,
     highest_entry_k,
     may_differ_k,
-    melting_power_w,
 )
+from ebamcheck.program.checking.melting_check import MELTING, MELTING_TOLERANCE, melting_check, own_shares
 from ebamcheck.program.checking.text_heat import (
     PAUSE,
     TextBeads,
@@ -34,14 +36,14 @@ from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.settings.config import Config
 
-INTERPASS, MELTING, AGAIN = "interpass temperature", "melting power", "balance of the heat"
+INTERPASS, AGAIN = "interpass temperature", "balance of the heat"
+"""Names of two checks."""
+
+HEAT_CHECKS = (INTERPASS, MELTING, AGAIN, COLD)
 """Names of the checks that the heat gate reads."""
 
 PAUSE_TOLERANCE_S = 1e-6
 """Decimals of a process value."""
-
-SHARE_TOLERANCE = 1e-3
-"""Beam power in the program over that of the plan: the decimals of voltage and current."""
 
 ROOM, ROOM_K, PERCENT = 0.85, 80.0, 0.01
 """Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the
@@ -84,11 +86,15 @@ def heat_checks(
     """
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
+    melting = melting_check(nc, config, ramp_power(nc, np.flatnonzero(nc.deposit), config)[1] > 0.0)
     if before is None and config.base_mm > 0.0:
-        return [_melting(nc, config, shapes)]
+        return [melting]
+    bed_k, _ = text_bed_k(beads, config, shapes, before, known[0] if known else None)
+    checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     checks = [
-        _melting(nc, config, shapes),
-        _entries(nc, beads, config, shapes, before, known[0] if known else None),
+        melting,
+        _entries(nc, beads, bed_k, checked, config),
+        cold_check(nc, beads, bed_k, checked, config),
     ]
     own = sections_of_text(nc, config, witness or sections)
     if before is None and not beads.scans and own:
@@ -96,11 +102,25 @@ def heat_checks(
     return checks
 
 
-def layer_shares(nc: NCProgram, power_w: float) -> Floats:
-    """Share of the power in each layer, (L,): that of its strongest motion; NaN where it lays nothing."""
+def layer_shares(nc: NCProgram, config: Config) -> Floats:
+    """Share of the power in each layer, (L,): that of its strongest motion whose own wire asks for less; NaN where it lays nothing.
+
+    Where every bead has the power that its own wire needs, that of the layer is the least of them at most. Ramps tell only where
+    there is nothing else.
+    """
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    shares = np.full(len(nc.layer_files), -np.inf)
-    np.fmax.at(shares, nc.layer[rows], nc.power_w[rows] / power_w)
+    share = nc.power_w[rows] / config.process.power_w
+    slack = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
+    own = own_shares(nc, rows, config) * (1.0 + MELTING_TOLERANCE) + slack / config.process.power_w
+    along, step = ramp_power(nc, rows, config)
+    count, layer = len(nc.layer_files), nc.layer[rows]
+    shares, on_ramps, least = np.full(count, -np.inf), np.full(count, -np.inf), np.full(count, np.inf)
+    plain = ~(share <= own)
+    np.fmax.at(shares, layer[plain & (step == 0.0)], share[plain & (step == 0.0)])
+    np.fmax.at(on_ramps, layer[plain], share[plain] / along[plain])
+    np.fmin.at(least, layer, share)
+    shares = np.where(np.isinf(shares), on_ramps, shares)
+    shares = np.where(np.isinf(shares), least, shares)
     return np.where(np.isinf(shares), np.nan, shares)
 
 
@@ -122,7 +142,7 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     Power is taken back only where a bead would else be entered above the limit: a layer whose beads would all stay well
     under it with more power has too little.
     """
-    shares = np.minimum(layer_shares(nc, config.process.power_w), 1.0)
+    shares = np.minimum(layer_shares(nc, config), 1.0)
     # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
     if config.process.power_schedule != "taper" or config.base_mm > 0.0:
         return shares
@@ -178,7 +198,7 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     faults += [
         (
             nc.where(int(beads.row[n])),
-            f"waits {beads.wait_s[n]:g} s before {_named(beads, n)} in place of {wanted[n]:g} s",
+            f"waits {beads.wait_s[n]:g} s before {beads.named(n)} in place of {wanted[n]:g} s",
         )
         for n in np.flatnonzero(bad).tolist()
     ]
@@ -207,53 +227,18 @@ def _of(values: Floats, number: Ints) -> Floats:
     return result
 
 
-def _named(beads: TextBeads, n: int) -> str:
-    if beads.enters_layer[n]:
-        return f"layer {beads.layer[n] + 1}"
-    what = f"island {beads.island[n]}" if beads.island[n] >= 0 else f"ring {beads.ring[n]}"
-    what = f"a further bead of {what}" if beads.inner[n] else what
-    return f"{what} of layer {beads.layer[n] + 1}"
-
-
-def _melting(nc: NCProgram, config: Config, shapes: Sequence[LayerShape]) -> Check:
-    """Power of each layer over the least at which its wire melts."""
-    shares = layer_shares(nc, config.process.power_w)
-    full_w = config.process.power_w
-    least = np.array([melting_power_w(config, shape.thickness_mm) for shape in shapes]) / full_w
-    laid = np.flatnonzero(np.isfinite(shares))
-    if not laid.size:
-        return Check(MELTING, True, 0.0, 1.0, "of the power needed", "", "nothing is laid")
-    worst = int(laid[np.argmin(shares[laid] / least[laid])])
-    value = float(shares[worst] / least[worst])
-    row = int(np.flatnonzero(nc.deposit & (nc.layer == worst))[0])
-    slack_w = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
-    allowed = 1.0 - SHARE_TOLERANCE - slack_w / (least[worst] * full_w)
-    text = (
-        f"layer {worst + 1} has {shares[worst] * full_w:.6g} W, its wire and the metal that it remelts need "
-        f"{least[worst] * full_w:.6g} W"
-    )
-    return Check(MELTING, bool(value >= allowed), value, 1.0, "of the power needed", nc.where(row), text)
-
-
-def _entries(
-    nc: NCProgram,
-    beads: TextBeads,
-    config: Config,
-    shapes: Sequence[LayerShape],
-    before: HeatColumn | None = None,
-    lowest: BaseGeometry | None = None,
-) -> Check:
+def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
     """Temperature of the surface when a bead is entered, by the balance, against the limit."""
     limit_k = highest_entry_k(config)
-    bed_k, _ = text_bed_k(beads, config, shapes, before, lowest)
-    checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
     if not checked.any():
         return Check(INTERPASS, True, 0.0, limit_k, "K", "", "nothing is laid")
     rows = np.flatnonzero(checked)
     worst = int(rows[np.argmax(bed_k[rows])])
     figure_k, mark = within_range(float(bed_k[worst]), config)
     over = int((bed_k[rows] > limit_k).sum())
-    text = f"surface at {figure_k:.0f} K{mark} when {_named(beads, worst)} is entered, by the balance of the heat"
+    text = (
+        f"surface at {figure_k:.0f} K{mark} when {beads.named(worst)} is entered, by the balance of the heat"
+    )
     if over:
         text += f"; {over} of {rows.size} entries are over {limit_k:.0f} K"
     return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
@@ -280,7 +265,7 @@ def _again(
     bead = int(np.argmax(bed_k))
     figure_k, mark = within_range(float(bed_k[bead]), config)
     text = (
-        f"surface at {figure_k:.0f} K{mark} when {_named(beads, bead)} is entered, by a second balance of the heat; "
+        f"surface at {figure_k:.0f} K{mark} when {beads.named(bead)} is entered, by a second balance of the heat; "
         f"{limit_k:.0f} K is the limit, and {most_k - limit_k:.0f} K more is what balances may differ by"
     )
     return Check(

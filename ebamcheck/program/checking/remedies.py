@@ -56,7 +56,7 @@ REMEDIES: Mapping[str, str] = {
     "increments": "make the program again for this profile (ebamcheck run), whose increments are machine.*_increment_*",
     "ramps in time": "change the length of the ramp (process.ramp_up_mm, process.crater_fill_mm) or its window",
     **dict.fromkeys(("modes", "smoothing", "start state", "safe end", "beam", "wire", "wire retract"), PROFILE),
-    **dict.fromkeys(("process window", "process values", "mass balance", "power", "melting power"), WINDOW),
+    **dict.fromkeys(("process window", "process values", "mass balance", "power"), WINDOW),
     **dict.fromkeys(("section", "smooth section"), FIT),
     **dict.fromkeys(("beads inside", "metal outside", "reach of metal"), COARSE),
     "holes": HOLE,
@@ -75,6 +75,9 @@ REMEDIES: Mapping[str, str] = {
     "preheat balance": MISTAKE,
     "part of the file": MISTAKE,
     **dict.fromkeys(("layer pause", "interpass temperature"), COOL),
+    "melting power": "make the program again; where it has the full power already, raise process.current_ma, or lay less metal in a second "
+    "(process.travel_speed_mm_s, layers.layer_height_mm)",
+    "least entry temperature": "shorten the wait (make the program again), preheat (preheat.when), or lower process.least_entry_temperature_k",
     **dict.fromkeys(("layer heights", "flat layers"), "give layers of one height (layers.layer_height_mm), then " + AGAIN),
     **dict.fromkeys(("preheat calls", "preheat state", "preheat path", "preheat count", "preheat lines"), AGAIN),
     "preheat temperature": "more passes or current (preheat.most_passes, preheat.current_ma), a shorter wait (preheat.soak_s), or a lower target_k",

@@ -95,6 +95,14 @@ class TextBeads:
         """Whether each is a further bead of the island before, (P,)."""
         return np.asarray((self.island >= 0) & (np.diff(self.island, prepend=-1) == 0) & ~self.enters_layer)
 
+    def named(self, n: int) -> str:
+        """Name one of them."""
+        if self.enters_layer[n]:
+            return f"layer {self.layer[n] + 1}"
+        what = f"island {self.island[n]}" if self.island[n] >= 0 else f"ring {self.ring[n]}"
+        what = f"a further bead of {what}" if self.inner[n] else what
+        return f"{what} of layer {self.layer[n] + 1}"
+
 
 def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     """Find the beads of a program, and the waits before them."""

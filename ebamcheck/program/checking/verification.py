@@ -221,7 +221,7 @@ def _power_shares(
         return scheduled
     if heat:
         return shares_of_text(nc, config, sections)
-    return np.minimum(layer_shares(nc, config.process.power_w), 1.0)
+    return np.minimum(layer_shares(nc, config), 1.0)
 
 
 def _block_checks(nc: NCProgram, config: Config) -> list[Check]:

@@ -26,6 +26,7 @@ from ebamcheck.program.simulators.adamantine_case import adamantine_files
 from ebamcheck.program.simulators.additivefoam_case import additivefoam_files
 from ebamcheck.program.simulators.thesis_case import thesis_files
 from ebamcheck.program.toolpath.bead_ends import driven_path
+from ebamcheck.program.toolpath.bead_power import power_shares
 from ebamcheck.program.toolpath.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.settings.config import Config
@@ -238,13 +239,12 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
     rows[:, 0] = np.where(line, LINE_MODE, SPOT_MODE)
     rows[spot, 1:3], rows[line, 1:3] = path.start[tracks], path.end
     rows[:, 3] = np.repeat(z, sizes + 1)
-    rows[spot, 4], rows[line, 4] = 0.0, path.power
     rows[line, 5] = config.process.travel_speed_mm_s * METRES
     rows[spot, 5] = _travel_s(path, rows, spot, config)
     heat = interpass_of(plan, config)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
     rows[spot, 5] += _waits_s(layer, path.ring[tracks], path.island[tracks], heat)
-    rows[line, 4] *= np.repeat(heat.power_share[layer], sizes)
+    rows[spot, 4], rows[line, 4] = 0.0, power_shares(path, heat, config)
     return HeatPath(rows, np.repeat(layer, sizes + 1), np.repeat(path.island[tracks], sizes + 1))
 
 

@@ -21,7 +21,7 @@ from ebamcheck.program.toolpath.bead_parts import (
 )
 from ebamcheck.program.toolpath.cuts import segment_lengths
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
-from ebamcheck.program.toolpath.seams import seam_shifts
+from ebamcheck.program.toolpath.seams import NO_SEAMS, seam_shifts
 from ebamcheck.program.toolpath.segments import Form
 from ebamcheck.program.toolpath.tracks import Toolpath, toolpath
 from ebamcheck.program.toolpath.wire import with_wire
@@ -54,25 +54,43 @@ def written_form(machine: MachineSettings) -> Form:
     return forms.get(machine.curve_form) or control(machine.control).splines
 
 
-def with_bead_ends(path: Toolpath, process: ProcessSettings, decimals: int) -> Toolpath:
+def with_bead_ends(
+    path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS
+) -> Toolpath:
     """Start, overlap and ramp the beads of a path as the process asks.
 
     A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start
     for ``process.overlap_mm``, at most once around. Along the first ``process.ramp_up_mm`` of every bead the power
     rises in steps, along the last ``process.crater_fill_mm`` it falls; where a bead is shorter than both, they
-    shrink alike.
+    shrink alike. `below` (n, 2) are the seams under the lowest layer.
     """
     if not (process.shapes_bead_ends and path.kind.size):
         return path
     points = path_points(path)
     lengths = segment_lengths(path.kind, points)
     tracks = Tracks.of(path, lengths)
-    seams = np.zeros(path.ring.size)
-    if process.seam_shift_mm > 0.0:
-        seams = seam_shifts(
-            path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm
-        )
+    seams, _ = _seams(path, process, tracks, points, lengths, below)
     return cut(path, points, lengths, parts_of(path, tracks, _stretches(tracks, seams, process)), decimals)
+
+
+def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> Floats:
+    """Seams (n, 2) of the uppermost layer of a path before its beads are started; `below` as of :func:`with_bead_ends`."""
+    if process.seam_shift_mm <= 0.0 or not path.kind.size:
+        return below
+    points = path_points(path)
+    lengths = segment_lengths(path.kind, points)
+    return _seams(path, process, Tracks.of(path, lengths), points, lengths, below)[1]
+
+
+def _seams(
+    path: Toolpath, process: ProcessSettings, tracks: Tracks, points: Floats, lengths: Floats, below: Floats
+) -> tuple[Floats, Floats]:
+    """Shift of each track, (T,), and the seams of the uppermost layer."""
+    if process.seam_shift_mm <= 0.0:
+        return np.zeros(path.ring.size), below
+    return seam_shifts(
+        path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm, below
+    )
 
 
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:

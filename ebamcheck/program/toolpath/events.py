@@ -14,6 +14,7 @@ import pandas as pd
 
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.toolpath.bead_parts import path_points
+from ebamcheck.program.toolpath.bead_power import power_shares
 from ebamcheck.program.toolpath.cuts import segment_lengths
 from ebamcheck.program.toolpath.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
@@ -97,7 +98,7 @@ def _beads(path: Toolpath, plan: ScanColumns, config: Config, heat: Interpass) -
             "z_mm": path.z[layer],
             "length_mm": length,
             "time_s": length / config.process.travel_speed_mm_s,
-            "power_w": heat.power_share[layer] * path.power * config.process.power_w,
+            "power_w": power_shares(path, heat, config) * config.process.power_w,
             "wire_mm_s": path.width * per_mm[layer],
             "starts": first,
         }

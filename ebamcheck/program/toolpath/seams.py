@@ -16,10 +16,20 @@ APART = 0.5
 """Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance."""
 
 
+NO_SEAMS: Floats = np.zeros((0, 2))
+"""Seams under the lowest layer of a part."""
+
+
 def seam_shifts(
-    layer_starts: Ints, track_starts: Ints, closed: Bools, points: Floats, lengths: Floats, shift_mm: float
-) -> Floats:
-    """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and in the lowest layer.
+    layer_starts: Ints,
+    track_starts: Ints,
+    closed: Bools,
+    points: Floats,
+    lengths: Floats,
+    shift_mm: float,
+    below: Floats = NO_SEAMS,
+) -> tuple[Floats, Floats]:
+    """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
 
     A contour starts a shift further along itself than its place next to the seam below.
 
@@ -31,9 +41,10 @@ def seam_shifts(
         (T,) tracks that end where they start; others keep their start.
     points, lengths
         (N, 4, 2) and (N,) of :mod:`ebamcheck.program.toolpath.cuts`.
+    below
+        (n, 2) seams under the lowest layer.
     """
     shifts = np.zeros(closed.size)
-    below = np.zeros((0, 2))
     for k in range(layer_starts.size - 1):
         seams = []
         for t in range(int(layer_starts[k]), int(layer_starts[k + 1])):
@@ -44,7 +55,7 @@ def seam_shifts(
                 shifts[t] = along[chosen]
                 seams.append(places[chosen])
         below = np.array(seams) if seams else below
-    return shifts
+    return shifts, below
 
 
 def _places(points: Floats, lengths: Floats) -> tuple[Floats, Floats]:

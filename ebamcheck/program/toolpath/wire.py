@@ -8,13 +8,14 @@ lays less. A hatch bead has one width from its start to its end, a contour chang
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.heat.melting import melted_mm3_s
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.pools import pooled
@@ -23,6 +24,7 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.toolpath.bead_parts import (
     ROUNDING_MM,
+    Parts,
     Stretches,
     Tracks,
     cut,
@@ -73,18 +75,18 @@ WIDTH_DIGITS = 4
 
 def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
     """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed, of the pool, and of the
-    energy for the wire.
+    metal that the full power melts, which a bead gets where it needs it.
 
-    Where the feed follows along the path, those of wire and feed together, at a share of the power.
+    Where the feed follows along the path, those of wire and feed together, at the share of the power of the layer.
     """
     process = config.process
     per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
     slow, fast = along_window(config, power_share)
-    melted_mm3_s = power_share * process.power_w / process.metal_energy_j_mm3[0]
+    melts_mm3_s = min(melted_mm3_s(config), process.power_w / process.metal_energy_j_mm3[0])
     most = min(
         process.wire_speed_max_mm_s / (per_mm * slow),
         MOST_SPACINGS * process.hatch_spacing_mm,
-        melted_mm3_s / (process.travel_speed_mm_s * thickness_mm),
+        melts_mm3_s / (process.travel_speed_mm_s * thickness_mm),
     )
     least = process.wire_speed_min_mm_s / (per_mm * fast)
     return least, max(least, most)
@@ -98,24 +100,31 @@ def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:
 
 def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) -> Toolpath:
     """Give every bead of a path its width; where the plan does not know its sections, all keep theirs."""
-    sections = plan.sections
-    if sections is None or not path.kind.size:
+    if plan.sections is None or not path.kind.size:
         return path
     points = path_points(path)
     lengths = segment_lengths(path.kind, points)
+    stands: Surface | None = getattr(plan, "stands", None)
+    surface = bare_surface(plan.sections, config) if stands is None else stands.copy()
+    return cut(path, points, lengths, wired(path, plan, config, points, lengths, surface), decimals)
+
+
+def wired(
+    path: Toolpath, plan: ScanColumns, config: Config, points: Floats, lengths: Floats, surface: Surface
+) -> Parts:
+    """Parts of the segments of a path, each of one width; `surface` is what the layers lie on, and they are laid on it.
+
+    `points` (N, 4, 2) and `lengths` (N,) are those of its segments; the plan knows its sections.
+    """
     tracks = Tracks.of(path, lengths)
     whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
-    stands: Surface | None = getattr(plan, "stands", None)
-    mapped = stands is not None and stands.mapped
     # On a surface that was measured the wire of every bead follows it; else hatch beads have one wire each.
-    divided = np.ones(tracks.low.size, np.bool_) if mapped else _along_walls(path, plan)
+    divided = np.ones(tracks.low.size, np.bool_) if surface.mapped else _along_walls(path, plan)
     division = _Division.of(
         tracks, divided, math.inf if whole else STRETCH_BEADS * config.process.bead_width_mm
     )
+    sections: Sequence[BaseGeometry] = () if plan.sections is None else list(plan.sections)
     regions = [metal_region(section, config) for section in sections]
-    surface = Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
-    if stands is not None:
-        surface = stands.copy()
 
     def some(first: int, last: int) -> list[_LayerBeads]:
         return [
@@ -128,7 +137,13 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
         _flat(beads, surface, division, tracks, float(h), config, float(share))
         for beads, h, share in zip(found, path.thickness, interpass_of(plan, config).power_share, strict=True)
     ]
-    return cut(path, points, lengths, parts_of(path, tracks, joined(made)), decimals)
+    return parts_of(path, tracks, joined(made))
+
+
+def bare_surface(sections: Iterable[BaseGeometry], config: Config) -> Surface:
+    """Surface over the metal of all layers, of which none is laid yet."""
+    regions = [metal_region(section, config) for section in sections]
+    return Surface(np.nan_to_num(shapely.total_bounds(regions)), config.process.bead_width_mm)
 
 
 def _along_walls(path: Toolpath, plan: ScanColumns) -> Bools:

@@ -12,6 +12,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.language.comments import comment
 from ebamcheck.program.language.numbers import plain
 from ebamcheck.program.language.templates import ProcessValues, process_values
+from ebamcheck.program.toolpath.bead_power import layer_power
 from ebamcheck.program.toolpath.events import NEAR_SPACINGS
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
@@ -63,6 +64,8 @@ def layer_blocks(
     wire = path.width / config.process.bead_metal_mm
     feed = feed_shares(wire * values.wire_mm_s, config, share)
     wire = wire_at(wire * values.wire_mm_s, feed, config) / values.wire_mm_s if (feed != 1.0).any() else wire
+    first, last = path.track_starts[path.layer_starts[k : k + 2]].tolist()
+    power = layer_power(path, k, slice(first, last), share, config)
     island, entered = -1, False
     for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
         if path.ring[t] >= 0:
@@ -78,8 +81,14 @@ def layer_blocks(
             if path.island[t] >= 0:
                 layer.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
                 entered = True
-            power = share * path.power[a:b]
-            layer.deposit(path.start[t], path.end[b - 1], motions[a:b], power, wire[a:b], feed[a:b])
+            layer.deposit(
+                path.start[t],
+                path.end[b - 1],
+                motions[a:b],
+                power[a - first : b - first],
+                wire[a:b],
+                feed[a:b],
+            )
     layer.rise()
     above = path.layer_starts[k + 1 : k + 3]
     wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0

@@ -248,8 +248,9 @@ class _Run:
         self.part = part
         self.wait_s, self.bed_k, self.mean_k, self.away_s = (np.zeros(len(job.beads)) for _ in range(4))
         self._job, self._share, self._waits, self._keep = job, share, waits, keep
+        self._beads = job.beads.at_share(share)
         self._limit_k = limit_k - MARGIN * max(limit_k - process.ambient_temperature_k, 0.0)
-        self._power_w = share * process.power_w * config.material.absorptivity
+        self._power_w = process.power_w * config.material.absorptivity
         self._pause_s = 0.0 if job.lowest else process.layer_pause_s
         self._every = process.interpass_at == "bead"
         self._body_k = self._enter_k = 0.0
@@ -285,7 +286,7 @@ class _Run:
             self._body_k, self._enter_k = self.part.column.mean_rise_k, self.mean_k[0]
             self.part.column.lay(self._job.shape)
         self.wait_s[bead], self.away_s[bead] = wait_s, away_s
-        self.part.lay_bead(beads, bead, self._power_w)
+        self.part.lay_bead(self._beads, bead, self._power_w)
         return True
 
     def _own_apart(self, bead: int) -> Before | None:

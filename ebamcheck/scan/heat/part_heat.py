@@ -8,7 +8,7 @@ that nothing is counted twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +19,30 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LEAST_DECAY = 1e-9
 """Amplitudes that fall by less than this while a bead is laid do not fall."""
+
+
+@dataclass(frozen=True, eq=False)
+class BeadPower:
+    """Power of the beads of one layer along themselves, as columns (n,) of their stretches.
+
+    Parameters
+    ----------
+    bead
+        Which bead each is of, by its number in the sequence.
+    part
+        Its share of the bead's length, times what ramps leave it of the power.
+    least
+        Share of the full power that it has at least, see :func:`ebamcheck.heat.melting.own_power_shares`.
+    """
+
+    bead: Ints
+    part: Floats
+    least: Floats
+
+    def mean(self, share: float, beads: int) -> Floats:
+        """Mean power of the beads, (B,), over the full one, where the layer has a share of it."""
+        along = self.part * np.maximum(self.least, share)
+        return np.bincount(self.bead, along, minlength=beads).astype(np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +66,8 @@ class Beads:
         (B - rings,) island of each of the others.
     inner
         (B,) whether each is a further bead of the island before.
+    power
+        Power along them; None: that of the layer, less their ramps.
     """
 
     pieces: Floats
@@ -53,6 +79,13 @@ class Beads:
     rings: int
     islands: Ints
     inner: Bools
+    power: BeadPower | None = None
+
+    def at_share(self, share: float) -> Beads:
+        """The same beads where the layer has a share of the power: `on` is the mean power over the full one."""
+        if self.power is None:
+            return replace(self, on=share * self.on)
+        return replace(self, on=np.repeat(self.power.mean(share, len(self)), np.diff(self.first)))
 
     def __len__(self) -> int:
         """Return the number of beads."""

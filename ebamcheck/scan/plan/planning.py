@@ -13,7 +13,7 @@ from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
-from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
+from ebamcheck.scan.plan.whole_part import PowerOf, Stack, ordered_layers
 from ebamcheck.settings.config import Config
 
 
@@ -76,6 +76,7 @@ def plan_stack(
     progress: Progress | None = None,
     order: str | None = None,
     seed: int | None = None,
+    power_of: PowerOf | None = None,
 ) -> ScanPlan:
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
 
@@ -91,6 +92,9 @@ def plan_stack(
         Called with the number of layers done since the last call.
     config, order, seed
         As for :func:`plan_scan`.
+    power_of
+        Gives the power along beads by the wire that they get, see :func:`ebamcheck.pipeline.planned_power.power_by_wire`;
+        None: the heat is worked out as if each bead had the power of its layer.
     """
     config = config or Config()
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
@@ -101,7 +105,7 @@ def plan_stack(
     carry = config.scan.carry_heat and needs_heat(name)
     simulated = config.process.interpass != "off" or config.preheat.when != "off"
     planned = []
-    for done in ordered_layers(stack, config, name, number, carry, simulated):
+    for done in ordered_layers(stack, config, name, number, carry, simulated, power_of):
         planned.append(in_order(done))
         if progress is not None:
             progress(1)

@@ -23,7 +23,7 @@ from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.part_heat import Beads, PartHeat
+from ebamcheck.scan.heat.part_heat import BeadPower, Beads, PartHeat
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.bead_sequence import ContourBeads, bead_sequence, contour_beads
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
@@ -99,6 +99,11 @@ class OrderedLayer:
     heat: LayerHeat | None = None
 
 
+PowerOf = Callable[[OrderedLayer, float], BeadPower]
+"""What gives the power along the beads of a layer, in their sequence, by the layer in order and its height, mm; asked for each
+layer once, from below, since the wire that beads get depends on the layers under them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Stack:
     """Layers to be put in order.
@@ -145,7 +150,13 @@ class Stack:
 
 
 def ordered_layers(
-    stack: Stack, config: Config, order: str | Order, seed: int, carry: bool, simulated: bool = True
+    stack: Stack,
+    config: Config,
+    order: str | Order,
+    seed: int,
+    carry: bool,
+    simulated: bool = True,
+    power_of: PowerOf | None = None,
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
@@ -155,6 +166,8 @@ def ordered_layers(
         Let each order know the heat that is left below; else it is that of a cold part.
     simulated
         Simulate each layer on the heat model, and find its waits and power. Always done where heat is carried.
+    power_of
+        Gives the power along beads; None: each has that of its layer.
 
     Yields
     ------
@@ -168,7 +181,16 @@ def ordered_layers(
     for k, (laid, ready) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
         part, passes = preheated(part, stack.sections, k, stack.bottom_mm(k, config), config)
         done, part, last = ordered_on(
-            part, last, laid, ready, stack.thickness_mm(k, config), config, order, carry, last is None
+            part,
+            last,
+            laid,
+            ready,
+            stack.thickness_mm(k, config),
+            config,
+            order,
+            carry,
+            last is None,
+            power_of,
         )
         yield done if done.heat is None else replace(done, heat=replace(done.heat, preheat_passes=passes))
 
@@ -183,6 +205,7 @@ def ordered_on(
     order: str | Order,
     carry: bool,
     lowest: bool,
+    power_of: PowerOf | None = None,
 ) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
     """Put one layer in order on the heat that those under it have left, and simulate it.
 
@@ -196,6 +219,8 @@ def ordered_on(
         Let the order know the heat.
     lowest
         Whether nothing lies under it, so that there is nothing to wait for.
+    power_of
+        As for :func:`ordered_layers`.
 
     Returns
     -------
@@ -212,6 +237,9 @@ def ordered_on(
         if islands.section.area <= 0.0:
             return OrderedLayer(laid, islands, found, options), part, last
         beads, travel_mm = bead_sequence(laid, contours, config, cold, found, options)
+        if power_of is not None:
+            power = power_of(OrderedLayer(laid, islands, found, options), thickness_mm)
+            beads = replace(beads, power=power)
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
     return (

@@ -1,0 +1,265 @@
+"""The window of heat: every bead has the power that melts its own wire, and no wait leaves the metal too cold for it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from prism_program import CONFIG, Made
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.heat.melting import least_power_share, melted_mm3_s, own_power_shares
+from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.program import verify_program
+from ebamcheck.program.checking.cold_entries import COLD, WARM_SHARE, least_entries_k
+from ebamcheck.program.checking.heat_again import MODELS_K, highest_entry_k, melting_power_w
+from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, heat_checks, layer_shares
+from ebamcheck.program.checking.melting_check import MELTING, melting_check, spread_mm
+from ebamcheck.program.checking.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.reading.roles import by_height
+from ebamcheck.program.toolpath import bead_power
+from ebamcheck.program.toolpath.inputs import interpass_of
+from ebamcheck.settings.config import Config
+
+WARM = CONFIG.changed(process={"interpass": "both"})
+HOLED = shapely.box(0, 0, 44, 40).difference(shapely.Point(20, 20).buffer(6, 32))
+WALL = shapely.box(0, 0, 60, 9.5)
+AMBIENT_K = WARM.process.ambient_temperature_k
+
+
+def read(made):
+    return by_height(made.read(), made.z)
+
+
+def heat_of(made, nc=None, config=None):
+    nc = read(made) if nc is None else nc
+    return {c.name: c for c in heat_checks(nc, config or made.config, list(made.plan.sections))}
+
+
+def judged(made, planned=False):
+    plan = {"plan": made.plan, "curves": made.beads} if planned else {}
+    checks = verify_program(made.read(), config=made.config, layers=made.layers, heat=True, **plan)
+    return {c.name: c for c in checks}
+
+
+@pytest.fixture(scope="module")
+def holed(tmp_path_factory):
+    """A holed block whose contours lay up to 1.6 spacings, on a part warm enough for the least power."""
+    return Made(tmp_path_factory.mktemp("holed"), HOLED, WARM, layers=6)
+
+
+# -- power of each bead --------------------------------------------------------------------------------
+
+
+def needed_j_mm3(config):
+    """Energy over the wire that melts it and as much of the layers below, from the cold."""
+    material, process = config.material, config.process
+    points = np.array(material.heat_capacity_by_temperature)
+    grid = np.linspace(process.ambient_temperature_k, material.liquidus_k, 100_001)
+    middle = 0.5 * (grid[1:] + grid[:-1])
+    j_kg = (np.interp(middle, *points.T) * np.diff(grid)).sum() + material.latent_heat_j_kg
+    melts = process.melting_efficiency * material.absorptivity * (1.0 - process.dilution)
+    return 1e-9 * material.density_kg_m3 * j_kg / melts
+
+
+@pytest.mark.parametrize("section", [HOLED, WALL], ids=["block", "wall"])
+def test_every_bead_has_the_power_that_melts_its_wire(section, tmp_path):
+    made = Made(tmp_path, section, WARM, layers=5)
+    nc, process = read(made), WARM.process
+    rows = np.flatnonzero(nc.deposit)
+    j_mm3 = nc.power_w[rows] / (nc.wire_mm_s[rows] * np.pi * process.wire_diameter_mm**2 / 4)
+    needed = needed_j_mm3(WARM)
+    assert 37.0 < needed < 39.5
+    assert j_mm3.min() >= needed * (1.0 - 2e-3)
+    # Where the layer has the least power, wider beads have just what they need, and others that of the layer.
+    assert j_mm3.min() < needed * (1.0 + 2e-3)
+    shares = layer_shares(nc, WARM)[nc.layer[rows]]
+    assert (nc.power_w[rows] / process.power_w > shares * 1.05).any()
+    checks = heat_of(made)
+    assert all(check.passed for check in checks.values()), checks
+
+
+def test_the_heat_of_the_plan_is_that_of_its_beads(holed):
+    nc = read(holed)
+    shapes = text_shapes(nc, WARM, list(holed.plan.sections))
+    _, leave_k = text_bed_k(text_beads(nc, WARM), WARM, shapes)
+    assert leave_k - AMBIENT_K == pytest.approx(
+        holed.plan.metrics["leave_k"].to_numpy() - AMBIENT_K, rel=2e-3
+    )
+    assert layer_shares(nc, WARM) == pytest.approx(holed.plan.metrics["power_share"].to_numpy(), abs=1e-6)
+
+
+def test_a_layer_judged_by_its_nominal_wire_is_found(monkeypatch, tmp_path):
+    monkeypatch.setattr(bead_power, "own_power_shares", lambda config, width, thickness: np.zeros(width.size))
+    check = heat_of(Made(tmp_path, HOLED, WARM, layers=6))[MELTING]
+    assert not check.passed
+    assert check.value < 0.8
+    assert re.search(r"2808 W, its wire of \d+", check.text)
+
+
+@pytest.mark.parametrize(("factor", "sound"), [(1.2, True), (1.0 / 1.2, False)])
+def test_power_wire_and_feed_of_each_bead_are_judged(holed, factor, sound):
+    nc = read(holed)
+    flat = np.zeros(int(nc.deposit.sum()), np.bool_)
+    worst = melting_check(nc, WARM, flat).value
+    power_w = nc.power_w * factor / worst
+    assert melting_check(replace(nc, power_w=power_w), WARM, flat).passed is sound
+    # One motion alone, by its wire and by its feed.
+    warm = replace(nc, power_w=nc.power_w * 1.5 / worst)
+    row = int(np.flatnonzero(nc.deposit)[7])
+    need = warm.power_w[row] / float(melting_power_w(WARM, spread_mm(nc, np.array([row]), WARM))[0])
+    wire, feed = nc.wire_mm_s.copy(), nc.feed_mm_min.copy()
+    wire[row] *= need / factor
+    assert melting_check(replace(warm, wire_mm_s=wire), WARM, flat).passed is sound
+    feed[row] *= 2.0
+    assert melting_check(replace(warm, feed_mm_min=feed), WARM, flat).passed
+
+
+@pytest.mark.parametrize("factor", [1.2, 1.0 / 1.2])
+def test_another_power_of_a_wider_bead_is_found_by_the_text_alone(factor, tmp_path):
+    made = Made(tmp_path, HOLED, WARM, layers=3)
+
+    def change(lines):
+        n = next(
+            n for n, line in enumerate(lines) if (m := re.search(r"H2=([\d.]+)", line)) and float(m[1]) > 60.0
+        )
+        lines[n] = re.sub(r"H2=([\d.]+)", lambda m: f"H2={float(m[1]) * factor:g}", lines[n])
+
+    assert judged(made)["power"].passed
+    made.edit("MAIN_L0003.SPF", change)
+    checks = judged(made)
+    assert not checks["power"].passed
+    assert checks[MELTING].passed is (factor > 1.0)
+
+
+def test_the_power_of_wide_beads_ends_at_the_full_one():
+    process = Config().process
+    spacing, layer = process.hatch_spacing_mm, Config().layer_height_mm
+    width = np.array([0.5, 1.0, 1.2, 1.6]) * spacing
+    shares = own_power_shares(Config(), width, layer)
+    assert shares[:2].tolist() == [0.0, 0.0]
+    assert shares[2:] == pytest.approx(np.array([1.2, 1.6]) * least_power_share(Config(), layer))
+    weak = Config().changed(process={"current_ma": 60.0})
+    assert own_power_shares(weak, width, layer)[3] == 1.0
+    # The window of the process may ask for more than melting does.
+    window = Config().changed(process={"metal_energy_j_mm3": (50.0, 600.0)})
+    metal_mm3_s = process.travel_speed_mm_s * width[3] * layer
+    assert own_power_shares(window, width, layer)[3] == pytest.approx(50.0 * metal_mm3_s / process.power_w)
+    assert melted_mm3_s(Config()) == pytest.approx(2.0 * process.power_w / needed_j_mm3(Config()), rel=2e-3)
+
+
+# -- waits -----------------------------------------------------------------------------------------------
+
+
+def longer(made, layer, by_s):
+    """Lengthen a wait in the middle of a layer."""
+
+    def change(lines):
+        at = [n for n, line in enumerate(lines) if re.search(r"G4 F[\d.]+", line)]
+        n = at[len(at) // 2]
+        lines[n] = re.sub(r"G4 F([\d.]+)", lambda m: f"G4 F{float(m[1]) + by_s:g}", lines[n])
+
+    made.edit(f"MAIN_L{layer:04d}.SPF", change)
+
+
+@pytest.mark.parametrize("seconds", [600.0, 1800.0])
+def test_a_wait_of_minutes_too_many_is_found_by_text_and_part(seconds, tmp_path):
+    made = Made(tmp_path, HOLED, WARM, layers=6)
+    assert all(check.passed for check in heat_of(made).values())
+    longer(made, 4, seconds)
+    checks = judged(made)
+    assert not checks[COLD].passed
+    assert "layer 4" in checks[COLD].text
+    assert checks["layer pause"].passed
+    gate = heat_gate(checks.values(), made.plan.metrics, WARM)
+    assert not gate.passed
+    assert gate.text.startswith(checks[COLD].text)
+
+
+@pytest.mark.parametrize("factor", [1.2, 1.0 / 1.2])
+def test_waits_are_those_of_the_plan_neither_shorter_nor_longer(factor, tmp_path):
+    made = Made(tmp_path, HOLED, WARM, layers=4)
+    assert judged(made, planned=True)["layer pause"].passed
+    waits = interpass_of(made.plan, WARM).island_wait_s
+    longer(made, 3, (factor - 1.0) * float(waits[waits > 0.0].max()))
+    assert not judged(made, planned=True)["layer pause"].passed
+
+
+@pytest.fixture
+def least_k(holed):
+    """Least entry temperature of a bead that is waited for after one that was entered at a temperature."""
+    every = text_beads(read(holed), WARM)
+    columns = ("ring", "island", "row", "move_s", "time_s", "energy_j", "peak_w")
+    two = {name: getattr(every, name)[:2] for name in columns}
+
+    def found(config, before_k, wait_s, enters_layer=False, scanned=False):
+        beads = TextBeads(
+            layer=np.array([0, int(enters_layer)]), wait_s=np.array([0.0, wait_s]), stray=(),
+            scans={1: None} if scanned else {}, **two,
+        )  # fmt: skip
+        return float(least_entries_k(beads, np.array([before_k, 300.0]), config)[1])
+
+    return found
+
+
+def test_the_least_temperature_after_a_wait(least_k):
+    limit_k = highest_entry_k(WARM)
+    rise_k = limit_k - AMBIENT_K
+    assert least_k(WARM, limit_k, 5.0) == pytest.approx(AMBIENT_K + WARM_SHARE * rise_k)
+    assert least_k(WARM, 2.0 * limit_k, 5.0) == least_k(WARM, limit_k, 5.0)
+    # Metal that was not warm need not stay so, and by what two models differ any wait may cool.
+    assert least_k(WARM, AMBIENT_K + 300.0, 5.0) == pytest.approx(AMBIENT_K + WARM_SHARE * 300.0)
+    assert least_k(WARM, AMBIENT_K + 100.0, 5.0) == pytest.approx(AMBIENT_K + 100.0 - MODELS_K)
+    assert least_k(WARM, limit_k, 0.0) == -np.inf
+
+
+def test_waits_that_the_settings_ask_for_and_preheating_are_sound(least_k):
+    paused = WARM.changed(process={"layer_pause_s": 100.0})
+    limit_k = highest_entry_k(WARM)
+    assert least_k(paused, limit_k, 100.0, enters_layer=True) == -np.inf
+    assert least_k(paused, limit_k, 120.0, enters_layer=True) > 600.0
+    assert least_k(paused, limit_k, 100.0) > 600.0
+    assert least_k(WARM, limit_k, 50.0, enters_layer=True) > 600.0
+    assert least_k(WARM, limit_k, 50.0, enters_layer=True, scanned=True) == -np.inf
+
+
+@pytest.mark.parametrize(("factor", "sound"), [(1.2, True), (1.0 / 1.2, False)])
+def test_a_least_entry_temperature_holds_for_every_bead(holed, factor, sound):
+    # The first bead is laid on the cold plate: 293 K.
+    config = WARM.changed(process={"least_entry_temperature_k": AMBIENT_K / factor})
+    check = heat_of(holed, config=config)[COLD]
+    assert check.passed is sound
+    assert check.limit == pytest.approx(AMBIENT_K / factor)
+    at_layer = config.changed(process={"interpass_at": "layer"})
+    assert heat_of(holed, config=at_layer)[COLD].passed is sound
+
+
+def test_a_least_entry_temperature_over_the_limit_is_refused():
+    with pytest.raises(
+        SettingsError, match="least_entry_temperature_k 900 is not under interpass_limit_k 873"
+    ):
+        Config().changed(process={"least_entry_temperature_k": 900.0, "interpass_limit_k": 873.0})
+
+
+SOUND = {
+    "wide at a low limit": (shapely.box(0, 0, 110, 80), {"interpass_limit_k": 423.0}),
+    "waits alone": (shapely.box(0, 0, 110, 80), {"interpass": "dwell"}),
+    "insulated frame": (
+        shapely.box(0, 0, 100, 60).difference(shapely.box(12, 12, 88, 48)),
+        {"base": "insulated"},
+    ),
+    "pauses": (HOLED, {"layer_pause_s": 400.0}),
+    "two pieces": (shapely.union_all([shapely.box(0, 0, 50, 50), shapely.box(80, 0, 94, 14)]), {}),
+}
+
+
+@pytest.mark.parametrize("name", SOUND)
+def test_no_plan_is_refused_for_its_waits_or_its_power(name, tmp_path):
+    section, process = SOUND[name]
+    made = Made(tmp_path, section, WARM.changed(process=process), layers=4)
+    checks = heat_of(made)
+    assert all(checks[n].passed for n in (INTERPASS, MELTING, AGAIN, COLD)), [c.text for c in checks.values()]
+    assert judged(made)["power"].passed
