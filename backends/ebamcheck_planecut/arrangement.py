@@ -7,16 +7,30 @@ point, sides pass through every point within their reach, and what is then passe
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
 
-def arrangement(layer: Layers, reach_mm: float) -> tuple[NDArray[np.object_], bool]:
-    """Bounded faces of the arrangement of all closed rings of a layer, and whether sides of them lie on one another.
+class Arrangement(NamedTuple):
+    """What the rings of a layer make of the plane."""
+
+    faces: NDArray[np.object_]
+    """(F,) bounded faces, as shapely polygons that share their borders to the bit."""
+    winding: Ints
+    """(F,) winding number of the rings about each face."""
+    seams: bool
+    """Whether a side was left out, since it is passed once each way."""
+
+
+def arrangement(layer: Layers, reach_mm: float) -> Arrangement:
+    """Return the arrangement of all closed rings of a layer.
 
     Parameters
     ----------
@@ -24,11 +38,6 @@ def arrangement(layer: Layers, reach_mm: float) -> tuple[NDArray[np.object_], bo
         A stack of length 1.
     reach_mm
         What the points of the rings may be off.
-
-    Returns
-    -------
-    faces, seams
-        Shapely polygons that share their borders to the bit; whether a side was left out, since it is passed each way.
     """
     rows = np.flatnonzero(np.repeat(layer.closed, np.diff(layer.ring_starts)))
     after = rows + 1
@@ -40,12 +49,32 @@ def arrangement(layer: Layers, reach_mm: float) -> tuple[NDArray[np.object_], bo
     start, end = _through_points(layer.points, start[apart], end[apart], reach_mm)
     low, high = np.minimum(start, end), np.maximum(start, end)
     key, first, which = np.unique(low * len(layer.points) + high, return_index=True, return_inverse=True)
-    passes = np.bincount(which, np.where(start == low, 1, -1), minlength=key.size)
+    passes = np.bincount(which, np.where(start == low, 1, -1), minlength=key.size).astype(np.int64)
     border = first[passes != 0]
     sides = np.stack([layer.points[low[border]], layer.points[high[border]]], axis=1)
     noded = shapely.union_all(shapely.linestrings(sides))
-    faces = shapely.get_parts(shapely.polygonize([*shapely.get_parts(noded)]))
-    return np.asarray(faces, dtype=object), border.size < key.size
+    faces = np.asarray(shapely.get_parts(shapely.polygonize([*shapely.get_parts(noded)])), dtype=object)
+    places = shapely.get_coordinates(shapely.point_on_surface(faces)).reshape(-1, 2)
+    # By the sides that are left: within a seam that rounding has opened the rings tell nothing.
+    winding = winding_numbers(places, sides, passes[passes != 0])
+    return Arrangement(faces, winding, border.size < key.size)
+
+
+@kernel
+def winding_numbers(places: Floats, sides: Floats, passes: Ints) -> Ints:
+    """Winding number (Q,) about places (Q, 2) of sides (S, 2, 2), each passed so many times from its start to its end."""
+    result = np.zeros(places.shape[0], np.int64)
+    for s in range(sides.shape[0]):
+        xi, yi, xj, yj = sides[s, 0, 0], sides[s, 0, 1], sides[s, 1, 0], sides[s, 1, 1]
+        for q in range(places.shape[0]):
+            y = places[q, 1]
+            if (yi <= y) != (yj <= y):
+                side = (xj - xi) * (y - yi) - (places[q, 0] - xi) * (yj - yi)
+                if yj > yi and side > 0.0:
+                    result[q] += passes[s]
+                elif yj < yi and side < 0.0:
+                    result[q] -= passes[s]
+    return result
 
 
 def _merged(points: Floats, rows: Ints, reach_mm: float) -> Ints:

@@ -167,12 +167,10 @@ def unite(
 
     from ebamcheck_planecut.arrangement import arrangement
 
-    faces, seams = arrangement(layer, reach_mm)
-    inner = shapely.get_coordinates(shapely.point_on_surface(faces)) if len(faces) else np.zeros((0, 2))
-    winding = winding_numbers(inner, layer.points, layer.ring_starts, layer.closed)
-    if not seams and np.isin(winding, (0, 1)).all():
+    found = arrangement(layer, reach_mm)
+    if not found.seams and np.isin(found.winding, (0, 1)).all():
         return None
-    united = shapely.orient_polygons(shapely.union_all(faces[winding > 0]))
+    united = shapely.orient_polygons(shapely.union_all(found.faces[found.winding > 0]))
     rings = [
         shapely.get_coordinates(ring)[:-1]
         for polygon in shapely.get_parts(united)
@@ -185,28 +183,6 @@ def unite(
     closed = np.arange(len(paths)) < len(rings)
     edge, edge_t = _known_edges(points, layer)
     return points, starts, closed, edge, edge_t
-
-
-@kernel
-def winding_numbers(queries: Floats, points: Floats, ring_starts: Ints, closed: Bools) -> Ints:
-    """Winding number of all closed rings about each query point, (Q,)."""
-    result = np.zeros(queries.shape[0], np.int64)
-    for r in range(closed.size):
-        if not closed[r]:
-            continue
-        a, b = ring_starts[r], ring_starts[r + 1]
-        for i in range(a, b):
-            j = i + 1 if i + 1 < b else a
-            xi, yi, xj, yj = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
-            for q in range(queries.shape[0]):
-                y = queries[q, 1]
-                if (yi <= y) != (yj <= y):
-                    side = (xj - xi) * (y - yi) - (queries[q, 0] - xi) * (yj - yi)
-                    if yj > yi and side > 0.0:
-                        result[q] += 1
-                    elif yj < yi and side < 0.0:
-                        result[q] -= 1
-    return result
 
 
 def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:

@@ -7,6 +7,7 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
+from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.model import Model
@@ -255,7 +256,7 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
             for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
         ]
         most = shapely.union_all(near).buffer(reach_mm, quad_segs=16)
-        least = shapely.intersection_all(near).buffer(-reach_mm, quad_segs=16)
+        least = eroded(shapely.intersection_all(near), reach_mm)
         cut = region(layers, k)
         beyond = float(cut.difference(most).area + least.difference(cut).area)
         rounding_mm2 = rounding_mm(part) * max(float(most.length), 1.0)
