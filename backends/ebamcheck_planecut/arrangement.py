@@ -95,7 +95,9 @@ def _through_points(points: Floats, start: Ints, end: Ints, reach_mm: float) -> 
     """Sides from `start` to `end` (S,), led through all points within their reach, in order."""
     used = np.unique(start)
     sides = shapely.linestrings(np.stack([points[start], points[end]], axis=1))
-    at, side = shapely.STRtree(sides).query(shapely.points(points[used]), predicate="dwithin", distance=reach_mm)
+    at, side = shapely.STRtree(sides).query(
+        shapely.points(points[used]), predicate="dwithin", distance=reach_mm
+    )
     at = used[at]
     inner = (at != start[side]) & (at != end[side])
     at, side = at[inner], side[inner]

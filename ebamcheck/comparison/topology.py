@@ -79,8 +79,7 @@ def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
     holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
     if thin_mm > 0.0:
         polygons, holes = (
-            [p for p in those if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty]
-            for those in (polygons, holes)
+            [p for p in those if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for those in (polygons, holes)
         )
     return len(polygons), len(holes)
 

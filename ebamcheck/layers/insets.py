@@ -25,8 +25,14 @@ SIMPLIFIED = 0.01
 SAMPLES = 4.0
 """Places at which an inset must have its border, on every stretch of a side as long as the distance."""
 
-ROUNDING = 1e-9
-"""Share of the distance and of the coordinates that rounding may take."""
+MOST_SAMPLES = 1024
+"""Places tried along one side at most."""
+
+ROUNDING = 1e-12
+"""Share of the coordinates that rounding may take."""
+
+JUDGED = 1e-9
+"""Share of the coordinates up to which a distance is mere rounding, and its inset is not judged."""
 
 
 def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> BaseGeometry:
@@ -71,7 +77,9 @@ def _part_eroded(part: BaseGeometry, distance_mm: float, quad_segs: int) -> Base
         return found
     start, end, _ = _sides(part)
     sides = shapely.linestrings(np.stack([start, end], axis=1))
-    found = shapely.difference(part, shapely.union_all(shapely.buffer(sides, distance_mm, quad_segs=quad_segs)))
+    found = shapely.difference(
+        part, shapely.union_all(shapely.buffer(sides, distance_mm, quad_segs=quad_segs))
+    )
     if is_inset(found, part, distance_mm, quad_segs):
         return found
     x, y = shapely.get_coordinates(shapely.point_on_surface(part))[0].tolist()
@@ -98,22 +106,25 @@ def is_inset(found: BaseGeometry, region: BaseGeometry, distance_mm: float, quad
     border = shapely.boundary(region)
     shapely.prepare([border, region, found])
     scale = float(np.abs(shapely.bounds(region)).max())
+    if distance_mm <= JUDGED * scale:
+        return True
+    rounding_mm = ROUNDING * scale
     if not found.is_empty:
         first = np.array([shapely.get_coordinates(part)[0] for part in shapely.get_parts(found)])
         inside = shapely.contains_xy(region, first[:, 0], first[:, 1]).all()
         nearest = float(shapely.distance(border, found))
-        if not inside or nearest < distance_mm * (1.0 - off) - ROUNDING * scale:
+        if not inside or nearest < distance_mm * (1.0 - off) - rounding_mm:
             return False
     holes = int(shapely.get_num_interior_rings(shapely.get_parts(region)).sum())
     circles = math.pi * distance_mm**2 * max(holes - 1, 0)
     least_mm2 = region.area - region.length * distance_mm * (1.0 + off) - circles
-    if found.area < least_mm2 * (1.0 - ROUNDING):
+    if found.area < least_mm2 - rounding_mm * region.length:
         return False
     depth_mm = distance_mm * (1.0 + 2.0 * off)
     places = _places_at(region, depth_mm, distance_mm / SAMPLES)
     lacking = places[~shapely.intersects_xy(found, places[:, 0], places[:, 1])]
     # A place as far from the border as from the side that it was found from lies on the same side of it.
-    deep = shapely.distance(border, shapely.points(lacking)) >= depth_mm * (1.0 - ROUNDING) - ROUNDING * scale
+    deep = shapely.distance(border, shapely.points(lacking)) >= depth_mm - rounding_mm
     return not bool(deep.any())
 
 
@@ -121,7 +132,7 @@ def _places_at(region: BaseGeometry, depth_mm: float, step_mm: float) -> Floats:
     """Places (n, 2) straight in from the sides of a region, by a depth that they may not have: another side may be nearer."""
     start, end, inwards = _sides(region)
     length = np.hypot(*(end - start).T)
-    count = np.ceil(length / step_mm).astype(np.int64)
+    count = np.minimum(np.ceil(length / step_mm), MOST_SAMPLES).astype(np.int64)
     side = np.repeat(np.arange(count.size), count)
     share = (np.arange(side.size) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[side]
     return np.asarray(start[side] + share[:, None] * (end - start)[side] + depth_mm * inwards[side])
@@ -131,7 +142,7 @@ def _sides(region: BaseGeometry) -> tuple[Floats, Floats, Floats]:
     """Start, end and unit normal inwards of every side of a region, (S, 2) each."""
     import shapely
 
-    rings = shapely.get_rings(shapely.orient_polygons(region))
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     joined = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
     start, end = points[joined], points[joined + 1]

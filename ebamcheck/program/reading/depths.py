@@ -66,9 +66,8 @@ def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
 
 def _tried(section: BaseGeometry, depth_mm: float) -> tuple[Floats, Ints]:
     """Places (n, 2) at a distance from each side and inward corner, in order, and the line that each belongs to."""
-    points, ring = shapely.get_coordinates(
-        shapely.get_rings(shapely.orient_polygons(section)), return_index=True
-    )
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(section)))
+    points, ring = shapely.get_coordinates(rings, return_index=True)
     side = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
     start, way, ring = points[side], points[side + 1] - points[side], ring[side]
     length = np.hypot(way[:, 0], way[:, 1])
