@@ -222,7 +222,8 @@ def inside_rule(subject: Subject) -> list[Figure]:
 def touching_bodies(subject: Subject) -> list[Figure]:
     """Bodies that touch in a face are one region, those that share an edge two; a gap wider than twice the limit is kept.
 
-    Turned, their faces touch within rounding: what that opens is narrower than any bound, and may be closed or kept.
+    Turned, their faces touch within rounding: what that opens is narrower than any bound, and may be closed or kept. So may be
+    what is narrower than the bound of a slicer that samples.
     """
     base = box((0, 0, 0), (8, 8, 5))
     gap = max(FINE_FEATURES_MM, 2.5 * subject.limit_mm(joined(base, box((8, 2, 0), (14, 6, 5)))))
@@ -246,11 +247,14 @@ def touching_bodies(subject: Subject) -> list[Figure]:
                 continue
             seen, limit = subject.differences(part, heights), subject.limit_mm(part)
             for k, rings in enumerate(layers.ring_counts().tolist()):
-                right = rings == bodies or (degrees > 0.0 and bool(seen.topology_agrees[k]))
+                free = degrees > 0.0 or not subject.slicer.exact
+                right = rings == bodies or (free and bool(seen.topology_agrees[k]))
                 text = f"{rings} rings in place of {bodies}"
                 found.append(truth("touching bodies", part.name, right, text, k))
                 depth = float(seen.depth_mm[k])
-                found.append(Figure("touching bodies", part.name, k, depth, limit, f"depth, mm, at {seen.places[k]}"))
+                found.append(
+                    Figure("touching bodies", part.name, k, depth, limit, f"depth, mm, at {seen.places[k]}")
+                )
     return found
 
 

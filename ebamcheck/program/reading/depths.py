@@ -31,6 +31,8 @@ HALVINGS = 8
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
 
+    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`.
+
     Examples
     --------
     >>> lines = depth_lines(shapely.box(0, 0, 10, 8), 3.0)
