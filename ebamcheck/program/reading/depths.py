@@ -18,8 +18,8 @@ STEP_MM = 0.5
 FEWEST = 4
 """Stretches into which the shortest side is parted: of a side of a small circle only the middle has the depth."""
 
-TURN_RAD = np.pi / 32.0
-"""Angle between the places that are tried around an inward corner."""
+TURN_RAD = np.pi / 96.0
+"""Angle between the places that are tried around an inward corner: chords of beads keep the depth within :data:`OFF_MM`."""
 
 OFF_MM = 1e-3
 """By how much less deep a place may be."""
