@@ -80,7 +80,7 @@ def winding_numbers(places: Floats, sides: Floats, passes: Ints) -> Ints:
 def _merged(points: Floats, rows: Ints, reach_mm: float) -> Ints:
     """Row (N,) of the point that stands for each point in `rows`: of those within the reach of one another the first."""
     node = np.arange(len(points))
-    places = shapely.points(points[rows])
+    places = np.asarray(shapely.points(points[rows]), dtype=object)
     a, b = shapely.STRtree(places).query(places, predicate="dwithin", distance=reach_mm)
     a, b = rows[a], rows[b]
     while True:
@@ -94,7 +94,7 @@ def _merged(points: Floats, rows: Ints, reach_mm: float) -> Ints:
 def _through_points(points: Floats, start: Ints, end: Ints, reach_mm: float) -> tuple[Ints, Ints]:
     """Sides from `start` to `end` (S,), led through all points within their reach, in order."""
     used = np.unique(start)
-    sides = shapely.linestrings(np.stack([points[start], points[end]], axis=1))
+    sides = np.asarray(shapely.linestrings(np.stack([points[start], points[end]], axis=1)), dtype=object)
     at, side = shapely.STRtree(sides).query(
         shapely.points(points[used]), predicate="dwithin", distance=reach_mm
     )

@@ -72,7 +72,7 @@ def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> Bas
 def _part_eroded(part: BaseGeometry, distance_mm: float, quad_segs: int) -> BaseGeometry:
     import shapely
 
-    found = shapely.buffer(part, -distance_mm, quad_segs=quad_segs)
+    found: BaseGeometry = shapely.buffer(part, -distance_mm, quad_segs=quad_segs)
     if is_inset(found, part, distance_mm, quad_segs):
         return found
     start, end, _ = _sides(part)

@@ -123,9 +123,8 @@ def _layer(
     wanted = 0.5 * (lines[:, :2] + lines[:, 2:])
     if not sections and rows.size:
         length = float(np.nansum(nc.lengths[rows]))
-        return _Worst(
-            int(rows[0]), length, limit_mm, k, *nc.end[rows[0], :2], "of contour path, and no section"
-        )
+        x, y = nc.end[rows[0], :2].tolist()
+        return _Worst(int(rows[0]), length, limit_mm, k, x, y, "of contour path, and no section")
     owner, at = nc.samples(rows, STEP_MM)
     path = _path(nc, rows, owner, at)
     if path.is_empty:
@@ -134,8 +133,8 @@ def _layer(
             return _Worst(first, 0.0, limit_mm, k, math.nan, math.nan)
         asked = np.isfinite(_reach(wanted, sections[0], offset_mm, limit_mm))
         length = float(np.hypot(*(lines[asked, 2:] - lines[asked, :2]).T).sum())
-        place = wanted[np.argmax(asked)]
-        return _Worst(first, length, limit_mm, k, *place, "of contour asked for, and no contour path")
+        x, y = wanted[np.argmax(asked)].tolist()
+        return _Worst(first, length, limit_mm, k, x, y, "of contour asked for, and no contour path")
     off = np.stack([_depths(at, section) - offset_mm for section in sections])
     off = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
     allowed = _allowed(at, off, sections[0], k, known)

@@ -107,7 +107,9 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
             mine = np.flatnonzero(layer == k)
-            border = depth_lines(layer_section(layers.polygons(k)), offset_mm) if mine.size else ()
+            if not mine.size:
+                continue
+            border = depth_lines(layer_section(layers.polygons(k)), offset_mm)
             if not len(border):
                 continue
             row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
