@@ -27,6 +27,7 @@ from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
@@ -110,7 +111,7 @@ def under_two_beads(layers: Layers, config: Config) -> str:
     for k in range(len(layers)):
         section = layer_section(layers.polygons(k))
         _, thin = split_thin(section, least_mm, CORNER * least_mm**2)
-        opened = shapely.buffer(shapely.buffer(section, -0.5 * least_mm), 0.5 * least_mm)
+        opened = shapely.buffer(eroded(section, 0.5 * least_mm), 0.5 * least_mm)
         rings = [shapely.Polygon(ring) for part in valid_polygons(section) for ring in part.interiors]
         walls += bool(thin) or shape_of(section) != shape_of(opened)
         holes += any(2.0 * shapely.maximum_inscribed_circle(hole).length < least_mm for hole in rings)

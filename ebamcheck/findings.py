@@ -55,6 +55,7 @@ CODES: Mapping[str, str] = {
     "sections-off-mesh": "The sections that a program is judged by are not those of the mesh.",
     "steep-overhang": "A layer reaches out steeply over the one below, and no angle is set that the process can build.",
     "table-as-it-stands": "The machine has rotary axes that the program of a part that is not turned does not command.",
+    "thin-set-aside": "Slicers agree once rings or holes thinner than their bounds and the tolerance are set aside: one has them, another not.",
     "wall-under-bead": "A wall is thinner than the least that beads can lay.",
     "wire-drawn-back": "Wire is drawn back at the end of each bead, and the program relies on the feeder to feed it forward again.",
 }

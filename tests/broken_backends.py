@@ -291,6 +291,12 @@ class KeepsOverlaps(PlaneCut):
         return super().prepare(part, PlaneCut.Settings(overlaps="keep"))
 
 
+class KeepsTouchingApart(KeepsOverlaps):
+    """Leaves the rings of bodies that touch as they are."""
+
+    name = "kept-touching"
+
+
 class SwallowsArguments(PlaneCut):
     name = "swallows-arguments"
 
@@ -358,6 +364,7 @@ FAULTS: dict[str, Fault] = {
         _fault(PlaneCut, "odd-rule-in-name-only", "inside rule", inside_rule="odd"),
         _fault(PlaneCut, "nameless-rule", "attributes", inside_rule="as usual"),
         Fault(KeepsOverlaps, "inside rule"),
+        Fault(KeepsTouchingApart, "touching bodies"),
         Fault(SwallowsArguments, "signatures"),
         Fault(DoubleProgress, "progress"),
         Fault(EntersAsAnother, "context"),

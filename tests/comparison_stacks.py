@@ -14,7 +14,7 @@ COLUMNS = [
     "layer", "height_mm", "class", "area_a_mm2", "area_b_mm2", "area_difference_mm2",
     "symmetric_difference_mm2", "iou", "hausdorff_ab_mm", "hausdorff_ba_mm", "hausdorff_mm", "p95_ab_mm",
     "p95_ba_mm", "depth_mm", "depth_x_mm", "depth_y_mm", "rings_a", "rings_b", "holes_a", "holes_b",
-    "open_a", "open_b", "topology_agrees", "limit_mm", "agrees",
+    "open_a", "open_b", "topology_agrees", "set_aside", "limit_mm", "agrees",
 ]  # fmt: skip
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)

@@ -274,7 +274,7 @@ def meets_anywhere(rings) -> bool:
 
 
 def touches(layers) -> bool:
-    tree = box_tree(len(layers.points))
+    tree = box_tree(len(layers.points), 0.0)
     leaves = grow(tree, layers.points, layers.ring_starts, layers.closed, 0, layers.closed.size)
     return bool(touching(tree, leaves, layers.points, layers.ring_starts))
 
@@ -365,7 +365,7 @@ def test_rings_are_kept_where_the_winding_number_passes_between_0_and_1():
             layers.closed,
             0,
             len(shapes),
-            overlap_search(len(layers.points)),
+            overlap_search(len(layers.points), 0.0),
         )
         assert kind == (CLEAN if all(expected) else NESTED_WRONG)
         dropped += expected.count(False)
@@ -383,7 +383,7 @@ def test_kinds_of_layers():
         [],
     ]
     layers = from_rings(np.arange(len(stack)), stack)
-    search = overlap_search(len(layers.points))
+    search = overlap_search(len(layers.points), 0.0)
     kinds = [
         classify_layer(layers.points, layers.ring_starts, layers.closed, a, b, search)
         for a, b in itertools.pairwise(layers.layer_starts.tolist())

@@ -1,4 +1,4 @@
-"""A tree of boxes over the segments of one layer, to find whether any two of them meet.
+"""A tree of boxes over the segments of one layer, to find whether any two of them meet within a reach.
 
 Leaves are short runs of consecutive segments; inner nodes join neighbours. A run that is monotone in x and in y does not
 meet itself; nor do two consecutive runs that are monotone in the same directions. A contour rarely reverses in x or y, so only
@@ -43,11 +43,13 @@ class BoxTree(NamedTuple):
     """(M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins."""
     stack: NDArray[np.int32]
     """Pairs of nodes waiting to be tested, and whether one follows the other along its ring."""
+    reach_mm: float
+    """Segments that come this near to each other meet: what rounding may have moved them apart."""
 
 
 @kernel
-def box_tree(points: int) -> BoxTree:
-    """Room for the tree over closed rings that have so many points together."""
+def box_tree(points: int, reach_mm: float) -> BoxTree:
+    """Room for the tree over closed rings that have so many points together, and how near segments meet."""
     # The smallest rings are triangles, of one leaf each.
     leaves = _power_of_two(points // 3 + points // SEGMENTS_A_LEAF + 1)
     return BoxTree(
@@ -56,6 +58,7 @@ def box_tree(points: int) -> BoxTree:
         np.empty(2 * leaves, np.int32),
         np.empty(leaves + 1, np.int64),
         np.empty((LARGEST_STACK, 3), np.int32),
+        reach_mm,
     )
 
 
@@ -142,13 +145,13 @@ def _turns(ways: int) -> bool:
 
 
 @kernel
-def _apart(boxes: Floats, a: int, b: int) -> bool:
-    """Whether the boxes of two nodes share no point."""
+def _apart(boxes: Floats, a: int, b: int, reach_mm: float) -> bool:
+    """Whether the boxes of two nodes are farther apart than the reach."""
     return bool(
-        boxes[a, 2] < boxes[b, 0]
-        or boxes[b, 2] < boxes[a, 0]
-        or boxes[a, 3] < boxes[b, 1]
-        or boxes[b, 3] < boxes[a, 1]
+        boxes[b, 0] - boxes[a, 2] > reach_mm
+        or boxes[a, 0] - boxes[b, 2] > reach_mm
+        or boxes[b, 1] - boxes[a, 3] > reach_mm
+        or boxes[a, 1] - boxes[b, 3] > reach_mm
     )
 
 
@@ -181,7 +184,7 @@ def touching(tree: BoxTree, leaves: int, points: Floats, ring_starts: Ints) -> b
             waiting = _push(stack, waiting, 2 * a, 2 * a, 0)
             waiting = _push(stack, waiting, 2 * a + 1, 2 * a + 1, 0)
             continue
-        if _apart(tree.boxes, a, b):
+        if _apart(tree.boxes, a, b, tree.reach_mm):
             continue
         if behind and tree.ring[a] == tree.ring[b] and not _turns(tree.ways[a] | tree.ways[b]):
             continue
@@ -223,7 +226,7 @@ def _leaf_meets_itself(tree: BoxTree, leaves: int, node: int, points: Floats, ri
     for i in range(first + 2, stop):
         j = i + 1 if i + 1 < stop else end
         for k in range(first, i - 1):
-            if j != k and _meet(points, i, j, k, k + 1):
+            if j != k and _meet(points, i, j, k, k + 1, tree.reach_mm):
                 return True
     return False
 
@@ -235,23 +238,23 @@ def _leaves_meet(tree: BoxTree, leaves: int, a: int, b: int, points: Floats, rin
     first_b, stop_b, end_b = _rows(tree, leaves, b, ring_starts)
     for i in range(first_b, stop_b):
         j = i + 1 if i + 1 < stop_b else end_b
-        if _beside(points, i, j, tree.boxes, a):
+        if _beside(points, i, j, tree.boxes, a, tree.reach_mm):
             continue
         for k in range(first_a, stop_a):
             after = k + 1 if k + 1 < stop_a else end_a
-            if after != i and j != k and _meet(points, i, j, k, after):
+            if after != i and j != k and _meet(points, i, j, k, after, tree.reach_mm):
                 return True
     return False
 
 
 @kernel
-def _beside(points: Floats, i: int, j: int, boxes: Floats, node: int) -> bool:
-    """Whether the box of segment ij shares no point with that of a node."""
+def _beside(points: Floats, i: int, j: int, boxes: Floats, node: int, reach_mm: float) -> bool:
+    """Whether the box of segment ij is farther from that of a node than the reach."""
     return bool(
-        max(points[i, 0], points[j, 0]) < boxes[node, 0]
-        or min(points[i, 0], points[j, 0]) > boxes[node, 2]
-        or max(points[i, 1], points[j, 1]) < boxes[node, 1]
-        or min(points[i, 1], points[j, 1]) > boxes[node, 3]
+        boxes[node, 0] - max(points[i, 0], points[j, 0]) > reach_mm
+        or min(points[i, 0], points[j, 0]) - boxes[node, 2] > reach_mm
+        or boxes[node, 1] - max(points[i, 1], points[j, 1]) > reach_mm
+        or min(points[i, 1], points[j, 1]) - boxes[node, 3] > reach_mm
     )
 
 
@@ -264,20 +267,45 @@ def _side(points: Floats, i: int, j: int, k: int) -> float:
 
 
 @kernel
-def _meet(points: Floats, a: int, b: int, c: int, d: int) -> bool:
-    """Whether segments ab and cd share a point."""
+def _meet(points: Floats, a: int, b: int, c: int, d: int, reach_mm: float) -> bool:
+    """Whether segments ab and cd come within the reach of each other."""
     if (
-        max(points[a, 0], points[b, 0]) < min(points[c, 0], points[d, 0])
-        or max(points[c, 0], points[d, 0]) < min(points[a, 0], points[b, 0])
-        or max(points[a, 1], points[b, 1]) < min(points[c, 1], points[d, 1])
-        or max(points[c, 1], points[d, 1]) < min(points[a, 1], points[b, 1])
+        min(points[c, 0], points[d, 0]) - max(points[a, 0], points[b, 0]) > reach_mm
+        or min(points[a, 0], points[b, 0]) - max(points[c, 0], points[d, 0]) > reach_mm
+        or min(points[c, 1], points[d, 1]) - max(points[a, 1], points[b, 1]) > reach_mm
+        or min(points[a, 1], points[b, 1]) - max(points[c, 1], points[d, 1]) > reach_mm
     ):
         return False
+    # Segments that do not cross are nearest at an end of one of them.
+    return _cross(points, a, b, c, d) or (
+        reach_mm > 0.0
+        and (
+            _near(points, a, b, c, reach_mm)
+            or _near(points, a, b, d, reach_mm)
+            or _near(points, c, d, a, reach_mm)
+            or _near(points, c, d, b, reach_mm)
+        )
+    )
+
+
+@kernel
+def _cross(points: Floats, a: int, b: int, c: int, d: int) -> bool:
+    """Whether segments ab and cd, whose boxes meet, share a point."""
     p, q = _side(points, a, b, c), _side(points, a, b, d)
     if (p > 0.0 and q > 0.0) or (p < 0.0 and q < 0.0):
         return False
     p, q = _side(points, c, d, a), _side(points, c, d, b)
     return not ((p > 0.0 and q > 0.0) or (p < 0.0 and q < 0.0))
+
+
+@kernel
+def _near(points: Floats, a: int, b: int, c: int, reach_mm: float) -> bool:
+    """Whether point c lies within the reach of segment ab."""
+    along_x, along_y = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    x, y = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    square = along_x * along_x + along_y * along_y
+    t = min(max((x * along_x + y * along_y) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    return bool((x - t * along_x) ** 2 + (y - t * along_y) ** 2 <= reach_mm * reach_mm)
 
 
 @kernel

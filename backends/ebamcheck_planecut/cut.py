@@ -15,7 +15,7 @@ from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck_planecut import overlaps
+from ebamcheck_planecut import PlaneCut, overlaps
 from ebamcheck_planecut.crossed_facets import crossed_mesh
 from ebamcheck_planecut.sorted_mesh import SortedMesh, sorted_mesh, turned_mesh, vertices_under
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
@@ -88,12 +88,13 @@ class PreparedCut:
             np.empty((int(rows[-1]), 2)), np.empty((int(rows[-1]), 2), np.int32), np.empty(int(rows[-1]))
         )
         unite = self._settings.model_dump()["overlaps"] == "unite"
+        reach_mm = PlaneCut().error_bound_mm(self._part, self._settings)
 
         def block(start: int, stop: int) -> Block:
             # Zeroed memory costs nothing until it is touched, and a block touches only that of its own facets.
             seen = np.zeros(len(mesh.faces), np.int32)
             at = int(rows[start])
-            cut = cut_block(mesh, heights[start:stop], under[start:stop], seen, columns, at, unite)
+            cut = cut_block(mesh, heights[start:stop], under[start:stop], seen, columns, at, unite, reach_mm)
             if progress is not None:
                 progress(stop - start)
             return cut
@@ -101,7 +102,7 @@ class PreparedCut:
         blocks = run_blocks(block, heights.size, SMALLEST_BLOCK) if heights.size else []
         layers = self._joined(heights, columns, blocks)
         kinds = np.concatenate([np.zeros(0, np.int8), *(cut.kinds for cut in blocks)])
-        return _united(layers, kinds)
+        return _united(layers, kinds, reach_mm)
 
     def _joined(self, heights: NDArray[np.float64], columns: Columns, blocks: list[Block]) -> Layers:
         """Join blocks that were written to shared columns into one stack, in their order."""
@@ -152,14 +153,14 @@ def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
     return mesh
 
 
-def _united(layers: Layers, kinds: NDArray[np.int8]) -> Layers:
-    """Unite the shells of layers on which they overlap; other layers stay as they are."""
+def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float) -> Layers:
+    """Unite the shells of layers on which they overlap or touch; other layers stay as they are."""
     doubtful = np.flatnonzero(kinds != overlaps.CLEAN).tolist()
     if not doubtful:
         return layers
 
     def resolve(start: int, stop: int) -> list[Layers | None]:
-        return [_resolved(layers.block(k, k + 1), int(kinds[k])) for k in doubtful[start:stop]]
+        return [_resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm) for k in doubtful[start:stop]]
 
     found = [one for block in run_blocks(resolve, len(doubtful)) for one in block]
     blocks: list[Layers] = []
@@ -171,9 +172,9 @@ def _united(layers: Layers, kinds: NDArray[np.int8]) -> Layers:
     return concatenate([*blocks, layers.block(done, len(layers))]) if blocks else layers
 
 
-def _resolved(one: Layers, kind: int) -> Layers | None:
+def _resolved(one: Layers, kind: int, reach_mm: float) -> Layers | None:
     """Unite the shells of a single layer; None where nothing changes."""
-    resolved = overlaps.unite(one, kind)
+    resolved = overlaps.unite(one, kind, reach_mm)
     if resolved is None:
         return None
     points, ring_starts, closed, edge, edge_t = resolved

@@ -1,7 +1,7 @@
 """Layers with winding numbers other than 0 and 1, and the union of their shells.
 
 For a layer whose rings neither touch nor cross, as nearly all layers of nearly all parts, the nesting of the rings decides.
-Where rings touch or cross, the arrangement of the layer is built.
+Where rings touch or cross, the arrangement of the layer is built. Rings that touch in single points stay as they are.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ class OverlapSearch(NamedTuple):
 
 
 @kernel
-def overlap_search(points: int) -> OverlapSearch:
-    """Room for layers of so many points."""
+def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
+    """Room for layers of so many points, whose rings touch where they come within a reach of each other."""
     return OverlapSearch(
-        box_tree(points),
+        box_tree(points, reach_mm),
         np.empty(points, np.int64),
         np.empty(points, np.int64),
         np.empty(points),
@@ -132,13 +132,22 @@ def _all_kept(
 @kernel
 def kept_rings(points: Floats, ring_starts: Ints, closed: Bools) -> Bools:
     """Tell which rings of one layer, which do not touch, separate solid from void (R,); open paths are kept."""
-    search = overlap_search(points.shape[0])
+    search = overlap_search(points.shape[0], 0.0)
     classify_layer(points, ring_starts, closed, 0, closed.size, search)
     return search.keep[: closed.size].copy()
 
 
-def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
-    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0.
+def unite(
+    layer: Layers, kind: int, reach_mm: float
+) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
+    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; shells that touch along a line are one.
+
+    Parameters
+    ----------
+    layer, kind
+        The layer, and its class by :func:`classify_layer`.
+    reach_mm
+        What rounding may move a point by: shells this near to each other touch.
 
     Returns
     -------
@@ -156,12 +165,12 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
         return layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
     import shapely
 
-    faces = _arrangement(layer)
-    inner = shapely.get_coordinates(shapely.point_on_surface(faces)) if len(faces) else np.zeros((0, 2))
-    winding = winding_numbers(inner, layer.points, layer.ring_starts, layer.closed)
-    if np.isin(winding, (0, 1)).all():
+    from ebamcheck_planecut.arrangement import arrangement
+
+    found = arrangement(layer, reach_mm)
+    if not found.seams and np.isin(found.winding, (0, 1)).all():
         return None
-    united = shapely.orient_polygons(shapely.union_all(faces[winding > 0]))
+    united = shapely.orient_polygons(shapely.union_all(found.faces[found.winding > 0]))
     rings = [
         shapely.get_coordinates(ring)[:-1]
         for polygon in shapely.get_parts(united)
@@ -174,40 +183,6 @@ def unite(layer: Layers, kind: int) -> tuple[Floats, Ints, Bools, NDArray[np.int
     closed = np.arange(len(paths)) < len(rings)
     edge, edge_t = _known_edges(points, layer)
     return points, starts, closed, edge, edge_t
-
-
-def _arrangement(layer: Layers) -> NDArray[np.object_]:
-    """Bounded faces of the arrangement of all closed rings of a layer, as shapely polygons."""
-    import shapely
-
-    lines = [
-        shapely.LineString(np.vstack([layer.ring(r), layer.ring(r)[:1]]))
-        for r in np.flatnonzero(layer.closed).tolist()
-    ]
-    noded = shapely.union_all(np.array(lines, dtype=object))
-    return np.asarray(shapely.get_parts(shapely.polygonize([*shapely.get_parts(noded)])), dtype=object)
-
-
-@kernel
-def winding_numbers(queries: Floats, points: Floats, ring_starts: Ints, closed: Bools) -> Ints:
-    """Winding number of all closed rings about each query point, (Q,)."""
-    result = np.zeros(queries.shape[0], np.int64)
-    for r in range(closed.size):
-        if not closed[r]:
-            continue
-        a, b = ring_starts[r], ring_starts[r + 1]
-        for i in range(a, b):
-            j = i + 1 if i + 1 < b else a
-            xi, yi, xj, yj = points[i, 0], points[i, 1], points[j, 0], points[j, 1]
-            for q in range(queries.shape[0]):
-                y = queries[q, 1]
-                if (yi <= y) != (yj <= y):
-                    side = (xj - xi) * (y - yi) - (queries[q, 0] - xi) * (yj - yi)
-                    if yj > yi and side > 0.0:
-                        result[q] += 1
-                    elif yj < yi and side < 0.0:
-                        result[q] -= 1
-    return result
 
 
 def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:

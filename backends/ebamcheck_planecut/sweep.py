@@ -49,7 +49,14 @@ class Block(NamedTuple):
 
 @kernel
 def cut_block(
-    mesh: SortedMesh, heights: Floats, under: Index, seen: Index, columns: Columns, row: int, classify: bool
+    mesh: SortedMesh,
+    heights: Floats,
+    under: Index,
+    seen: Index,
+    columns: Columns,
+    row: int,
+    classify: bool,
+    reach_mm: float,
 ) -> Block:
     """Cut consecutive layers and write their rings in canonical form.
 
@@ -64,7 +71,9 @@ def cut_block(
     columns, row
         Where to write, and from which row on.
     classify
-        Whether to look for overlapping shells.
+        Whether to look for shells that overlap or touch.
+    reach_mm
+        How near to each other shells touch.
     """
     room = mesh.crossed[under]
     total = int(room.sum())
@@ -72,7 +81,7 @@ def cut_block(
     active = np.empty(most, np.int32)
     track = tracks(most)
     forms = _forms(most)
-    search = overlap_search(most if classify else 0)
+    search = overlap_search(most if classify else 0, reach_mm)
     ring_starts = np.empty(total + 1, np.int64)
     closed = np.empty(total, np.bool_)
     layer_starts = np.zeros(heights.size + 1, np.int64)

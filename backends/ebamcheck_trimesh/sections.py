@@ -24,6 +24,9 @@ MERGE = 1e-8
 WORKING_SIZE_EXPONENT = 10
 """Parts are scaled to a size between 2**9 and 2**10, against which :data:`MERGE` is negligible."""
 
+ALONG = 100.0
+"""Rings touch along a line, not in a point, from so many error bounds of it on."""
+
 BLOCK = 64
 """Layers that trimesh cuts at a time, to report progress and bound memory."""
 
@@ -36,12 +39,12 @@ class TrimeshSections:
     """Exact cut by trimesh: segments of the facets, joined to closed paths where their ends are equal.
 
     Its paths have no direction, so the solid is what lies within an odd number of them; a part whose shells
-    cross is refused. trimesh takes a vertex within 1e-8 of the plane as on it.
+    cross or touch along a line is refused. trimesh takes a vertex within 1e-8 of the plane as on it.
     """
 
     name: ClassVar[str] = "trimesh"
     summary: ClassVar[str] = (
-        "witness: exact plane cut by trimesh (section_multiplane), slow; no crossing shells"
+        "witness: exact plane cut by trimesh (section_multiplane), slow; no crossing or touching shells"
     )
     exact: ClassVar[bool] = True
     priority: ClassVar[int] = -10
@@ -136,6 +139,7 @@ class PreparedSections:
             settings=self._settings.model_dump(),
         )
         bound_mm = TrimeshSections().error_bound_mm(self.part, self._settings)
+        _refuse_touching(raw, bound_mm)
         return directed_by_nesting(raw, bound_mm, TrimeshSections.name)
 
     def _paths(self, heights: Floats, within: NDArray[np.bool_]) -> list[list[Floats]]:
@@ -154,3 +158,28 @@ class PreparedSections:
                 placed = np.asarray(points, np.float64) @ matrix[:2, :2].T + matrix[:2, 3]
                 found[k].append(placed / self._placement.scale + self._placement.shift_mm[:2])
         return found
+
+
+def _refuse_touching(layers: Layers, reach_mm: float) -> None:
+    """Raise :class:`BackendFailed` where paths of a layer touch along a line, or one touches itself.
+
+    Segments are joined by their ends alone: where several have one end, trimesh takes whichever comes first, and drops doubled ones.
+    """
+    import shapely
+
+    for k in range(len(layers)):
+        paths = np.array(
+            [
+                (shapely.LinearRing if layers.closed[r] else shapely.LineString)(layers.ring(r))
+                for r in layers.rings_of(k)
+            ],
+            dtype=object,
+        )
+        first, second = shapely.STRtree(paths).query(paths, predicate="dwithin", distance=reach_mm)
+        one, other = (paths[rows[first < second]] for rows in (first, second))
+        along = shapely.length(shapely.intersection(shapely.buffer(one, 2.0 * reach_mm), other))
+        if (along > ALONG * reach_mm).any() or not shapely.is_simple(paths).all():
+            raise BackendFailed(
+                f"{TrimeshSections.name}: rings touch at z = {layers.heights[k]:.9g} mm, where bodies of the part touch, and it "
+                "does not tell whose segments are whose; unite the bodies or use another backend"
+            )

@@ -83,7 +83,8 @@ def compare(
         ``hausdorff_ab_mm`` (from a to b), ``hausdorff_ba_mm``, ``hausdorff_mm`` and 95th percentiles
         ``p95_ab_mm``, ``p95_ba_mm`` over the length of all contours, open paths included; ``depth_mm`` at
         ``depth_x_mm``, ``depth_y_mm``; ``rings_a``, ``rings_b`` (outer and inner together), ``holes_a``,
-        ``holes_b``, ``open_a``, ``open_b``; ``topology_agrees``; ``limit_mm``; ``agrees``.
+        ``holes_b``, ``open_a``, ``open_b``; ``topology_agrees``, and ``set_aside`` (outer rings and holes that one has and the
+        other lacks, where they agree without features thinner than the limit); ``limit_mm``; ``agrees``.
 
         Two empty layers have an overlap of 1 and distances of 0; where one is empty the overlap is 0, the
         distances are infinite and the depth is the inscribed radius of the other. Hausdorff distances are
@@ -250,10 +251,17 @@ def table(
         "open_a": a.open_counts(),
         "open_b": b.open_counts(),
         "topology_agrees": topology,
+        "set_aside": np.where(topology, _differing(rings, holes), 0),
         "limit_mm": np.full(len(a), limit_mm),
         "agrees": topology & (column["depth"] <= limit_mm),
     }
     return pd.DataFrame(columns)
+
+
+def _differing(rings: Mapping[str, Any], holes: Mapping[str, Any]) -> NDArray[np.int64]:
+    """Outer rings and holes (L,) that one stack has and the other lacks."""
+    outer = {name: rings[name] - holes[name] for name in rings}
+    return np.asarray(np.abs(outer["a"] - outer["b"]) + np.abs(holes["a"] - holes["b"]), np.int64)
 
 
 def _topologies(

@@ -15,6 +15,7 @@ from __future__ import annotations
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.stack import Layers
 
 ARC_SEGMENTS = 4
@@ -67,7 +68,9 @@ def thin_counts(solid: BaseGeometry, limit_mm: float) -> Counts:
 
 def _closed(solid: BaseGeometry, by_mm: float) -> BaseGeometry:
     """Region closed by a distance, or opened where it is negative."""
-    return solid.buffer(by_mm, quad_segs=ARC_SEGMENTS).buffer(-by_mm, quad_segs=ARC_SEGMENTS)
+    if by_mm < 0.0:
+        return eroded(solid, -by_mm, ARC_SEGMENTS).buffer(-by_mm, quad_segs=ARC_SEGMENTS)
+    return eroded(solid.buffer(by_mm, quad_segs=ARC_SEGMENTS), by_mm, ARC_SEGMENTS)
 
 
 def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
@@ -76,8 +79,7 @@ def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
     holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
     if thin_mm > 0.0:
         polygons, holes = (
-            [p for p in those if not p.buffer(-thin_mm, quad_segs=ARC_SEGMENTS).is_empty]
-            for those in (polygons, holes)
+            [p for p in those if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for those in (polygons, holes)
         )
     return len(polygons), len(holes)
 

@@ -45,6 +45,7 @@ def finish(
         ),
     ]
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
+    job.add_finding(*noticed.of_set_aside(checked.comparison.pairs))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
     made = None
     if program is not None and primary:

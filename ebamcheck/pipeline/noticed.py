@@ -68,6 +68,26 @@ def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
         )
 
 
+def of_set_aside(pairs: pd.DataFrame) -> Iterator[Finding]:
+    """Rings and holes that one slicer of a pair has and the other lacks, where both agree without what is thin."""
+    rows = pairs[pairs["set_aside"] > 0]
+    if not len(rows):
+        return
+    first, most = rows.sort_values("layer", kind="stable").iloc[0], int(rows["set_aside"].max())
+    names = sorted({f"{a} and {b}" for a, b in zip(rows["a"], rows["b"], strict=True)})
+    yield Finding(
+        "note",
+        "thin-set-aside",
+        f"{'; '.join(names)}: on {rows['layer'].nunique()} layers they agree once up to {most} rings or holes are set aside "
+        f"that only one of them has, of gaps and walls thinner than {2.0 * rows['limit_mm'].max():.3g} mm",
+        f"layer {int(first['layer'])}, z = {first['height_mm']:.3f} mm",
+        float(most),
+        None,
+        "rings",
+        "join bodies that nearly touch in the model, or move them apart",
+    )
+
+
 # -- the part ----------------------------------------------------------------------------------------
 
 

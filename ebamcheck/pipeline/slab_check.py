@@ -133,6 +133,7 @@ def _finished(job: Job, division: Division, made: SlabRun) -> RunResult:
         ),
     )
     job.add_finding(*noticed.of_doubt(checked.comparison.pairs, config))
+    job.add_finding(*noticed.of_set_aside(checked.comparison.pairs))
     job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
     code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
     if code is ExitCode.PASS and has_fault(job.findings):

@@ -7,8 +7,10 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
+from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.stack import Layers
-from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.mesh.welding import weld
 from ebamcheck.plugins.model import Model
 from ebamcheck.testing.figures import NO_LAYER, Figure, truth
 from ebamcheck.testing.sections import HOUSE_RULE, house_rule, region, sections, winding_rule
@@ -217,6 +219,45 @@ def inside_rule(subject: Subject) -> list[Figure]:
     return found
 
 
+def touching_bodies(subject: Subject) -> list[Figure]:
+    """Bodies that touch in a face are one region, those that share an edge two; a gap wider than twice the limit is kept.
+
+    Turned, their faces touch within rounding: what that opens is narrower than any bound, and may be closed or kept. So may be
+    what is narrower than the bound of a slicer that samples.
+    """
+    base = box((0, 0, 0), (8, 8, 5))
+    gap = max(FINE_FEATURES_MM, 2.5 * subject.limit_mm(joined(base, box((8, 2, 0), (14, 6, 5)))))
+    halves = box((0, 0, 0), (8, 8, 5)), box((8, 0, 0), (16, 8, 5))
+    parts = {
+        "part of a face": (joined(base, box((8, 2, 0), (14, 6, 5))), 1),
+        "whole faces": (joined(*halves), 1),
+        "whole faces, welded": (from_arrays(*weld(joined(*halves).triangles)), 1),
+        "an edge": (joined(base, box((8, 8, 0), (14, 13, 5))), 2),
+        "a gap": (joined(base, box((8 + gap, 2, 0), (14 + gap, 6, 5))), 2),
+    }
+    found = []
+    for name, (made, bodies) in parts.items():
+        for degrees in (0.0, 29.0):
+            part = named(f"{name}, {degrees:g} degrees", mapped(made, turn(degrees)))
+            heights = generic_heights(part, 2)
+            try:
+                layers = subject.cut(part, heights)
+            except BackendFailed as refusal:
+                found.append(truth("touching bodies", part.name, True, f"refused: {refusal}"))
+                continue
+            seen, limit = subject.differences(part, heights), subject.limit_mm(part)
+            for k, rings in enumerate(layers.ring_counts().tolist()):
+                free = degrees > 0.0 or not subject.slicer.exact
+                right = rings == bodies or (free and bool(seen.topology_agrees[k]))
+                text = f"{rings} rings in place of {bodies}"
+                found.append(truth("touching bodies", part.name, right, text, k))
+                depth = float(seen.depth_mm[k])
+                found.append(
+                    Figure("touching bodies", part.name, k, depth, limit, f"depth, mm, at {seen.places[k]}")
+                )
+    return found
+
+
 def reference_models(subject: Subject) -> list[Figure]:
     """Sections of tessellated reference models lie about their closed forms, within bound and tolerance."""
     found: list[Figure] = []
@@ -255,7 +296,7 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
             for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
         ]
         most = shapely.union_all(near).buffer(reach_mm, quad_segs=16)
-        least = shapely.intersection_all(near).buffer(-reach_mm, quad_segs=16)
+        least = eroded(shapely.intersection_all(near), reach_mm)
         cut = region(layers, k)
         beyond = float(cut.difference(most).area + least.difference(cut).area)
         rounding_mm2 = rounding_mm(part) * max(float(most.length), 1.0)

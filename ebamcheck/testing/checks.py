@@ -85,6 +85,7 @@ CHECKS: tuple[Check, ...] = tuple(
         accuracy.points_on_contours,
         accuracy.coplanar_planes,
         accuracy.inside_rule,
+        accuracy.touching_bodies,
         accuracy.reference_models,
         laws.translation,
         laws.rotation,

@@ -73,13 +73,14 @@ def lines_of(nc: NCProgram, rows: Ints) -> list[tuple[int, int]]:
 def worst_check(
     name: str, nc: NCProgram, rows: Ints, values: ArrayLike, limit: float, unit: str, what: str
 ) -> Check:
-    """Check that no value is over the limit; one that is no number counts as infinite."""
+    """Check that no value is over the limit; one that is no number is over any."""
     values = np.asarray(values, dtype=np.float64)
     if not values.size:
         return Check(name, True, 0.0, limit, unit, "", f"{what}: nothing to check")
     known = np.where(np.isnan(values), np.inf, values)
     worst = int(np.argmax(known))
     value = float(known[worst])
+    told = f"at most {value:.6g} {unit}" if np.isfinite(value) else "not known"
     return Check(
         name,
         value <= limit,
@@ -87,7 +88,7 @@ def worst_check(
         limit,
         unit,
         nc.where(int(rows[worst])),
-        f"{what}: at most {value:.6g} {unit}",
+        f"{what}: {told}",
     )
 
 

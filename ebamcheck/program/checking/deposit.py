@@ -23,10 +23,11 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
+from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
 from ebamcheck.scan.islands.regions import layer_section
@@ -210,12 +211,7 @@ class _Field:
         deep = deep_cells(inside, self._bead_mm / step)
         rim = inside & ~deep
         film = ~inside & (laid >= FILM * thickness_mm)
-        # From the border of a cell to the middle of the next it is half a cell.
-        reach = (
-            np.where(film, (border_distance(~inside) - 0.5) * step, 0.0)
-            if film.any()
-            else np.zeros_like(laid)
-        )
+        reach = _reaches_mm(film, inside, section, target)
         over = self.surface.over_mm(target)
         runs = (melted > 0.0) | bead_centres(inside, self._bead_mm / step)
         figures = {
@@ -231,6 +227,20 @@ class _Field:
             **_extreme("reach", reach, target),
         }
         return figures, LayerField(target, laid, over)
+
+
+def _reaches_mm(film: Bools, inside: Bools, section: BaseGeometry, target: Target) -> Floats:
+    """Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others."""
+    reach, step = np.zeros(film.shape), target.step_mm
+    if inside.any():
+        # From the border of a cell to the middle of the next it is half a cell.
+        reach[film] = (border_distance(~inside)[film] - 0.5) * step
+    else:
+        # A section thinner than a cell fills none to the half.
+        row, column = np.nonzero(film)
+        middles = target.origin + (np.column_stack([column, row]) + 0.5) * step
+        reach[film] = side_distances(middles, sides_of(section.boundary))
+    return reach
 
 
 def _closed_holes(section: BaseGeometry, laid: LayerField, thickness_mm: float) -> list[dict[str, float]]:

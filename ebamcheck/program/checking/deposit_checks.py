@@ -126,8 +126,8 @@ def _of_layers(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     wanted, laid = solid["wanted_mm3"].to_numpy(), solid["laid_mm3"].to_numpy()
     off = _off_layers(solid, config)
     k = int(np.argmax(off))
-    share = laid[k] / wanted[k] if wanted[k] > 0.0 else math.inf
-    text = f"a layer has {share:.3f} of its metal: {_named(solid.iloc[k])}"
+    share = f"{laid[k] / wanted[k]:.3f} of its metal" if wanted[k] > 0.0 else "metal, and no section"
+    text = f"a layer has {share}: {_named(solid.iloc[k])}"
     where = places.of(int(solid["layer"].iloc[k]))
     limit = config.process.mass_tolerance
     return Check("metal of layers", bool(off[k] <= limit), float(off[k]), limit, "of the layer", where, text)

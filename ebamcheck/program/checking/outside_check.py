@@ -57,6 +57,7 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
         return Check(NAME, True, 0.0, limit_mm, "mm", "", "every bead lies within the part and its allowance")
     wrong = [place for place in every if place[0] > limit_mm]
     away, row, k, x, y = min(wrong, key=lambda place: place[1]) if wrong else max(every)
-    text = f"a bead runs {away:.4g} mm outside of the part, in layer {k + 1} at ({x:.3f}, {y:.3f})"
+    how = f"{away:.4g} mm outside of the part" if math.isfinite(away) else "where the part has no section"
+    text = f"a bead runs {how}, in layer {k + 1} at ({x:.3f}, {y:.3f})"
     value = max(place[0] for place in every)
     return Check(NAME, not wrong, value, limit_mm, "mm", nc.where(row), text, k, float(x), float(y))

@@ -13,6 +13,7 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
+from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
@@ -110,7 +111,7 @@ def _fullest(
     for _ in range(2):
         field = ndimage.uniform_filter(field, CELLS, mode="constant")
     metal = field / (cell**2 * thickness_mm)
-    wide = shapely.buffer(shapely.buffer(layer_section(layers.polygons(k)), -bead_mm), bead_mm)
+    wide = shapely.buffer(eroded(layer_section(layers.polygons(k)), bead_mm), bead_mm)
     shapely.prepare(wide)
     excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), metal[j, i] - 1.0, 0.0)
     along = np.nan_to_num(nc.lengths[row]) / pieces

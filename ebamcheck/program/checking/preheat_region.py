@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers.insets import eroded
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 
@@ -37,7 +38,7 @@ def wanted_region(
     below = under if k == 0 else sections[k - 1]
     region: BaseGeometry
     if below is not None:
-        region = shapely.buffer(below, -half_mm)
+        region = eroded(below, half_mm)
     else:
         (x0, y0), (x1, y1) = np.reshape(shapely.bounds(sections[0]), (2, 2)).tolist()
         margin_mm = config.preheat.margin_mm
@@ -76,7 +77,7 @@ def _gap_mm(region: BaseGeometry, start: Floats, end: Floats) -> float:
     driven = {y * ALONG_MM: shapely.union_all(shapely.linestrings(np.stack([start[row == y], end[row == y]], axis=1)))
               for y in np.unique(row).tolist()}  # fmt: skip
     worst = 0.0
-    for part in shapely.get_parts(shapely.buffer(region, -0.6 * SLIVER_MM)):
+    for part in shapely.get_parts(eroded(region, 0.6 * SLIVER_MM)):
         x0, y0, x1, y1 = shapely.bounds(part).tolist()
         places = [y0]
         for y, lines in driven.items():

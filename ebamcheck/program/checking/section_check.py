@@ -14,8 +14,9 @@ from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.near_sides import side_distances, sides_of
+from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.scan.islands.regions import inset, layer_section
+from ebamcheck.scan.islands.regions import layer_section
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
@@ -57,6 +58,8 @@ class _Worst:
     layer: int
     x: float
     y: float
+    what: str = ""
+    """In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there."""
 
 
 def section_check(
@@ -102,7 +105,10 @@ def section_check(
     worst = max(found, key=lambda w: w.value / w.limit)
     where = nc.where(worst.row) if len(nc) else ""
     at = "" if math.isnan(worst.x) else f", in layer {worst.layer + 1} at ({worst.x:.3f}, {worst.y:.3f})"
-    text += f": at most {worst.value:.6g} mm{at}, where {worst.limit:.4g} mm are allowed"
+    if worst.what:
+        text += f": {worst.value:.4g} mm {worst.what}{at}"
+    else:
+        text += f": at most {worst.value:.6g} mm{at}, where {worst.limit:.4g} mm are allowed"
     place = (None, None) if math.isnan(worst.x) else (float(worst.x), float(worst.y))
     return Check(
         name, worst.value <= worst.limit, worst.value, worst.limit, "mm", where, text, worst.layer, *place
@@ -112,19 +118,27 @@ def section_check(
 def _layer(
     nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float, limit_mm: float, known: Evidence
 ) -> _Worst:
-    """Worst place of a layer; infinitely far off where one has a contour and the other none."""
-    sections, wanted = _sections(layers.polygons(k), offset_mm, limit_mm)
-    if not rows.size:
-        first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0))))) if len(nc) else 0
-        missing = 0.0 if not len(wanted) else math.inf
-        return _Worst(first, missing, limit_mm, k, *(wanted[0] if len(wanted) else (math.nan, math.nan)))
-    if not sections:
-        return _Worst(int(rows[0]), math.inf, limit_mm, k, *nc.end[rows[0], :2])
+    """Worst place of a layer; where either has a contour and the other none, its length."""
+    sections, lines = _sections(layers.polygons(k), offset_mm, limit_mm)
+    wanted = 0.5 * (lines[:, :2] + lines[:, 2:])
+    if not sections and rows.size:
+        length = float(np.nansum(nc.lengths[rows]))
+        x, y = nc.end[rows[0], :2].tolist()
+        return _Worst(int(rows[0]), length, limit_mm, k, x, y, "of contour path, and no section")
     owner, at = nc.samples(rows, STEP_MM)
+    path = _path(nc, rows, owner, at)
+    if path.is_empty:
+        first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0))))) if len(nc) else 0
+        if not len(wanted):
+            return _Worst(first, 0.0, limit_mm, k, math.nan, math.nan)
+        asked = np.isfinite(_reach(wanted, sections[0], offset_mm, limit_mm))
+        length = float(np.hypot(*(lines[asked, 2:] - lines[asked, :2]).T).sum())
+        x, y = wanted[np.argmax(asked)].tolist()
+        return _Worst(first, length, limit_mm, k, x, y, "of contour asked for, and no contour path")
     off = np.stack([_depths(at, section) - offset_mm for section in sections])
     off = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
     allowed = _allowed(at, off, sections[0], k, known)
-    missed = _distances(wanted, _path(nc, rows, owner, at))
+    missed = _distances(wanted, path)
     far = np.flatnonzero(missed > limit_mm)
     if far.size:
         missed[far] *= limit_mm / np.maximum(_reach(wanted[far], sections[0], offset_mm, limit_mm), limit_mm)
@@ -183,23 +197,21 @@ def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
 def _sections(
     polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
 ) -> tuple[list[BaseGeometry], Floats]:
-    """The section, with its narrow rings and without, and the places (n, 2) where the path must pass.
+    """The section, with its narrow rings and without, and the lines (n, 4) along which the path must pass.
 
     It may keep the narrow rings or leave them out, and must pass where the border is there either way.
     """
     section = layer_section(polygons)
-    places = shapely.get_coordinates(shapely.segmentize(inset(section, offset_mm).boundary, STEP_MM))
+    lines = depth_lines(section, offset_mm)
     wide = [_without_narrow_holes(p, narrow_mm) for p in polygons if _width_mm(p.exterior) >= narrow_mm]
     if len(wide) == len(polygons) and all(
         len(p.interiors) == len(q.interiors) for p, q in zip(polygons, wide, strict=True)
     ):
-        return [s for s in (section,) if not s.is_empty], places
+        return [s for s in (section,) if not s.is_empty], lines
     plain = layer_section(wide)
     both = [s for s in (section, plain) if not s.is_empty]
-    border = inset(plain, offset_mm).boundary
-    if border.is_empty or not len(places):
-        return both, places[:0]
-    return both, places[_distances(places, border) <= narrow_mm]
+    either_way = side_distances(0.5 * (lines[:, :2] + lines[:, 2:]), depth_lines(plain, offset_mm))
+    return both, lines[either_way <= narrow_mm]
 
 
 def _depths(at: Floats, region: BaseGeometry) -> Floats:
@@ -215,11 +227,10 @@ def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: fl
     Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between
     both. Where nothing is that deep, it may be gone.
     """
-    points = shapely.points(places)
-    deeper, shallower = (inset(section, offset_mm + d) for d in (limit_mm, -limit_mm))
-    inwards = np.asarray(shapely.distance(points, deeper))
-    outwards = np.asarray(shapely.distance(points, shallower.boundary))
-    return np.maximum(np.where(np.isnan(inwards), np.inf, inwards), outwards)
+    inwards = side_distances(places, depth_lines(section, offset_mm + limit_mm))
+    if offset_mm <= limit_mm:
+        return np.maximum(inwards, limit_mm)
+    return np.maximum(inwards, side_distances(places, depth_lines(section, offset_mm - limit_mm)))
 
 
 def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:

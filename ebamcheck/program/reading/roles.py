@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.scan.islands.regions import inset, layer_section
+from ebamcheck.scan.islands.regions import layer_section
 
 CLOSED_MM = 1e-3
 """A bead that comes this near to its start has come back: the decimals of a program, at their coarsest."""
@@ -32,10 +32,10 @@ JOINT_MM = 2e-5
 """Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else."""
 
 STEP_MM = 0.5
-"""Distance of the places at which a bead's distance from the inset is looked at."""
+"""Distance of the places at which a bead's distance from the depth of contours is looked at."""
 
 MOST = 0.5
-"""Share of a bead's length along the inset from which on it is a contour."""
+"""Share of a bead's length at the depth of contours from which on it is a contour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def by_shape(nc: NCProgram) -> NCProgram:
 
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
-    """Give every bead its role by the sections of a part: contours run along the inset of the section.
+    """Give every bead its role by the sections of a part: contours run at a depth of the section.
 
     In a layer where none does, the beads that come back to their start are taken for contours.
 
@@ -97,7 +97,7 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
     z_of
         (L,) Z of each of the `layers` in the program.
     offset_mm, near_mm
-        Inset of contour beads, and how near to it a bead runs that is one for most of its length.
+        Depth of contour beads, and how near to it a bead runs that is one for most of its length.
     """
     beads = beads_of(nc)
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
@@ -107,8 +107,10 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
             mine = np.flatnonzero(layer == k)
-            border = inset(layer_section(layers.polygons(k)), offset_mm).boundary if mine.size else None
-            if border is None or border.is_empty:
+            if not mine.size:
+                continue
+            border = depth_lines(layer_section(layers.polygons(k)), offset_mm)
+            if not len(border):
                 continue
             row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
             # Under a beam that is switched on too early there are places that no block has given.
@@ -212,13 +214,10 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _away(at: Floats, lines: BaseGeometry) -> Floats:
-    """Distance (n,) of places (n, 2) from lines, by a search tree of their sides."""
-    points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
-    joined = np.flatnonzero(line[1:] == line[:-1])
-    pairs = np.stack([points[joined], points[joined + 1]], axis=1)
-    sides = np.atleast_1d(np.asarray(shapely.linestrings(pairs), dtype=np.object_))
-    _, away = shapely.STRtree(sides).query_nearest(
+def _away(at: Floats, sides: Floats) -> Floats:
+    """Distance (n,) of places (n, 2) from sides (m, 4), by a search tree."""
+    lines = np.atleast_1d(np.asarray(shapely.linestrings(sides.reshape(-1, 2, 2)), dtype=np.object_))
+    _, away = shapely.STRtree(lines).query_nearest(
         np.asarray(shapely.points(at)), return_distance=True, all_matches=False
     )
     return np.asarray(away, np.float64)

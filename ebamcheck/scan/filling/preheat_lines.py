@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers.insets import eroded
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 
@@ -35,13 +36,13 @@ def plate_region(section: BaseGeometry, config: Config) -> BaseGeometry:
     room_mm = 0.5 * config.preheat.spot_mm
     plate = plate_of(section, config)
     if config.machine.base_plate_min_mm is not None:
-        plate = shapely.buffer(plate, -room_mm, join_style="mitre")
+        plate = eroded(plate, room_mm)
     return _free(shapely.intersection(plate, _grown_box(section, config)), 0.0, config)
 
 
 def layer_region(section: BaseGeometry, top_mm: float, config: Config) -> BaseGeometry:
     """Region of what stands that is scanned: half a spot within its section. It may be empty."""
-    return _free(shapely.buffer(section, -0.5 * config.preheat.spot_mm), top_mm, config)
+    return _free(eroded(section, 0.5 * config.preheat.spot_mm), top_mm, config)
 
 
 def _grown_box(section: BaseGeometry, config: Config) -> BaseGeometry:

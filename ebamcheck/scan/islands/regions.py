@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
+from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
@@ -130,9 +131,7 @@ def inset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
 
     Parts that vanish but for rounding are left out.
     """
-    if distance_mm == 0.0:
-        return region
-    parts = valid_polygons(_offset(region, -distance_mm))
+    parts = valid_polygons(eroded(region, distance_mm, ARC_SEGMENTS))
     return shapely.MultiPolygon([p for p in parts if mean_width_mm(p) > NO_WIDTH_MM])
 
 
@@ -149,7 +148,7 @@ def split_thin(
     solids, thin
         Polygons that together are the region.
     """
-    core = _offset(_offset(region, -0.5 * width_mm), 0.5 * width_mm + JOIN_MM)
+    core = _offset(eroded(region, 0.5 * width_mm, ARC_SEGMENTS), 0.5 * width_mm + JOIN_MM)
     pieces = valid_polygons(region if core.is_empty else shapely.difference(region, core))
     thin = [p for p in pieces if p.area >= crumb_mm2 and aspect(p) >= WALL_ASPECT]
     if not thin:

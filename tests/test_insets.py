@@ -1,0 +1,112 @@
+"""Insets: held against distances, made another way where GEOS loses one, and found again by who checks a program."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+from ebamcheck.layers.insets import eroded, is_inset
+from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.metal import target_of
+from ebamcheck.program.checking.deposit import _reaches_mm
+from ebamcheck.program.reading.depths import depth_lines
+
+LOST = shapely.Polygon(
+    [(-1.81, 8.08), (-0.44, 1.97), (0.51, 0.07), (37.85, 4.92), (39.55, 6.09), (38.77, 7.69), (-0.28, 8.76)]
+)
+"""A bar whose inset by 3 mm GEOS 3.14.1 loses: it takes the seven moved sides for turned over."""
+DUMBBELL = shapely.union_all(
+    [shapely.box(0, 0, 20, 20), shapely.box(19, 8, 41, 12), shapely.box(40, 4, 52, 16)]
+)
+SHAPES = {
+    "bar": LOST,
+    "dumbbell": DUMBBELL,
+    "ring": shapely.Point(0, 0).buffer(30, 64).difference(shapely.Point(4, 0).buffer(9, 32)),
+    "two": shapely.union_all([shapely.box(0, 0, 20, 10), shapely.Point(50, 5).buffer(12, 16)]),
+    "holes": shapely.box(0, 0, 90, 60).difference(
+        shapely.MultiPoint([(20, 20), (60, 25), (45, 45)]).buffer(8)
+    ),
+}
+
+
+def by_sides(region, distance_mm):
+    """The inset by widening every side of the border."""
+    rings = [r for p in shapely.get_parts(region) for r in (p.exterior, *p.interiors)]
+    points = [shapely.get_coordinates(r) for r in rings]
+    sides = shapely.linestrings(np.concatenate([np.stack([p[:-1], p[1:]], axis=1) for p in points]))
+    return shapely.difference(region, shapely.union_all(shapely.buffer(sides, distance_mm, quad_segs=16)))
+
+
+def chance_polygons(count, seed):
+    rng = np.random.default_rng(seed)
+    while count > 0:
+        corners = int(rng.integers(3, 13))
+        angle, radius = np.sort(rng.uniform(0, 2 * np.pi, corners)), rng.uniform(2, 30, corners)
+        around = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        polygon = shapely.Polygon(around if rng.random() < 0.6 else rng.uniform(0, 40, (corners, 2)))
+        if polygon.is_valid and polygon.area > 1.0:
+            count -= 1
+            yield polygon, float(rng.uniform(0.5, 6.0))
+
+
+def test_the_inset_that_geos_loses_is_there():
+    assert eroded(LOST, 3.0).area == pytest.approx(18.269, abs=0.2)
+    assert eroded(LOST, 3.0).area == pytest.approx(by_sides(LOST, 3.0).area, rel=1e-3)
+    both = shapely.union_all([LOST, shapely.box(60, 0, 80, 20)])
+    assert len(valid_polygons(eroded(both, 3.0))) == 2
+
+
+def test_insets_of_chance_polygons_are_those_of_their_sides():
+    for polygon, distance_mm in chance_polygons(300, 11):
+        found, true = eroded(polygon, distance_mm), by_sides(polygon, distance_mm)
+        off = shapely.symmetric_difference(found, true).area
+        assert off <= 0.03 * distance_mm * (1.0 + true.length), polygon.wkt
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize(
+    ("share", "good"), [(0.97, False), (0.995, True), (1.0, True), (1.005, True), (1.05, False)]
+)
+def test_an_inset_by_another_distance_is_none(name, share, good):
+    assert is_inset(by_sides(SHAPES[name], 3.0 * share), SHAPES[name], 3.0) == good
+
+
+def test_an_inset_that_lacks_a_piece_or_lies_elsewhere_is_none():
+    whole = by_sides(DUMBBELL, 3.0)
+    parts = valid_polygons(whole)
+    assert len(parts) == 2
+    assert is_inset(whole, DUMBBELL, 3.0)
+    for part in parts:
+        assert not is_inset(part, DUMBBELL, 3.0)
+    assert not is_inset(shapely.Polygon(), DUMBBELL, 3.0)
+    assert not is_inset(shapely.union_all([whole, shapely.box(70, 0, 80, 9)]), DUMBBELL, 3.0)
+    assert is_inset(shapely.Polygon(), shapely.box(0, 0, 40, 5.9), 3.0)
+    holes = SHAPES["holes"]
+    assert not is_inset(shapely.box(3, 3, 87, 57), holes, 3.0)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_lines_of_one_depth_are_the_border_of_the_inset(name):
+    lines = depth_lines(SHAPES[name], 3.0)
+    border = by_sides(SHAPES[name], 3.0).boundary
+    places = shapely.points(shapely.get_coordinates(shapely.segmentize(border, 0.2)))
+    drawn = shapely.multilinestrings(shapely.linestrings(lines.reshape(-1, 2, 2)))
+    assert shapely.distance(drawn, places).max() <= 0.05
+    assert shapely.distance(border, shapely.points(lines.reshape(-1, 2))).max() <= 0.05
+
+
+def test_without_a_place_that_deep_there_is_no_line():
+    assert not len(depth_lines(shapely.box(0, 0, 40, 5.9), 3.0))
+    assert not len(depth_lines(shapely.Polygon(), 3.0))
+
+
+def test_metal_reaches_a_number_of_millimetres_beside_a_wall_thinner_than_a_cell():
+    wall = shapely.box(0.3, 0.0, 0.6, 20.0)
+    target = target_of(wall, 1.0, 4.0)
+    film = np.ones(target.share.shape, np.bool_)
+    reach = _reaches_mm(film, target.share >= 0.5, wall, target)
+    assert np.isfinite(reach).all()
+    assert 3.0 < reach.max() < 4.0 * math.sqrt(2.0) + 1.5
