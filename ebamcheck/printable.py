@@ -1,0 +1,37 @@
+"""Foreign text made printable: names and messages that come from files, on one line and without control characters."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+UNPRINTABLE = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
+"""Categories of Unicode that move the cursor, hide or reorder text: controls, formats, surrogates, unassigned, line ends."""
+
+_SUSPECT = re.compile(r"[^ -~]")
+
+
+def printable(text: object, most: int | None = None) -> str:
+    r"""Write control characters, line ends and what reorders text as escapes; every other character stays.
+
+    Parameters
+    ----------
+    text
+        A value from outside: a signer's name, a part's name, a message that quotes a file.
+    most
+        Characters that are kept; what is longer ends in ``...``. None: all.
+
+    Examples
+    --------
+    >>> printable("Jane\x1b[2K Doe\n\u202e"), printable("Jürgen"), printable("x" * 99, most=8)
+    ('Jane\\x1b[2K Doe\\n\\u202e', 'Jürgen', 'xxxxx...')
+    """
+    found = _SUSPECT.sub(_escaped, str(text))
+    return found if most is None or len(found) <= most else found[: most - 3] + "..."
+
+
+def _escaped(found: re.Match[str]) -> str:
+    character = found.group()
+    if unicodedata.category(character) not in UNPRINTABLE:
+        return character
+    return character.encode("unicode_escape").decode("ascii")
