@@ -32,6 +32,7 @@ from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError
 from ebamcheck.list_columns import flat_column, list_column, plain_column, starts_of
 from ebamcheck.numeric.rings import Ints
+from ebamcheck.regular_file import regular_file
 
 VERSION = "1"
 """Version of the table; a reader refuses any other."""
@@ -105,7 +106,7 @@ def read(path: Path) -> Curves:
         If the file is missing, damaged, not Parquet, of another version, or its columns do not match.
     """
     try:
-        table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        table = pq.read_table(regular_file(path), page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: cannot be read as Parquet: {reason}") from None

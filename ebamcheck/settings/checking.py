@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from ebamcheck.errors import EbamcheckError, SettingsError
+from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.selection import MachineChoice
 from ebamcheck.settings.wording import wanted
 from ebamcheck.showing.short_text import did_you_mean
@@ -26,7 +27,7 @@ _Kind = TypeVar("_Kind", bound=BaseModel)
 def read_toml(path: Path, error: type[EbamcheckError] = SettingsError) -> dict[str, Any]:
     """Read a TOML file; raises `error` where it cannot be read or is none."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(regular_file(path, error).read_text(encoding="utf-8"))
     except OSError as found:
         raise error(f"{path}: cannot be read: {found.strerror or found}") from None
     except UnicodeDecodeError:

@@ -14,6 +14,7 @@ from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.errors import InputError
 from ebamcheck.metal import Target
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.regular_file import regular_file
 
 FIELD_FILE = "deposit_worst.parquet"
 """Name of the field of the worst layer in a run folder."""
@@ -69,7 +70,7 @@ def read_field(path: Path) -> tuple[LayerField, int, float]:
         If the file is none that :func:`write_field` wrote.
     """
     try:
-        table = pq.read_table(path)
+        table = pq.read_table(regular_file(path))
         header = json.loads((table.schema.metadata or {})[b"ebamcheck"])
         shape = tuple(header["shape"])
         share, laid, over = (

@@ -43,6 +43,7 @@ from ebamcheck.atomic_file import COMPRESSION, replacing
 from ebamcheck.errors import InputError
 from ebamcheck.list_columns import flat_column, list_column, plain_column, starts_of
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.regular_file import regular_file
 from ebamcheck.scan.plan.columns import METRICS, VECTOR_COLUMNS, PlanOfLayers, ScanPlan
 
 NAME, VERSION = "ebamcheck scan plan", 3
@@ -188,7 +189,7 @@ def _well_known(regions: NDArray[np.object_]) -> pa.LargeBinaryArray:
 def _table(path: Path, names: Sequence[str] | None) -> tuple[pa.Table, dict[str, Any]]:
     """Columns of a file, all of them or those of `names` that it has, and the plan's settings."""
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        with pq.ParquetFile(regular_file(path), page_checksum_verification=True) as file:
             settings = _settings(path, file.schema_arrow.metadata or {})
             there = [name for name in file.schema_arrow.names if names is None or name in names]
             return file.read(there), settings
