@@ -1,13 +1,18 @@
-"""Foreign text made printable: names and messages that come from files, on one line and without control characters."""
+"""Foreign text made printable: names and messages that come from files, on one line and without control characters.
+
+A terminal obeys what is written to it: a name with an escape sequence in it can erase a line that says FAIL.
+"""
 
 from __future__ import annotations
 
+import io
 import re
 import unicodedata
 
 UNPRINTABLE = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 """Categories of Unicode that move the cursor, hide or reorder text: controls, formats, surrogates, unassigned, line ends."""
 
+_BETWEEN = re.compile(r"[^\n\t -~]+")
 _SUSPECT = re.compile(r"[^ -~]")
 
 
@@ -28,6 +33,14 @@ def printable(text: object, most: int | None = None) -> str:
     """
     found = _SUSPECT.sub(_escaped, str(text))
     return found if most is None or len(found) <= most else found[: most - 3] + "..."
+
+
+class PrintableStream(io.TextIOWrapper):
+    """A text stream to which line ends and tabs alone go as they are, of all characters that :func:`printable` escapes."""
+
+    def write(self, text: str, /) -> int:
+        """Write a text, made printable line by line; returns the number of characters written."""
+        return super().write(_BETWEEN.sub(lambda found: printable(found.group()), text))
 
 
 def _escaped(found: re.Match[str]) -> str:

@@ -26,6 +26,7 @@ from ebamcheck.commands.slice import slice_command
 from ebamcheck.commands.verify import verify
 from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode
+from ebamcheck.printable import PrintableStream, printable
 
 app = typer.Typer(
     name="ebamcheck",
@@ -63,6 +64,13 @@ def command(
     return register
 
 
+class _PrintableFormatter(logging.Formatter):
+    """Log messages quote names from files."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
+        return printable(super().formatMessage(record))
+
+
 def _show_version(asked: bool) -> None:
     if asked:
         print(f"ebamcheck {__version__}")
@@ -79,13 +87,11 @@ def _global(
 ) -> None:
     if debug:
         os.environ["EBAMCHECK_DEBUG"] = "1"
-    logging.basicConfig(
-        level=logging.DEBUG if debug else logging.WARNING,
-        format="ebamcheck: %(levelname)s: %(message)s",
-        force=True,
-    )
+    logging.basicConfig(level=logging.DEBUG if debug else logging.WARNING, force=True)
     for noisy in ("numba", "trimesh", "matplotlib", "PIL"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(_PrintableFormatter("ebamcheck: %(levelname)s: %(message)s"))
     logging.captureWarnings(capture=True)
     warnings.formatwarning = lambda message, *_args, **_kwargs: str(message)
 
@@ -145,6 +151,9 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # A name that the terminal's encoding cannot show is no reason to fail.
             stream.reconfigure(errors="backslashreplace")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        kept = {"encoding": sys.stdout.encoding, "line_buffering": sys.stdout.line_buffering}
+        sys.stdout = PrintableStream(sys.stdout.detach(), errors="backslashreplace", **kept)
     signal.signal(signal.SIGTERM, _terminate)
     try:
         sys.exit(app(standalone_mode=False))
