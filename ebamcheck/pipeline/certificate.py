@@ -20,8 +20,9 @@ from ebamcheck.json_values import (
     sha256_of_json,
     write_json,
 )
+from ebamcheck.pipeline.certificate_form import CERTIFICATE_FORMAT, CertificateForm
 from ebamcheck.pipeline.plate_record import PLATE
-from ebamcheck.pipeline.record_form import CERTIFICATE_FORMAT, CertificateForm, in_form
+from ebamcheck.pipeline.record_form import in_form
 from ebamcheck.pipeline.run_folder import (
     MANIFEST,
     RunFolder,

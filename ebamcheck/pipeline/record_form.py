@@ -1,13 +1,12 @@
-"""Form of ``run.json`` and ``certificate.json``: which keys they have, and what may stand under each.
+"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.pipeline.certificate_form` is that of the certificate.
 
-Both are checked here, once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
+Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
 name, and a file's name is one inside of the run folder. What a record *says* is believed by nobody; that is for
 :func:`ebamcheck.verify`.
 """
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -22,63 +21,24 @@ from pydantic import (
 )
 
 from ebamcheck.errors import InputError
-from ebamcheck.findings import CODES, Severity
+from ebamcheck.findings import Severity
+from ebamcheck.pipeline.record_values import (
+    PRINTED,
+    Count,
+    Figures,
+    FileName,
+    Finite,
+    Number,
+    RunFile,
+    SettingsTables,
+    Sha256,
+    SlicerName,
+    known_code,
+    part_file,
+)
 from ebamcheck.printable import printable
 
 FORMAT_VERSION = 1
-CERTIFICATE_FORMAT = 2
-PRINTED = 60
-"""Characters of a name or value that a message quotes."""
-
-
-def file_inside(name: str) -> str:
-    """Return the name of a file inside of a run folder, as ``run.json`` lists it; raises :class:`ValueError` for another.
-
-    Examples
-    --------
-    >>> file_inside("program/MAIN.MPF")
-    'program/MAIN.MPF'
-    """
-    if any(part in ("", ".", "..") for part in name.split("/")) or "\\" in name or printable(name) != name:
-        raise ValueError(f"{printable(name, PRINTED)!r} is no name of a file inside of the run folder")
-    return name
-
-
-def plain_name(name: str) -> str:
-    """Return the name of a file without a folder; raises :class:`ValueError` for another."""
-    if "/" in name:
-        raise ValueError(f"{printable(name, PRINTED)!r} is no plain file name")
-    return file_inside(name)
-
-
-def _slicer(name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", name):
-        raise ValueError(f"{printable(name, PRINTED)!r} is no name of a slicer")
-    return name
-
-
-def _code(code: str) -> str:
-    if code not in CODES:
-        raise ValueError(f"{printable(code, PRINTED)!r} is no code of a finding")
-    return code
-
-
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-
-
-def _part_file(name: str) -> str:
-    if "/" in name or "\0" in name or name in ("", ".", ".."):
-        raise ValueError(f"{printable(name, PRINTED)!r} is no plain file name")
-    return name
-
-
-SlicerName = Annotated[str, AfterValidator(_slicer)]
-RunFile = Annotated[str, AfterValidator(file_inside)]
-FileName = Annotated[str, AfterValidator(plain_name)]
-SettingsTables = dict[str, dict[str, JsonValue]]
-Number = float | Literal["NaN", "Infinity", "-Infinity"]
-Figures = dict[str, Number]
-Count = Annotated[int, Field(ge=0)]
 
 
 class Form(BaseModel):
@@ -119,7 +79,7 @@ class FindingForm(Form):
     """One finding."""
 
     severity: Severity
-    code: Annotated[str, AfterValidator(_code)]
+    code: Annotated[str, AfterValidator(known_code)]
     text: str
     place: str = ""
     figure: Number | None = None
@@ -154,12 +114,66 @@ class LiveForm(Form):
     check: CheckForm
 
 
+class TotalsForm(Form):
+    """Sums over a program."""
+
+    contour_mm: Finite
+    hatch_mm: Finite
+    travel_mm: Finite
+    deposit_s: Finite
+    travel_s: Finite
+    pause_s: Finite = 0.0
+    wire_mm: Finite
+    wire_kg: Finite
+    motions: Finite = 0.0
+
+
+class ScanForm(Form):
+    """What was planned, summed over the layers."""
+
+    model_config = ConfigDict(extra="allow")  # further sums, of runs with other beads
+    __pydantic_extra__: dict[str, Finite]
+
+    order: str
+    seed: Count
+    islands: Count
+    hatch_mm: Finite
+    travel_mm: Finite
+    starts: Finite
+    time_s: Finite
+
+
+class FeedForm(Form):
+    """Feed that the axes reach along a path."""
+
+    blocks: Number
+    time_s: Number
+    constant_feed_s: Number
+    dips: Number
+    dip_s: Number
+    least_share: Number
+    length_mm: Number
+    excess_mm3: Number
+    excess_mm3_per_m: Number
+
+
+class TimingsForm(Form):
+    """``timings.json``: what differs from one run to the next."""
+
+    finished: str
+    machine: str
+    part_path: str = ""
+    stages_s: dict[str, Finite]
+    compile_s: Finite = 0.0
+    backends: dict[SlicerName, dict[str, Finite]]
+
+
 class ProgramForm(Form):
     """The program of a run."""
 
     checks: list[CheckForm]
     witness: SlicerName
-    totals: Figures
+    totals: TotalsForm
     validated: bool
     files: Annotated[list[ProgramFile], Field(min_length=1)]
     entry: EntryForm | None = None
@@ -249,7 +263,7 @@ class PartOfRun(Form):
     """The part, as record and certificate name it."""
 
     name: str
-    source: Annotated[str, AfterValidator(_part_file)]
+    source: Annotated[str, AfterValidator(part_file)]
     sha256: Sha256
     mesh_sha256: Sha256
     units: str
@@ -318,15 +332,15 @@ class RecordForm(Form):
     slabs: dict[str, JsonValue] = {}
     fit: FitForm | None = None
     reference: dict[str, JsonValue] | None = None
-    kinematics: dict[str, Figures] = {}
+    kinematics: dict[Literal["program", "polyline"], FeedForm] = {}
     heat: HeatForm | None = None
     program: ProgramForm | None = None
-    scan: dict[str, str | Number] = {}
+    scan: ScanForm | None = None
     gates: list[GateForm]
     findings: list[FindingForm] = []
     exit_code: Annotated[int, Field(ge=0, le=5)]
     files: dict[RunFile, Sha256]
-    timings: dict[str, JsonValue] = {}
+    timings: TimingsForm | None = None
     """In the record of runs of earlier versions."""
 
     @model_validator(mode="after")
@@ -339,57 +353,6 @@ class RecordForm(Form):
                     f"{key} {name!r} is no slicer of this run: it has {', '.join(done) or 'none'}"
                 )
         return self
-
-
-class ReleaseForm(Form):
-    """What a person adds."""
-
-    part_number: str
-    revision: str
-    machine_serial: str
-    lots: dict[str, str]
-    operator: str
-    approver: str
-    date: str
-    deviations: list[str]
-
-
-class CertifiedProgram(Form):
-    """One file of the program in a certificate."""
-
-    name: FileName
-    sha256: Sha256
-
-
-class CertificateForm(Form):
-    """``certificate.json``."""
-
-    format: Literal[2]
-    finished: str
-    part: PartOfRun
-    heights: HeightsForm
-    settings_sha256: Sha256
-    profile_sha256: Sha256
-    record_sha256: Sha256
-    programs: list[CertifiedProgram]
-    primary: SlicerName | Literal[""]
-    witness: SlicerName | Literal[""]
-    software: dict[str, JsonValue]
-    control: str
-    curve_form: str
-    spline_convention: str
-    smoothing: dict[str, JsonValue]
-    gates: list[GateForm]
-    checks: list[CheckForm]
-    validated: bool
-    not_proved: list[str]
-    plate: list[dict[str, JsonValue]] = []
-    findings: list[FindingForm] = []
-    proved: list[str] = []
-    left_to_do: list[str] = []
-    release: ReleaseForm
-    files: dict[RunFile, Sha256]
-    seal: str
 
 
 _Form = TypeVar("_Form", bound=Form)

@@ -22,7 +22,7 @@ from ebamcheck.layers import blocks as layer_blocks
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.former_runs import TIMINGS, dated_name, finished_at
-from ebamcheck.pipeline.record_form import FORMAT_VERSION, RecordForm, in_form
+from ebamcheck.pipeline.record_form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
 
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"
@@ -81,9 +81,7 @@ class RunFolder:
         if not path.exists():
             return {}
         found = read_json(path)
-        if not isinstance(found, dict):
-            raise InputError(f"{path}: is not the table of times that a run writes")
-        return found
+        return in_form(TimingsForm, found, path)
 
     def write_manifest(self, manifest: Mapping[str, Any]) -> None:
         """Write the record: ``timings`` into a file of their own, everything else into ``run.json``."""
@@ -188,8 +186,9 @@ def finished_run(target: Path, fingerprint: str) -> RunFolder | None:
     settle(target)
     if not is_run(target):
         return None
-    run = RunFolder(target)
-    return run if run.manifest().get(FINGERPRINT) == fingerprint else None
+    found = read_json(target / MANIFEST)
+    same = isinstance(found, dict) and found.get(FINGERPRINT) == fingerprint
+    return RunFolder(target) if same else None
 
 
 def is_run(folder: Path) -> bool:

@@ -32,8 +32,10 @@ def read_toml(path: Path, error: type[EbamcheckError] = SettingsError) -> dict[s
         raise error(f"{path}: cannot be read: {found.strerror or found}") from None
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text, as TOML must be") from None
-    except tomllib.TOMLDecodeError as found:
+    except ValueError as found:  # a number of thousands of digits is one, too
         raise error(f"{path}: is not TOML: {found}") from None
+    except RecursionError:
+        raise error(f"{path}: is not TOML of ours: hundreds of lists within each other") from None
 
 
 def checked(
