@@ -5,9 +5,9 @@ A terminal obeys what is written to it: a name with an escape sequence in it can
 
 from __future__ import annotations
 
-import io
 import re
 import unicodedata
+from typing import Any, TextIO
 
 UNPRINTABLE = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
 """Categories of Unicode that move the cursor, hide or reorder text: controls, formats, surrogates, unassigned, line ends."""
@@ -35,12 +35,25 @@ def printable(text: object, most: int | None = None) -> str:
     return found if most is None or len(found) <= most else found[: most - 3] + "..."
 
 
-class PrintableStream(io.TextIOWrapper):
-    """A text stream to which line ends and tabs alone go as they are, of all characters that :func:`printable` escapes."""
+class PrintableStream:
+    """A text stream to which line ends and tabs alone go as they are, of all characters that :func:`printable` escapes.
 
-    def write(self, text: str, /) -> int:
+    Parameters
+    ----------
+    stream
+        Where the text goes; everything but writing is done by it.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
         """Write a text, made printable line by line; returns the number of characters written."""
-        return super().write(_BETWEEN.sub(lambda found: printable(found.group()), text))
+        return self._stream.write(_BETWEEN.sub(lambda found: printable(found.group()), text))
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the stream itself has."""
+        return getattr(self._stream, name)
 
 
 def _escaped(found: re.Match[str]) -> str:
