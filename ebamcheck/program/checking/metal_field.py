@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import parsed_json
 from ebamcheck.metal import Target
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.regular_file import regular_file
@@ -71,7 +72,7 @@ def read_field(path: Path) -> tuple[LayerField, int, float]:
     """
     try:
         table = pq.read_table(regular_file(path))
-        header = json.loads((table.schema.metadata or {})[b"ebamcheck"])
+        header = parsed_json((table.schema.metadata or {})[b"ebamcheck"])
         shape = tuple(header["shape"])
         share, laid, over = (
             table.column(name).to_numpy().astype(np.float64).reshape(shape)
