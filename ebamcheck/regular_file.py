@@ -18,7 +18,9 @@ KINDS = {
 
 
 def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> Path:
-    """Return a path if a regular file, or a link to one, stands there.
+    """Return a path unless something else than a regular file, or a link to one, stands there.
+
+    What is missing, or must not be looked at, is told by whoever opens it.
 
     Parameters
     ----------
@@ -30,7 +32,7 @@ def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> 
     Raises
     ------
     EbamcheckError
-        If nothing stands there, or a folder, a pipe, a device or a socket; or if the system refuses to tell.
+        If a folder, a pipe, a device or a socket stands there, or the name is none that a file can have.
 
     Examples
     --------
@@ -41,10 +43,10 @@ def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> 
     path = Path(path)
     try:
         kind = stat.S_IFMT(path.stat().st_mode)
-    except FileNotFoundError:
-        raise error(f"{path}: there is no such file") from None
-    except (OSError, ValueError) as found:  # no permission, a loop of links, a name with a null byte
-        raise error(f"{path}: cannot be read: {getattr(found, 'strerror', None) or found}") from None
+    except OSError:
+        return path
+    except ValueError as found:  # a null byte
+        raise error(f"{path}: cannot be read: {found}") from None
     if kind in KINDS:
         raise error(f"{path}: {KINDS[kind]}")
     return path

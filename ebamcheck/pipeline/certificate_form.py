@@ -32,6 +32,39 @@ class CertifiedProgram(Form):
     sha256: Sha256
 
 
+class SmoothingForm(Form):
+    """How far the control may leave the path."""
+
+    words: list[str]
+    tolerance_mm: float
+
+
+class SourceForm(Form):
+    """State of the source."""
+
+    commit: str
+    dirty: str
+    sha256: Sha256
+
+
+class DeviceForm(Form):
+    """What a slicer ran on."""
+
+    device: str
+    versions: dict[str, str]
+
+
+class SoftwareForm(Form):
+    """What took part in a run."""
+
+    ebamcheck: str
+    source: SourceForm
+    python: str
+    system: str
+    dependencies: dict[str, str]
+    backends: dict[SlicerName, DeviceForm]
+
+
 class CertificateForm(Form):
     """``certificate.json``."""
 
@@ -45,11 +78,11 @@ class CertificateForm(Form):
     programs: list[CertifiedProgram]
     primary: SlicerName | Literal[""]
     witness: SlicerName | Literal[""]
-    software: dict[str, JsonValue]
+    software: SoftwareForm
     control: str
     curve_form: str
     spline_convention: str
-    smoothing: dict[str, JsonValue]
+    smoothing: SmoothingForm
     gates: list[GateForm]
     checks: list[CheckForm]
     validated: bool

@@ -208,7 +208,7 @@ def _settings(path: Path, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
         raise InputError(f"{path}: is not a scan plan: its header cannot be read: {error}") from None
     if said == f"{NAME} {VERSION}":
         return settings
-    if re.fullmatch(rf"{NAME} \d{1,9}", said):
+    if re.fullmatch(rf"{NAME} \d{{1,9}}", said):
         version = int(said.removeprefix(NAME))
         age = "an earlier" if version < VERSION else "a later"
         raise InputError(
