@@ -267,6 +267,7 @@ class PartOfRun(Form):
     sha256: Sha256
     mesh_sha256: Sha256
     units: str
+    units_from: str = ""
     direction: Annotated[list[float], Field(min_length=3, max_length=3)]
     place_at_mm: list[float] | None = None
     rotate_deg: float = 0.0
