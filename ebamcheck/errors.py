@@ -14,7 +14,11 @@ class ExitCode(IntEnum):
     INTERNAL = 3
     BACKEND_MISSING = 4
     NOTHING_COMPARED = 5
+    DISK_FULL = 6
+    MEMORY_FULL = 7
     INTERRUPTED = 130
+    NOBODY_READS = 141
+    """The reader of the output has gone (``| head``), which a shell tells of programs in this way."""
 
 
 class EbamcheckError(Exception):

@@ -12,11 +12,19 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import EbamcheckError, InputError
+from ebamcheck.regular_file import regular_file
+
+MOST_DIGITS = 20
+"""Digits of a whole number in a file that is read: those of 64 bits."""
+
+MOST_NESTED = 40
+"""Lists and tables within each other in a file that is read; settings, records and certificates have ten."""
 
 
 def sha256_of_file(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as file:
+    """SHA-256 of a file's bytes, in hexadecimal; raises :class:`InputError` for what is no regular file."""
+    with regular_file(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -42,6 +50,79 @@ def plain(value: Any) -> Any:
         # A file name need not be UTF-8; what cannot be written as such is escaped.
         return str(value).encode("utf-8", "backslashreplace").decode("utf-8")
     return value
+
+
+def read_json(path: Path, error: type[EbamcheckError] = InputError) -> Any:
+    """Read a JSON file strictly: what two readers could take in two ways is refused.
+
+    Raises
+    ------
+    EbamcheckError
+        `error`, if it is no regular file, not UTF-8 or not JSON; if it holds a key twice, NaN or infinities, a number beyond
+        64 bits or the range of floats, or more than :data:`MOST_NESTED` lists and tables within each other.
+    """
+    try:
+        data = regular_file(path, error).read_bytes()
+        return parsed_json(data)
+    except OSError as found:
+        raise error(f"{path}: cannot be read: {found.strerror or found}") from None
+    except ValueError as found:
+        raise error(f"{path}: cannot be read: {found}") from None
+
+
+def parsed_json(data: bytes | str) -> Any:
+    """Value of strict JSON; raises :class:`ValueError` for what :func:`read_json` refuses."""
+    text = data.decode("utf-8") if isinstance(data, bytes) else data
+    try:
+        value = json.loads(
+            text,
+            object_pairs_hook=_without_twins,
+            parse_int=_whole,
+            parse_float=_finite,
+            parse_constant=_no_constant,
+        )
+    except RecursionError:
+        raise ValueError(_TOO_DEEP) from None
+    level = [value]
+    for _ in range(MOST_NESTED):
+        level = [one for held in level for one in _held(held)]
+    if level:
+        raise ValueError(_TOO_DEEP)
+    return value
+
+
+_TOO_DEEP = f"more than {MOST_NESTED} lists and tables within each other"
+
+
+def _held(value: Any) -> list[Any]:
+    """Lists and tables right within a value."""
+    values = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return [one for one in values if isinstance(one, dict | list)]
+
+
+def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        twin = next(key for k, (key, _) in enumerate(pairs) if key in dict(pairs[:k]))
+        raise ValueError(f"the key {twin[:40]!r} stands twice in one table")
+    return found
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise ValueError(f"a number of {len(digits)} digits")
+    return int(digits)
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"the number {digits[:40]} is beyond the range of numbers")
+    return value
+
+
+def _no_constant(name: str) -> float:
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def json_text(value: Any) -> str:

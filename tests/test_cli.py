@@ -15,6 +15,7 @@ import pytest
 from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
 from parts import box
 
+from ebamcheck.errors import ExitCode
 from ebamcheck.layers.files import read_layers
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.explained import explained_schema
@@ -304,7 +305,7 @@ def test_output_that_nobody_reads_is_no_error(place):
     run.stdout.close()
     assert run.stderr.read() == b""
     run.stderr.close()
-    assert run.wait() == 0
+    assert run.wait() == ExitCode.NOBODY_READS
 
 
 @pytest.mark.parametrize("name", [b"two words'\".stl", b"line\nbreak.stl", b"gro\xdf.stl"])

@@ -109,7 +109,7 @@ def test_what_makes_no_sense_is_refused_by_key_and_value(tmp_path, text, message
 def test_files_that_are_no_text_are_refused(tmp_path):
     with pytest.raises(SettingsError, match=r"nosuch\.toml: cannot be read: No such file"):
         load_config(tmp_path / "nosuch.toml")
-    with pytest.raises(SettingsError, match="cannot be read: Is a directory"):
+    with pytest.raises(SettingsError, match="is a folder, not a file"):
         load_config(tmp_path)
     (tmp_path / "latin.toml").write_bytes(b"material.name = 'Tit\xe4n'")
     with pytest.raises(SettingsError, match="is not UTF-8"):

@@ -59,7 +59,7 @@ def test_verify_finds_other_settings_a_lost_file_and_another_part(copy, plate):
     assert "settings unchanged" in [c.name for c in verify_run(copy) if not c.passed]
     del record["files"]
     (copy / "run.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match=r"run\.json: is not whole: KeyError at 'files'"):
+    with pytest.raises(InputError, match=r"run\.json: is not whole: files: Field required"):
         verify_run(copy)
 
 

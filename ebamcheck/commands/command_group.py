@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import ast
+import contextlib
+import errno
 import functools
 import importlib.util
 import os
 import shlex
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, cast
@@ -20,6 +22,7 @@ from typer.core import TyperCommand, TyperGroup
 from ebamcheck.errors import EbamcheckError, ExitCode
 from ebamcheck.installed import entry_points
 from ebamcheck.plugins.points import is_house, sorted_out
+from ebamcheck.printable import printable
 
 COMMANDS = "ebamcheck.commands"
 """Entry point group of commands that plugin packages add."""
@@ -127,38 +130,93 @@ def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..
 
 def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
     """Run a command; turn what it raises into a message and an exit code."""
-    debug = bool(os.environ.get("EBAMCHECK_DEBUG"))
     try:
         code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
         sys.stdout.flush()
-    except EbamcheckError as error:
-        code = error.exit_code
-        tell(f"error: {error}", debug)
     except KeyboardInterrupt as interrupt:
         code = ExitCode.INTERRUPTED
         kept = "what was finished is kept for --resume" if function.__name__ in RESUMABLE else str(interrupt)
-        tell(f"interrupted; {kept}" if kept else "interrupted", debug)
-    except BrokenPipeError:
-        # The reader of our output has gone; there is nobody left to tell.
-        code = ExitCode.PASS
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        # What the system refuses (a full disk, a folder without permission) is for the user to mend.
-        code = ExitCode.USAGE
-        where = f"{error.filename}: " if error.filename else ""
-        tell(f"error: {where}{error.strerror or error}", debug)
+        tell(f"interrupted; {kept}" if kept else "interrupted", _debugs())
     except (typer.Exit, typer.Abort):
         raise
     except Exception as error:
-        code = ExitCode.INTERNAL
-        tell(
-            f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)", debug
-        )
+        code = ended_by(error)
     return code
 
 
+def ended_by(error: BaseException) -> ExitCode:
+    """Tell in one line what has ended a command; returns the exit code.
+
+    A full disk and too little memory have codes of their own, whatever was made of them on the way up.
+    """
+    code, message = _ending(error)
+    if code is ExitCode.NOBODY_READS:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return code
+    with contextlib.suppress(OSError):  # Standard error may be on the full disk.
+        tell(message, _debugs())
+    if code is ExitCode.DISK_FULL and sys.stdout is not None:
+        # What is left in the buffer of the output would be tried once more when Python ends.
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+        if not isinstance(error, EbamcheckError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code
+
+
+def _ending(error: BaseException) -> tuple[ExitCode, str]:
+    """Exit code for an error, and what is told of it."""
+    behind = list(_chain(error))
+    numbers = {one.errno for one in behind if isinstance(one, OSError)}
+    told = f"error: {_said(error)}"
+    if any(map(_of_memory, behind)) or errno.ENOMEM in numbers:
+        return (
+            ExitCode.MEMORY_FULL,
+            f"error: too little memory: {_said(error)}: end other programs, or use a larger machine",
+        )
+    if numbers & {errno.ENOSPC, errno.EDQUOT}:
+        return ExitCode.DISK_FULL, f"{told}: make room, and run it again"
+    if isinstance(error, EbamcheckError):
+        return error.exit_code, told
+    if errno.EPIPE in numbers:
+        # The reader of our output has gone; there is nobody left to tell.
+        return ExitCode.NOBODY_READS, ""
+    if isinstance(error, OSError):
+        # What the system refuses (a folder without permission) is for the user to mend.
+        return ExitCode.USAGE, told
+    what = f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)"
+    return ExitCode.INTERNAL, what
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    """An error and those behind it, told or not."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+def _of_memory(error: BaseException) -> bool:
+    """Whether Python, numpy, Arrow, the loader of libraries or a start of threads has run out of memory."""
+    said = str(error)
+    return (
+        isinstance(error, MemoryError)
+        or (isinstance(error, RuntimeError) and "can't start new thread" in said)
+        or (isinstance(error, ImportError) and ("failed to map segment" in said or "allocate" in said))
+    )
+
+
+def _said(error: BaseException) -> str:
+    if isinstance(error, EbamcheckError) or not isinstance(error, OSError):
+        return str(error) or type(error).__name__
+    return f"{error.filename or 'output'}: {error.strerror or error}"
+
+
+def _debugs() -> bool:
+    return bool(os.environ.get("EBAMCHECK_DEBUG"))
+
+
 def tell(message: str, debug: bool = False) -> None:
-    """Print a message as one line on standard error, after the traceback where one is wanted."""
+    """Print a message as one line on standard error, after the traceback where one is wanted; what it quotes is made printable."""
     if debug:
         traceback.print_exc()
-    typer.echo(f"ebamcheck: {' '.join(message.split())}", err=True)
+    typer.echo(f"ebamcheck: {printable(' '.join(message.split()))}", err=True)

@@ -11,13 +11,13 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, TextIO, TypeVar, cast
 
 import typer
 
 from ebamcheck import __version__
 from ebamcheck.commands.backends import backends
-from ebamcheck.commands.command_group import CommandGroup, guarded, tell
+from ebamcheck.commands.command_group import CommandGroup, ended_by, guarded, tell
 from ebamcheck.commands.compare import compare
 from ebamcheck.commands.config import config_command
 from ebamcheck.commands.inspect import inspect
@@ -26,6 +26,7 @@ from ebamcheck.commands.slice import slice_command
 from ebamcheck.commands.verify import verify
 from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode
+from ebamcheck.printable import PrintableStream, printable
 
 app = typer.Typer(
     name="ebamcheck",
@@ -37,12 +38,16 @@ app = typer.Typer(
     epilog="Examples: ebamcheck run blade.stl -o blade.run; ebamcheck --install-completion",
     help="Slice a part with independent slicers, prove that they agree, and write a validated NC program.\n\n"
     "Exit codes: 0 pass, 1 out of tolerance, 2 usage, configuration or unreadable input, 3 internal error, "
-    "4 a required backend is missing, 5 nothing compared, 130 interrupted.",
+    "4 a required backend is missing, 5 nothing compared, 6 disk full, 7 too little memory, 130 interrupted, "
+    "141 nobody reads the output.",
 )
 
 OBJECTS_BEFORE_GC = 300_000
 """New objects until Python looks for rings of dead ones. Imports make hundreds of thousands, and none that die: a slice
 of a small part, with all that it loads, is over before the first look, which would take a twentieth of its time."""
+
+LAST_STREAM = 2
+"""Descriptor of standard error."""
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
@@ -57,6 +62,13 @@ def command(
         return function
 
     return register
+
+
+class _PrintableFormatter(logging.Formatter):
+    """Log messages quote names from files."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
+        return printable(super().formatMessage(record))
 
 
 def _show_version(asked: bool) -> None:
@@ -75,13 +87,11 @@ def _global(
 ) -> None:
     if debug:
         os.environ["EBAMCHECK_DEBUG"] = "1"
-    logging.basicConfig(
-        level=logging.DEBUG if debug else logging.WARNING,
-        format="ebamcheck: %(levelname)s: %(message)s",
-        force=True,
-    )
+    logging.basicConfig(level=logging.DEBUG if debug else logging.WARNING, force=True)
     for noisy in ("numba", "trimesh", "matplotlib", "PIL"):
         logging.getLogger(noisy).setLevel(logging.WARNING)
+    for handler in logging.getLogger().handlers:
+        handler.setFormatter(_PrintableFormatter("ebamcheck: %(levelname)s: %(message)s"))
     logging.captureWarnings(capture=True)
     warnings.formatwarning = lambda message, *_args, **_kwargs: str(message)
 
@@ -136,24 +146,40 @@ def main() -> None:
     if "--debug" in sys.argv:
         sys.argv.remove("--debug")
         sys.argv.insert(1, "--debug")
+    _open_streams()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             # A name that the terminal's encoding cannot show is no reason to fail.
             stream.reconfigure(errors="backslashreplace")
+    sys.stdout = cast(TextIO, PrintableStream(sys.stdout))
     signal.signal(signal.SIGTERM, _terminate)
     try:
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(ExitCode.INTERRUPTED)
+    except SystemExit as end:
+        # Thus the parser ends where nobody reads its help.
+        sys.exit(ended_by(end.__context__) if isinstance(end.__context__, BrokenPipeError) else end.code)
     except Exception as error:
-        # Wrong usage, told by the parser of the command line.
         if not hasattr(error, "format_message"):
-            raise
+            sys.exit(ended_by(error))
+        # Wrong usage, told by the parser of the command line.
         if len(sys.argv) == 1:
             print(error.format_message(), file=sys.stderr)
         else:
             tell(f"error: {error.format_message()} (see `{_command_path(error)} --help`)")
         sys.exit(ExitCode.USAGE)
+
+
+def _open_streams() -> None:
+    """Let streams that are closed lead nowhere: else the next file that is opened would take the place of one."""
+    while True:
+        descriptor = os.open(os.devnull, os.O_RDWR)
+        if descriptor > LAST_STREAM:
+            os.close(descriptor)
+            break
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
 
 
 def _command_path(error: Exception) -> str:

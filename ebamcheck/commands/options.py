@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.printable import printable
 
 if TYPE_CHECKING:
     from ebamcheck.mesh.part import Part
@@ -153,7 +154,10 @@ def begun(source: Path, config: Config, job: str, yes: bool) -> Ready:
     for check in found.preflight.checks:
         if check.level != "pass":
             remedy = f": {check.remedy}" if check.remedy else ""
-            typer.echo(f"ebamcheck: preflight: {check.level}: {check.name}: {check.text}{remedy}", err=True)
+            typer.echo(
+                printable(f"ebamcheck: preflight: {check.level}: {check.name}: {check.text}{remedy}"),
+                err=True,
+            )
     return found
 
 

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from ebamcheck.printable import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
@@ -25,7 +27,7 @@ class LineObserver:
 
     def note(self, text: str) -> None:
         """Print a line."""
-        print(f"ebamcheck: {text}", file=sys.stderr)
+        print(f"ebamcheck: {printable(text)}", file=sys.stderr)
 
 
 class TerminalObserver:
@@ -47,7 +49,9 @@ class TerminalObserver:
 
     def note(self, text: str) -> None:
         """Print a line above the bars."""
-        self._bars.console.print(f"ebamcheck: {text}", markup=False, highlight=False, soft_wrap=True)
+        self._bars.console.print(
+            f"ebamcheck: {printable(text)}", markup=False, highlight=False, soft_wrap=True
+        )
 
     def finish(self) -> None:
         """Fill the bar of the last stage."""
@@ -131,7 +135,7 @@ class Announcer:
             self._bars.update(self._task, description=text, completed=number - 1, total=most)
         elif first or now - self._told > LINE_EVERY_S:
             self._told = now
-            print(f"ebamcheck: {text}", file=sys.stderr, flush=True)
+            print(f"ebamcheck: {printable(text)}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
         """Say what was compiled, if anything was."""

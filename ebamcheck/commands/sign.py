@@ -7,10 +7,12 @@ from typing import Annotated, Any
 
 import typer
 
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.errors import ExitCode
 from ebamcheck.pipeline.certificate import CERTIFICATE, lots_of, read_certificate, released
+from ebamcheck.pipeline.certificate_checks import refuse_unfit
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import SIGNATURES, asked_password, make_key, read_private_key, sign
+from ebamcheck.printable import printable
 
 
 def key_command(
@@ -56,10 +58,8 @@ def sign_command(
 
     Example: ebamcheck sign blade.run --key keys/jane.key --name "Jane Doe" --part-number B-17 --lot wire=W-1234
     """
-    RunFolder(run).manifest()
     path = run / CERTIFICATE
-    if not path.is_file():
-        raise SettingsError(f"{run}: has no {CERTIFICATE}: sign a run, not a check")
+    refuse_unfit(RunFolder(run))
     given: dict[str, Any] = {
         "part_number": part_number,
         "revision": revision,
@@ -76,7 +76,7 @@ def sign_command(
     signer = read_private_key(key, asked_password(key))
     file = sign(released(path, release), signer, name, role)
     said = read_certificate(path)
-    typer.echo(f"{run / SIGNATURES / file.name}: {name} signed as {role}")
+    typer.echo(printable(f"{run / SIGNATURES / file.name}: {name} signed as {role}"))
     if not said["validated"]:
         typer.echo("note: this run is NOT VALIDATED; the certificate says so")
     return ExitCode.PASS

@@ -30,8 +30,10 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import parsed_json
 from ebamcheck.list_columns import flat_column, list_column, plain_column, starts_of
 from ebamcheck.numeric.rings import Ints
+from ebamcheck.regular_file import regular_file
 
 VERSION = "1"
 """Version of the table; a reader refuses any other."""
@@ -105,7 +107,7 @@ def read(path: Path) -> Curves:
         If the file is missing, damaged, not Parquet, of another version, or its columns do not match.
     """
     try:
-        table = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        table = pq.read_table(regular_file(path), page_checksum_verification=True, partitioning=None)
     except (OSError, pa.ArrowException) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise InputError(f"{path}: cannot be read as Parquet: {reason}") from None
@@ -136,12 +138,12 @@ def _labels(schema: pa.Schema, path: Path) -> dict[str, Any]:
     metadata = schema.metadata or {}
     version = metadata.get(VERSION_KEY, b"").decode("utf-8", "replace")
     if version != VERSION:
-        said = f"version {version!r}" if version else "no version"
+        said = f"version {version[:40]!r}" if version else "no version"
         raise InputError(
             f"{path}: has {said} under {VERSION_KEY.decode()!r}: this program reads curves of version {VERSION!r}"
         )
     try:
-        values = json.loads(metadata[LABELS_KEY])
+        values = parsed_json(metadata[LABELS_KEY])
         labels = {name: values[name] for name in LABELS}
         labels["direction"] = tuple(float(v) for v in labels["direction"])
         labels["settings"] = dict(labels["settings"])

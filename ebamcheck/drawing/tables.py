@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from ebamcheck.printable import printable
+
 
 def text_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Align columns with two blanks between them; numbers go right, text goes left.
@@ -32,4 +34,4 @@ def _cell(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.6g}"
-    return str(value)
+    return printable(value)

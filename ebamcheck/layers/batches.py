@@ -21,7 +21,6 @@ numbers are restored bit for bit.
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 import numpy as np
@@ -29,6 +28,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.json_values import parsed_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Ints
@@ -176,12 +176,12 @@ def labels_of(schema: pa.Schema, where: str) -> dict[str, Any]:
     metadata = schema.metadata or {}
     version = metadata.get(VERSION_KEY, b"").decode("utf-8", "replace")
     if version != VERSION:
-        said = f"version {version!r}" if version else "no version"
+        said = f"version {version[:40]!r}" if version else "no version"
         raise InputError(
             f"{where}: has {said} under {VERSION_KEY.decode()!r}: this program reads layers of version {VERSION!r}"
         )
     try:
-        values = json.loads(metadata[LABELS_KEY])
+        values = parsed_json(metadata[LABELS_KEY])
         return {
             "part": str(values["part"]),
             "direction": tuple(float(v) for v in values["direction"]),

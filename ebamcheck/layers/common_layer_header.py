@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import parsed_json
 
 VERSIONS = (100, 101, 200)
 USER_DATA = "ebamcheck.layers"
@@ -103,7 +103,7 @@ def _read_user_data(data: bytes, position: int, end: int, header: Header) -> int
         raise ValueError
     after = match.end() + int(match[2])
     if match[1] == USER_DATA.encode():
-        values = dict(json.loads(data[match.end() : after]))
+        values = dict(parsed_json(data[match.end() : after]))
         if "polylines" in values:
             header.polylines = int(values["polylines"])
         header.labels = {

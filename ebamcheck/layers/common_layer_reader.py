@@ -15,6 +15,7 @@ from ebamcheck.layers.common_layer_geometry import Gathered
 from ebamcheck.layers.common_layer_header import command, read_header, shown, without_comments
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.regular_file import regular_file
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def read_slice_file(path: str | Path) -> SliceFile:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        data = regular_file(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     header = read_header(data, path)

@@ -25,6 +25,7 @@ from ebamcheck.layers import common_layer_interface, contour_table, dxf, slices_
 from ebamcheck.layers.batches import CONTOUR_COLUMNS, column_of, from_arrow, labels_of, to_arrow
 from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck.numeric.rings import Ints
+from ebamcheck.regular_file import regular_file
 
 # -- by suffix -------------------------------------------------------------------------------------
 
@@ -181,7 +182,7 @@ class LayerFile:
         self.path = Path(path)
         self._columns = None if edges else CONTOUR_COLUMNS
         with self._readable():
-            self._file = pq.ParquetFile(self.path, page_checksum_verification=True)
+            self._file = pq.ParquetFile(regular_file(self.path), page_checksum_verification=True)
         self._labels = labels_of(self._file.schema_arrow, str(self.path))
         groups = self._file.metadata
         sizes = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]

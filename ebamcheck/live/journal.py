@@ -17,6 +17,7 @@ from typing import Any, Self
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain
+from ebamcheck.regular_file import regular_file
 
 FIRST = "0" * 64
 """In place of a hash in the first line."""
@@ -88,7 +89,7 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
 def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
     last, number = FIRST, 0
     try:
-        file = path.open("rb")
+        file = regular_file(path).open("rb")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     with file:

@@ -11,6 +11,7 @@ import pandas as pd
 
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.height_map import HeightMapSettings
 
@@ -60,7 +61,7 @@ def read_map(path: Path, settings: HeightMapSettings) -> HeightMap:
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(f"{path}: height maps are {', '.join(SUFFIXES)}")
     try:
-        if path.stat().st_size > MOST_BYTES:
+        if regular_file(path).stat().st_size > MOST_BYTES:
             raise InputError(f"{path}: is larger than {MOST_BYTES / 1e6:g} MB")
         frame = _frame(path, settings)
         if path.suffix.lower() == ".csv":

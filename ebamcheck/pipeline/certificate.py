@@ -7,7 +7,6 @@ of the part and the program is believed by nobody: :func:`ebamcheck.verify` work
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,22 +15,24 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import (
     json_text,
     plain,
+    read_json,
     sha256_of_file,
     sha256_of_json,
     write_json,
 )
+from ebamcheck.pipeline.certificate_form import CERTIFICATE_FORMAT, CertificateForm
 from ebamcheck.pipeline.plate_record import PLATE
+from ebamcheck.pipeline.record_form import in_form
 from ebamcheck.pipeline.run_folder import (
     MANIFEST,
     RunFolder,
 )
-from ebamcheck.pipeline.signing import SIGNATURES
+from ebamcheck.pipeline.signing import SIGNATURES, signature_files
 from ebamcheck.pipeline.statement import statement
 from ebamcheck.pipeline.toolchain import software
 from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"
-CERTIFICATE_FORMAT = 2
 
 PROFILE = ("machine", "process", "material", "kinematics")
 """Sections of the settings that describe machine and process."""
@@ -154,10 +155,9 @@ def released(path: Path, release: Mapping[str, Any]) -> Path:
     after = {**found["release"], **release}
     if after == found["release"]:
         return path
-    folder = path.parent / SIGNATURES
-    if folder.is_dir() and any(folder.iterdir()):
+    if signature_files(path):
         raise SettingsError(
-            f"{path}: is signed, and a change would break the signature: remove {folder} to sign it anew"
+            f"{path}: is signed, and a change would break the signature: remove {path.parent / SIGNATURES} to sign it anew"
         )
     return write_sealed(path, {**found, "release": after})
 
@@ -185,8 +185,9 @@ def file_hashes(folder: Path) -> dict[str, str]:
 
 
 def file_names(folder: Path) -> list[str]:
-    """Relative names of the files that a certificate lists."""
-    names = (path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    """Relative names of the files that a certificate lists: of all that stands there and is no folder."""
+    found = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
+    names = (path.relative_to(folder).as_posix() for path in found)
     return sorted(
         n for n in names if n not in (CERTIFICATE, "fingerprint") and not n.startswith(f"{SIGNATURES}/")
     )
@@ -218,16 +219,11 @@ def _beside(program: Path, name: str) -> Path | None:
 
 
 def read_certificate(path: Path) -> dict[str, Any]:
-    """Read a certificate; raises :class:`InputError` where it is none."""
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from None
+    """Read a certificate; raises :class:`InputError` where it is none, or has not the form of one."""
+    found = read_json(path)
     if not isinstance(found, dict) or found.get("format") != CERTIFICATE_FORMAT:
         raise InputError(f"{path}: is not a certificate of format {CERTIFICATE_FORMAT}")
-    if not isinstance(found.get("release"), dict) or set(found["release"]) != set(RELEASE):
-        raise InputError(f"{path}: is not whole: its release lacks {', '.join(RELEASE)}, or holds more")
-    return found
+    return in_form(CertificateForm, found, path)
 
 
 def lots_of(assignments: Sequence[str]) -> dict[str, str]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.errors import InputError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import (
     plain,
     sha256_of_file,
@@ -24,8 +24,15 @@ from ebamcheck.pipeline.certificate import (
 )
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import signature_check
+from ebamcheck.printable import printable
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
+
+HARMLESS = (".DS_Store", "Thumbs.db", ".directory")
+"""Files that file managers leave in folders: no control loads them, and no stage reads them."""
+
+OF_THE_RECORD = ("program", "entry", "live", "layers")
+"""Folders whose every file is in the record of the run; beside them lie reports, which the certificate alone lists."""
 
 OF_PEOPLE = ("release", "files", "seal", "software")
 """Fields that do not follow from the record of the run."""
@@ -50,26 +57,53 @@ def run_certificate_checks(
     return [
         _sealed(path, found),
         _faults("certificate", differ),
-        *_files(run, found.get("files"), manifest["files"]),
+        *_files(run, found["files"], manifest["files"]),
         signature_check(path, trusted),
     ]
 
 
-def _files(run: RunFolder, listed: Any, recorded: Mapping[str, str]) -> list[Check]:
+def refuse_unfit(run: RunFolder) -> None:
+    """Refuse to sign a run whose record or files are not those that its certificate is of.
+
+    Raises
+    ------
+    SettingsError
+        If the run has no certificate.
+    InputError
+        If one of the two cannot be read, or something does not fit; the message names the first fault.
+    """
+    manifest = run.manifest()
+    if not (run.path / CERTIFICATE).is_file():
+        raise SettingsError(f"{run.path}: has no {CERTIFICATE}: sign a run, not a check")
+    checks = [check for check in run_certificate_checks(run, manifest) if check.name != "signature"]
+    checks += told_once([file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
+    for check in checks:
+        if not check.passed:
+            raise InputError(
+                f"{run.path}: is not what its certificate says, and is not to be signed: {check.in_words()}"
+            )
+
+
+def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str]) -> list[Check]:
     """Check every file of the run by the hashes of the certificate; none is missing, none was added.
 
     Those that the record lists with the same hash are checked by it.
     """
-    if not isinstance(listed, dict):
-        raise InputError(f"{run.path / CERTIFICATE}: is not whole: it lists no files")
     alone = {name: sha256 for name, sha256 in listed.items() if recorded.get(name) != sha256}
     checks = [file_check(run.path / name, name, sha256) for name, sha256 in alone.items()]
-    added = [
-        Check("file unchanged", False, 1.0, 0.0, "faults", name, "the certificate does not know this file")
-        for name in file_names(run.path)
-        if name not in listed
+    unknown = [name for name in file_names(run.path) if name not in listed]
+    ignored = [name for name in unknown if name.rpartition("/")[2] in HARMLESS]
+    added = dict.fromkeys(set(unknown) - set(ignored), "the certificate does not know this file")
+    added |= {
+        name: "the record does not know this file"
+        for name in set(listed) - set(recorded)
+        if name.partition("/")[0] in OF_THE_RECORD
+    }
+    checks += [
+        Check("file unchanged", False, 1.0, 0.0, "faults", printable(name), text)
+        for name, text in sorted(added.items())
     ]
-    return told_once(checks + added)
+    return told_once(checks, ignored)
 
 
 def certificate_checks(
@@ -80,49 +114,52 @@ def certificate_checks(
     Raises
     ------
     InputError
-        If the certificate cannot be read or lacks a field.
+        If the certificate cannot be read or has not the form of one.
     """
     found = read_certificate(path)
     folder = program if program.is_dir() else program.parent
     profile = profile_sha256(plain(config.model_dump()))
-    try:
-        checks = [
-            _sealed(path, found),
-            hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
-            hash_check(
-                "settings unchanged",
-                sha256_of_json(config.model_dump()),
-                found["settings_sha256"],
-                "settings",
-            ),
-            hash_check("profile unchanged", profile, found["profile_sha256"], "settings"),
-        ]
-        programs = [
-            hash_check(
-                "program unchanged",
-                _hash_or_missing(folder / file["name"]),
-                file["sha256"],
-                f"{file['name']}:1",
-            )
-            for file in found["programs"]
-        ]
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{path}: is not whole: {type(error).__name__} at {error}") from None
+    checks = [
+        _sealed(path, found),
+        hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
+        hash_check(
+            "settings unchanged",
+            sha256_of_json(config.model_dump()),
+            found["settings_sha256"],
+            "settings",
+        ),
+        hash_check("profile unchanged", profile, found["profile_sha256"], "settings"),
+    ]
+    programs = [
+        hash_check(
+            "program unchanged",
+            _hash_or_missing(folder / file["name"]),
+            file["sha256"],
+            f"{file['name']}:1",
+        )
+        for file in found["programs"]
+    ]
     return [*checks, *told_once(programs), signature_check(path, trusted)]
 
 
-def told_once(files: Sequence[Check]) -> list[Check]:
-    """Checks of many files: those that failed, each by itself, or one that says that all are as they were."""
+def told_once(files: Sequence[Check], ignored: Sequence[str] = ()) -> list[Check]:
+    """Checks of many files: those that failed, each by itself, or one that says that all are as they were, and what was ignored."""
     failed = [check for check in files if not check.passed]
     if failed or not files:
         return failed
-    return [replace(files[0], where="", text=f"{len(files)} files by their SHA-256")]
+    beside = f"; ignored: {', '.join(map(printable, ignored))}" if ignored else ""
+    return [replace(files[0], where="", text=f"{len(files)} files by their SHA-256{beside}")]
 
 
 def file_check(path: Path, name: str, recorded: str) -> Check:
-    """Check that a file of a run is there and is as the run wrote it."""
+    """Check that a file of a run is there, lies in its folder and is as the run wrote it; a link out of it is not followed."""
+    folder = path.parents[name.count("/")]
+    if not path.resolve().is_relative_to(folder.resolve()):
+        text = "is a link that leads out of the run folder: it was not opened"
+        return Check("file unchanged", False, 1.0, 0.0, "faults", name, text)
     if not path.is_file():
-        return Check("file unchanged", False, 1.0, 0.0, "faults", name, "the file is missing")
+        text = "the file is missing" if not path.exists() else "is no regular file"
+        return Check("file unchanged", False, 1.0, 0.0, "faults", name, text)
     return hash_check("file unchanged", file_hash(path), recorded, name)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, fit_for_program
 from ebamcheck.curves.storage import table_of
 from ebamcheck.findings import Finding, from_record, has_fault
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import plain
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
@@ -38,7 +39,7 @@ from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.tables_again import of_comparison, order_of, tables_check
+from ebamcheck.pipeline.tables_again import of_comparison, order_of, sums_of, tables_check
 from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
@@ -54,6 +55,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.version import __version__
 
 SMOOTH_MM = 0.002
 """Chords of the smooth sections: far under the tolerance of the fit."""
@@ -104,6 +106,8 @@ class Again:
     """Recorded layers that are not those of the slicer whose name their file has."""
     tables: Check | None = None
     """Whether the tables of the run are those that follow; None where no run says."""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    """What the record says beside gates and checks in figures, by the place where it says so."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -156,7 +160,12 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         other = f"the run used sections by {record['witness']}, these are by {witness}"
         why_not |= {"deposit.csv": other, FIELD_FILE: other}
     of_run = tables_check(run, manifest, tables, why_not)
-    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run)
+    figures = {
+        "part.inspection": sound.as_dict(),
+        "heat": {"limit_k": entry_limit_k(config)},
+        **sums_of(tables),
+    }
+    return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run, figures)
 
 
 def _tables(
@@ -288,11 +297,38 @@ def _record(again: Again, manifest: Mapping[str, Any]) -> Check:
     if record is not None and record["witness"] == manifest["primary"] != again.witness:
         faults.append(f"{record['witness']} is named as its own witness")
     faults += [f"layers/{name}.parquet does not hold the layers of {name}" for name in again.exchanged]
+    faults += _other_figures(again.figures, manifest)
     codes = {finding["code"] for finding in manifest["findings"]}
     lacking = sorted({finding.code for finding in again.findings} - codes)
     faults += [f"the finding {code} is left out" for code in lacking]
-    text = "; ".join(faults[:3]) or "name, comparison, witness and findings are those that follow"
+    text = "; ".join(faults[:3]) or "name, comparison, witness, figures and findings are those that follow"
     return Check("record", not faults, float(len(faults)), 0.0, "faults", "run.json", text)
+
+
+def _other_figures(found: Mapping[str, Any], manifest: Mapping[str, Any]) -> list[str]:
+    """Figures of the record that are not those which were found; a run of an earlier version may have counted in another way."""
+    if manifest["ebamcheck"] != __version__:
+        return []
+    faults = []
+    for place, figures in found.items():
+        recorded: Any = manifest
+        for step in place.split("."):
+            recorded = (recorded or {}).get(step)
+        faults += [f"{place}.{at} is not what was found" for at in _differing(recorded, plain(figures))]
+    return faults
+
+
+def _differing(recorded: Any, found: Any, at: str = "") -> list[str]:
+    """Where a record says another figure than the one found, of the keys that it has."""
+    if isinstance(recorded, Mapping) and isinstance(found, Mapping):
+        both = [key for key in recorded if key in found]
+        return [
+            one for key in both for one in _differing(recorded[key], found[key], f"{at}.{key}".strip("."))
+        ]
+    if isinstance(recorded, list) and isinstance(found, list) and len(recorded) == len(found):
+        return [one for a, b in zip(recorded, found, strict=True) for one in _differing(a, b, at)][:1]
+    numbers = isinstance(recorded, int | float) and isinstance(found, int | float)
+    return [] if (_same(recorded, found) if numbers else recorded == found) else [at]
 
 
 def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:

@@ -26,7 +26,8 @@ from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.live_program import FOLDER as LIVE
 from ebamcheck.pipeline.plate_record import PLATE, plate_record
 from ebamcheck.pipeline.programming import ProgramResult
-from ebamcheck.pipeline.run_folder import FINGERPRINT, FORMAT_VERSION, MANIFEST
+from ebamcheck.pipeline.record_form import FORMAT_VERSION
+from ebamcheck.pipeline.run_folder import FINGERPRINT, MANIFEST
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program.toolpath.inputs import deposition_heights

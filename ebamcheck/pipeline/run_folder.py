@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
-import json
 import os
 import shutil
 from collections.abc import Mapping
@@ -18,17 +17,17 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import write_json
+from ebamcheck.json_values import read_json, write_json
 from ebamcheck.layers import blocks as layer_blocks
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.former_runs import TIMINGS, dated_name, finished_at
+from ebamcheck.pipeline.record_form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
 
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"
 """Marks an unfinished folder with what it is a run of; a finished run has it in its record."""
 LAYERS = "layers"
-FORMAT_VERSION = 1
 
 AT_FDCWD = -100
 RENAME_EXCHANGE = 2
@@ -65,31 +64,24 @@ class RunFolder:
         Raises
         ------
         InputError
-            If the record is missing or is not one of ours, or the file of the times cannot be read.
+            If the record is missing or has not the form of one, or the file of the times cannot be read.
         """
         path = self.path / MANIFEST
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}") from None
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from None
+        if not path.exists():
+            raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
+        found = read_json(path)
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
             raise InputError(f"{path}: is not a run of format {FORMAT_VERSION}")
+        found = in_form(RecordForm, found, path)
         # Runs of earlier versions have them in the record itself.
         return found if "timings" in found else {**found, "timings": self._timings()}
 
     def _timings(self) -> dict[str, Any]:
         path = self.path / TIMINGS
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        if not path.exists():
             return {}
-        except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-            raise InputError(f"{path}: cannot be read: {error}") from None
-        if not isinstance(found, dict):
-            raise InputError(f"{path}: is not the table of times that a run writes")
-        return found
+        found = read_json(path)
+        return in_form(TimingsForm, found, path)
 
     def write_manifest(self, manifest: Mapping[str, Any]) -> None:
         """Write the record: ``timings`` into a file of their own, everything else into ``run.json``."""
@@ -194,8 +186,9 @@ def finished_run(target: Path, fingerprint: str) -> RunFolder | None:
     settle(target)
     if not is_run(target):
         return None
-    run = RunFolder(target)
-    return run if run.manifest().get(FINGERPRINT) == fingerprint else None
+    found = read_json(target / MANIFEST)
+    same = isinstance(found, dict) and found.get(FINGERPRINT) == fingerprint
+    return RunFolder(target) if same else None
 
 
 def is_run(folder: Path) -> bool:

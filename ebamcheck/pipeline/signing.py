@@ -24,12 +24,15 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import write_json
+from ebamcheck.json_values import read_json, write_json
+from ebamcheck.printable import printable
 from ebamcheck.program import Check
+from ebamcheck.regular_file import regular_file
 
 SIGNATURES = "signatures"
 """Folder of the signatures, beside the certificate."""
 
+SIGNATURE_SUFFIX = ".json"
 SIGNATURE_FORMAT = 1
 PURPOSE = b"ebamcheck certificate signature 1\0"
 """Begins every signed message, so that a signature under something else never serves for a certificate."""
@@ -164,7 +167,7 @@ def sign(
     }
     folder = certificate.parent / SIGNATURES
     folder.mkdir(exist_ok=True)
-    path = folder / f"{fingerprint(public)}.json"
+    path = folder / f"{fingerprint(public)}{SIGNATURE_SUFFIX}"
     write_json(
         {
             "format": SIGNATURE_FORMAT,
@@ -179,11 +182,13 @@ def sign(
 
 def signatures(certificate: Path, trusted: dict[bytes, str]) -> list[Signature]:
     """Every signature that lies beside a certificate, judged; in the order of their files."""
-    folder = certificate.parent / SIGNATURES
-    if not folder.is_dir():
-        return []
     digest = hashlib.sha256(_bytes_of(certificate)).hexdigest()
-    return [_judged(path, digest, trusted) for path in sorted(folder.iterdir())]
+    return [_judged(path, digest, trusted) for path in signature_files(certificate)]
+
+
+def signature_files(certificate: Path) -> list[Path]:
+    """Files of the signatures beside a certificate, in order; what else lies in their folder is none."""
+    return sorted((certificate.parent / SIGNATURES).glob(f"*{SIGNATURE_SUFFIX}"))
 
 
 def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Check:
@@ -197,6 +202,8 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
             "signature", False, float(len(broken)), 0.0, "faults", f"{SIGNATURES}/{broken[0].file}", text
         )
     text = "; ".join(s.text for s in found) or "unsigned: anyone who can write here can write another one"
+    others = sorted({*(certificate.parent / SIGNATURES).glob("*")} - {*signature_files(certificate)})
+    text += f"; ignored: {', '.join(printable(path.name) for path in others)}" if others else ""
     if trusted is not None and not any(s.state == TRUSTED for s in found):
         return Check("signature", False, 1.0, 0.0, "faults", where, f"no trusted key has signed: {text}")
     return Check("signature", True, 0.0, 0.0, "faults", where, text)
@@ -205,10 +212,12 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
 def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
     """Read one signature, and say whether it holds and whose it is."""
     try:
-        found = json.loads(_bytes_of(path))
+        found = read_json(path)
         public = base64.b64decode(found["public_key"], validate=True)
         signature = base64.b64decode(found["signature"], validate=True)
-        said = {field: str(found[field]) for field in SIGNED}
+        said = {field: found[field] for field in SIGNED}
+        if not all(isinstance(value, str) for value in said.values()):
+            raise ValueError
         if found["format"] != SIGNATURE_FORMAT or set(found) != {
             "format",
             *SIGNED,
@@ -217,19 +226,20 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
         }:
             raise ValueError
         Ed25519PublicKey.from_public_bytes(public).verify(signature, _message(said))
-    except (ValueError, KeyError, TypeError, RecursionError, binascii.Error):
+    except (InputError, ValueError, KeyError, TypeError, binascii.Error):
         return Signature(path.name, BROKEN, "", "", "is no signature of ours")
     except InvalidSignature:
         return Signature(
             path.name, BROKEN, "", fingerprint(public), "the signature does not fit what it covers"
         )
-    key, name = fingerprint(public), said["name"]
+    key = fingerprint(public)
+    name, role, date = (printable(said[field]) for field in ("name", "role", "date"))
     if said["certificate_sha256"] != digest:
         text = (
             f"{name} signed another certificate than this one: it was changed since, or comes from elsewhere"
         )
         return Signature(path.name, BROKEN, name, key, text)
-    by = f"{name} ({said['role']}) on {said['date']} with key {key}"
+    by = f"{name} ({role}) on {date} with key {key}"
     if public in trusted:
         return Signature(path.name, TRUSTED, name, key, f"signed by {by}, trusted as {trusted[public]}")
     return Signature(path.name, VALID, name, key, f"signed by {by}, whose key is not among trusted ones")
@@ -246,6 +256,6 @@ def _raw(key: Ed25519PublicKey) -> bytes:
 
 def _bytes_of(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return regular_file(path).read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

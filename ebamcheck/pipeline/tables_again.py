@@ -135,6 +135,19 @@ def of_program(nc: NCProgram, path: Toolpath, contours: Layers, config: Config) 
     }
 
 
+def sums_of(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Sums over the tables of plan and program, by the place where a record has them; of a table that is missing, nothing."""
+    found: dict[str, Any] = {
+        place: {name: float(tables[file][name].sum()) for name in tables[file].select_dtypes("number")}
+        for place, file in (("scan", "process.csv"), ("program.totals", "program.csv"))
+        if file in tables
+    }
+    if "kinematics.csv" in tables:
+        paths = tables["kinematics.csv"]
+        found["kinematics"] = paths.set_index(paths.columns[0]).to_dict(orient="index")
+    return found
+
+
 def of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, pd.DataFrame | pa.Table]:
     """Tables of the metal that a program lays; `z_of` are the tops of its layers."""
     if laid.worst < 0:

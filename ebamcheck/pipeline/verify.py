@@ -201,7 +201,8 @@ def _verify(
         return checks + compared_again(run, manifest, config, placed_part(path, config)[0])
     if part is not None:
         checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
-    return checks + _recorded_gates(manifest) + (_text_alone(run, manifest, config) if untouched else [])
+    checks += [*_recorded_gates(manifest), *_own_witness(manifest)]
+    return checks + (_text_alone(run, manifest, config) if untouched else [])
 
 
 def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, part: Part) -> list[Check]:
@@ -257,6 +258,20 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest),
     )
+
+
+def _own_witness(manifest: dict[str, Any]) -> list[Check]:
+    """A failed check where a program is its own witness although another exact slicer came to its end; else none."""
+    witness = (manifest.get("program") or {}).get("witness")
+    others = [
+        name
+        for name, found in manifest["backends"].items()
+        if found["exact"] and found["status"] == "done" and name != witness
+    ]
+    if witness is None or witness != manifest["primary"] or not others:
+        return []
+    text = f"{witness} is named as its own witness"
+    return [Check("record", False, 1.0, 0.0, "faults", MANIFEST, text)]
 
 
 def _no_program() -> Check:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError
-from ebamcheck.json_values import plain
+from ebamcheck.json_values import plain, read_json
 from ebamcheck.regression.measurement import MEASURED, REFUSED, Measured
 
 FORMAT_VERSION = 1
@@ -85,16 +85,14 @@ def read_baselines(folder: Path, models: Iterable[str]) -> dict[Key, Entry]:
 
 def _read(path: Path, model: str) -> list[Entry]:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
+        values = read_json(path)
         if values["format"] != FORMAT_VERSION:
             raise InputError(
                 f"{path}: has format {values['format']!r}, this version reads {FORMAT_VERSION}: "
                 "write it anew with --update-baseline=all"
             )
         return [_entry(model, name, record) for name, record in values["entries"].items()]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: is no baseline ({type(error).__name__}: {error}): restore it") from None
 
 

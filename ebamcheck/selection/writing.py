@@ -14,6 +14,7 @@ from ebamcheck import __version__
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import plain
+from ebamcheck.regular_file import regular_file
 from ebamcheck.selection.choice import Choice
 from ebamcheck.selection.trial import Trial
 
@@ -79,7 +80,11 @@ def provenance(choice: Choice, trials: Sequence[Trial], circumstances: Mapping[s
 def _read(path: Path) -> tomlkit.TOMLDocument:
     try:
         # Line ends as they are: the user's file stays theirs but for one section.
-        return tomlkit.parse(path.read_bytes().decode("utf-8")) if path.is_file() else tomlkit.document()
+        return (
+            tomlkit.parse(regular_file(path, SettingsError).read_bytes().decode("utf-8"))
+            if path.exists()
+            else tomlkit.document()
+        )
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, TOMLKitError) as error:

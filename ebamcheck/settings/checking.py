@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from ebamcheck.errors import EbamcheckError, SettingsError
+from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.selection import MachineChoice
 from ebamcheck.settings.wording import wanted
 from ebamcheck.showing.short_text import did_you_mean
@@ -26,13 +27,15 @@ _Kind = TypeVar("_Kind", bound=BaseModel)
 def read_toml(path: Path, error: type[EbamcheckError] = SettingsError) -> dict[str, Any]:
     """Read a TOML file; raises `error` where it cannot be read or is none."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(regular_file(path, error).read_text(encoding="utf-8"))
     except OSError as found:
         raise error(f"{path}: cannot be read: {found.strerror or found}") from None
     except UnicodeDecodeError:
         raise error(f"{path}: is not UTF-8 text, as TOML must be") from None
-    except tomllib.TOMLDecodeError as found:
+    except ValueError as found:  # a number of thousands of digits is one, too
         raise error(f"{path}: is not TOML: {found}") from None
+    except RecursionError:
+        raise error(f"{path}: is not TOML of ours: hundreds of lists within each other") from None
 
 
 def checked(

@@ -14,6 +14,7 @@ from tomlkit.items import Item
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
+from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.explained import explanations
@@ -169,11 +170,11 @@ def _known(root: Any) -> dict[str, Any]:
 
 
 def _read(path: Path) -> str:
+    if not path.exists():
+        raise SettingsError(f"{path}: is not there: `ebamcheck config -o {path}` writes a new one")
     try:
         # Line ends as they are.
-        return path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise SettingsError(f"{path}: is not there: `ebamcheck config -o {path}` writes a new one") from None
+        return regular_file(path, SettingsError).read_bytes().decode("utf-8")
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import shapely
@@ -38,6 +39,8 @@ WIDEST_GAP = 0.95
 
 GAP_MARGIN = 0.05
 """Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size."""
+
+_NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
 
 LEAST_GAP_LIMIT = 0.15
 """Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
@@ -195,8 +198,7 @@ def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
 
 def _words_of(line: bytes) -> list[bytes]:
     """Words of a line without its number and its comment."""
-    words = line.split(b";")[0].split()
-    return words[1:] if words and words[0][:1] == b"N" else words
+    return _NUMBERED.sub(b"", line.split(b";")[0]).split()
 
 
 # -- coverage ----------------------------------------------------------------------------------------

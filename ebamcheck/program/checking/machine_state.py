@@ -17,6 +17,7 @@ from ebamcheck.program.language.control import Group, control
 from ebamcheck.program.language.modal_groups import group_of, wanted_words
 from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.safe_end import safe_end_mm
+from ebamcheck.program.language.words import SKIPPED
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
 
@@ -231,7 +232,7 @@ def _tolerance_of(nc: NCProgram, i: int) -> bool:
 
 def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
     """Layers that lack a mode or value with which others begin: the control could not enter the program there."""
-    begins = _entries(nc, set(wanted))
+    begins = _begun(nc, _entries(nc, set(wanted)))
     if len(begins) < FEWEST_ENTRIES:
         return []
     found = Counter(name for names in begins for name in names)
@@ -246,22 +247,41 @@ def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
     return faults
 
 
-def _entries(nc: NCProgram, wanted: set[str]) -> list[dict[str, str]]:
-    """Names and places of the modes and values with which the program and its layers begin.
+def _begun(nc: NCProgram, runs: list[tuple[int, int, dict[str, str]]]) -> list[dict[str, str]]:
+    """The rows of modes with which layers begin, without single words that are said again later on.
+
+    These are rows with fewer than half of the words of the fullest one of their layer: of their file, where each layer has one.
+    """
+    called = any(name.startswith("call ") for name in nc.events.name)
+    last = len(nc) - 1
+    of_layer = [
+        file if called else int(nc.layer[min(row, last)]) if k and last >= 0 else -1
+        for k, (file, row, _) in enumerate(runs)
+    ]
+    fullest: dict[int, int] = {}
+    for layer, (_, _, names) in zip(of_layer, runs, strict=True):
+        fullest[layer] = max(fullest.get(layer, 0), len(names))
+    return [
+        names for layer, (_, _, names) in zip(of_layer, runs, strict=True) if 2 * len(names) >= fullest[layer]
+    ]
+
+
+def _entries(nc: NCProgram, wanted: set[str]) -> list[tuple[int, int, dict[str, str]]]:
+    """File, row of the next motion, and names and places of the modes and values with which the program and its layers begin.
 
     A row of blocks that set modes ends with the next motion, and where a mode follows a switch or a value: in one file
     the first blocks of the program are followed by those of its first layer.
     """
-    runs: list[dict[str, str]] = []
+    runs: list[tuple[int, int, dict[str, str]]] = []
     here, ended = (-1, -1), True
     for i, name in enumerate(nc.events.name):
         place = (int(nc.events.file[i]), int(nc.events.row[i]))
         mode = name in wanted
         if mode and (ended or place != here):
-            runs.append({})
+            runs.append((*place, {}))
         ended = (ended or name in SWITCHES or name in BEAM_VALUES) and not mode
         if (mode or name in BEAM_VALUES) and runs and (mode or place == here):
-            runs[-1].setdefault(name, event_place(nc, i))
+            runs[-1][2].setdefault(name, event_place(nc, i))
         here = place if mode or place == here else here
     return runs
 
@@ -339,6 +359,8 @@ def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
             what = f"waits {value:g} s with the {'beam' if beam else 'wire'} on" if beam or wire else ""
         elif name == "wire_retract_mm":
             what = "the wire is drawn back while it runs" if wire else ""
+        elif name == SKIPPED:
+            what = "skipped or not, as the operator has chosen at the panel: the program would be two"
         elif name.startswith("lacks "):
             what = f"its template asks for {name.removeprefix('lacks ')!r} before this block"
         elif name.startswith(NOT_ALONG):

@@ -12,8 +12,10 @@ import pyarrow.parquet as pq
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import parsed_json
 from ebamcheck.metal import Target
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.regular_file import regular_file
 
 FIELD_FILE = "deposit_worst.parquet"
 """Name of the field of the worst layer in a run folder."""
@@ -69,8 +71,8 @@ def read_field(path: Path) -> tuple[LayerField, int, float]:
         If the file is none that :func:`write_field` wrote.
     """
     try:
-        table = pq.read_table(path)
-        header = json.loads((table.schema.metadata or {})[b"ebamcheck"])
+        table = pq.read_table(regular_file(path))
+        header = parsed_json((table.schema.metadata or {})[b"ebamcheck"])
         shape = tuple(header["shape"])
         share, laid, over = (
             table.column(name).to_numpy().astype(np.float64).reshape(shape)

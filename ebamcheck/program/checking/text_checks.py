@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from ebamcheck.printable import printable
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import layer_of_preheat
@@ -124,13 +125,15 @@ def _calls(nc: NCProgram) -> Faults:
         for name, count in Counter(calls).items()
         if count > 1
     ]
-    suffix = control(nc.dialect).subprogram_suffix
-    if calls and suffix:
+    loads, suffix = control(nc.dialect).loads, control(nc.dialect).subprogram_suffix
+    if calls and loads:
         # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
-        there = {path.name for path in nc.folder.iterdir() if path.suffix.upper() == suffix}
+        there = {path.name for path in nc.folder.iterdir() if re.fullmatch(loads, path.name.upper())}
         faults += [
-            (f"{main}:{_last_call(nc)}", f"{name} is never called, and lies beside the program")
-            for name in sorted(there - {f"{call}{suffix}" for call in calls})
+            (f"{main}:{_last_call(nc)}", f"{printable(name)} is never called, and lies beside the program")
+            for name in sorted(
+                there - {file.name for file in nc.files} - {f"{call}{suffix}" for call in calls}
+            )
         ]
     return faults
 

@@ -66,6 +66,9 @@ class Control:
     """First bytes of a file of this control, whatever its ending."""
     subprogram_suffix: str = ""
     """Ending of subprograms; empty for a program of one file."""
+    loads: str = ""
+    """Pattern of the names, in capitals, of all files that the control takes for its own when it is given a folder. Empty: it is
+    given files one by one."""
     templates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Beam and wire blocks in place of the defaults of the machine section, for a profile that sets none."""
     codes: Mapping[str, str] = field(default_factory=dict)

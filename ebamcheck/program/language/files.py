@@ -20,7 +20,7 @@ VALIDATED = "; VALIDATED"
 STATUS_LINES = 3
 """Lines among which the status stands: a SINUMERIK wants a name and a path first."""
 
-STATUS = re.compile(rb"(?<=; )(?:NOT )?VALIDATED$|(?<=\()(?:NOT )?VALIDATED(?=\)$)", re.MULTILINE)
+STATUS = re.compile(rb"(?<=; )(?:NOT )?VALIDATED(?=\r?$)|(?<=\()(?:NOT )?VALIDATED(?=\)\r?$)", re.MULTILINE)
 """The words of the status, in a comment after a semicolon or in parentheses."""
 
 LONGEST_NAME = 24

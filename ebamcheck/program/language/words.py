@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
+
+SKIP = re.compile(r"\s*/\d?\s*")
+"""Before a block that is skipped where the operator has chosen so at the panel."""
+
+SKIPPED = "may be skipped"
+"""Event of such a block, where it does anything."""
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ from typing import Literal
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.program.language.control import Control, controls
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.config import Config
 
 TABLE_TITLES = (b"Mode\t", b"Mode X(m)", b"Number of path segments")
@@ -77,7 +78,7 @@ def _main_file(path: Path, controls: Mapping[str, Control]) -> Path:
 def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> Control:
     """The control of a file: by its first bytes, by its ending, the one of the profile first, else that of the profile."""
     try:
-        with path.open("rb") as file:
+        with regular_file(path).open("rb") as file:
             begin = file.readline(40)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None

@@ -17,6 +17,8 @@ RUNNING = ("set_power", "set_wire")
 ENDING = ("beam_off", "wire_stop")
 """Templates that may set a value to 0 at the end of a bead, before they switch off."""
 
+_ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
+
 
 @dataclass(frozen=True)
 class StateChange:
@@ -52,15 +54,16 @@ class Templates:
         done = tuple((_event(action), action.number) for action in actions if action.meaning != AUXILIARY)
         known = tuple((name, float("nan") if number is None else number) for name, number in done)
         change = StateChange(block, known, before, running)
-        if "{" not in block:
-            self._literal.setdefault(block, change)
+        plain = _without_zeros(block)
+        if "{" not in plain:
+            self._literal.setdefault(plain, change)
             return
-        self._patterns.append((re.compile("".join(_pattern_parts(block)), re.IGNORECASE), change))
+        self._patterns.append((re.compile("".join(_pattern_parts(plain)), re.IGNORECASE), change))
 
     def find(self, code: str) -> StateChange | None:
-        """Return what the block does, if it is of a template; words set apart by any number of blanks."""
+        """Return what the block does, if it is of a template; words set apart by any number of blanks, M60 written M060."""
         if code not in self._memory:
-            self._memory[code] = self._search(" ".join(code.split()))
+            self._memory[code] = self._search(_without_zeros(" ".join(code.split())))
         return self._memory[code]
 
     def _search(self, code: str) -> StateChange | None:
@@ -73,6 +76,11 @@ class Templates:
                 actions = [(name, filled.pop(name, value)) for name, value in change.actions]
                 return StateChange(change.block, (*actions, *filled.items()), change.before, change.running)
         return None
+
+
+def _without_zeros(block: str) -> str:
+    """A block whose codes have no zeros before their numbers."""
+    return _ZEROS.sub(r"\1", block)
 
 
 def _event(action: Action) -> str:

@@ -14,6 +14,7 @@ from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
 from ebamcheck.program.reading.roles import by_shape, with_travel
 from ebamcheck.program.reading.table_state import TableState, starts_in_frames
+from ebamcheck.regular_file import regular_file
 
 NAN = float("nan")
 LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
@@ -60,7 +61,7 @@ class Recorder:
     def open(self, path: Path) -> list[str]:
         """Read a file, and return its lines; a carriage return stays at the end of its line."""
         try:
-            data = path.read_bytes()
+            data = regular_file(path).read_bytes()
         except OSError as error:
             raise InputError(f"{path}: cannot be read: {error.strerror}") from None
         lines = data.decode("latin-1").split("\n")

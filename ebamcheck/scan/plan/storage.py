@@ -41,8 +41,10 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import COMPRESSION, replacing
 from ebamcheck.errors import InputError
+from ebamcheck.json_values import parsed_json
 from ebamcheck.list_columns import flat_column, list_column, plain_column, starts_of
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.regular_file import regular_file
 from ebamcheck.scan.plan.columns import METRICS, VECTOR_COLUMNS, PlanOfLayers, ScanPlan
 
 NAME, VERSION = "ebamcheck scan plan", 3
@@ -188,7 +190,7 @@ def _well_known(regions: NDArray[np.object_]) -> pa.LargeBinaryArray:
 def _table(path: Path, names: Sequence[str] | None) -> tuple[pa.Table, dict[str, Any]]:
     """Columns of a file, all of them or those of `names` that it has, and the plan's settings."""
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        with pq.ParquetFile(regular_file(path), page_checksum_verification=True) as file:
             settings = _settings(path, file.schema_arrow.metadata or {})
             there = [name for name in file.schema_arrow.names if names is None or name in names]
             return file.read(there), settings
@@ -200,20 +202,20 @@ def _table(path: Path, names: Sequence[str] | None) -> tuple[pa.Table, dict[str,
 def _settings(path: Path, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
     """Settings that stand in the metadata of a plan; refuses what is none, or of another version."""
     try:
-        header = json.loads(metadata.get(HEADER_KEY, b"{}"))
+        header = parsed_json(metadata.get(HEADER_KEY, b"{}"))
         said, settings = str(header.get("format", "")), dict(header.get("settings", {}))
     except (AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: is not a scan plan: its header cannot be read: {error}") from None
     if said == f"{NAME} {VERSION}":
         return settings
-    if re.fullmatch(rf"{NAME} \d+", said):
+    if re.fullmatch(rf"{NAME} \d{{1,9}}", said):
         version = int(said.removeprefix(NAME))
         age = "an earlier" if version < VERSION else "a later"
         raise InputError(
             f"{path}: is a scan plan of format {version}, of {age} version of this program, which reads format {VERSION}: "
             "make the plan, or the run that it belongs to, again"
         )
-    raise InputError(f"{path}: is not a scan plan (format {said!r}, expected '{NAME} {VERSION}')")
+    raise InputError(f"{path}: is not a scan plan (format {said[:40]!r}, expected '{NAME} {VERSION}')")
 
 
 def _layers(table: pa.Table, path: Path) -> PlanOfLayers:

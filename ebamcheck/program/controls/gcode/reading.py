@@ -16,6 +16,8 @@ from ebamcheck.program.controls.gcode.words import (
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.program.language.words import (
     NUMBER,
+    SKIP,
+    SKIPPED,
     Block,
     UnknownWord,
     WordError,
@@ -129,12 +131,15 @@ class GcodeReader:
         if code.strip() == "%":
             return self._run_percent()
         self._begun = True
-        number = _BLOCK_NUMBER.match(code)
-        column = 0
+        skip = SKIP.match(code)
+        column = skip.end() if skip else 0
+        number = _BLOCK_NUMBER.match(code, column)
         if number:
             self.out.number(number[1])
             column = number.end()
         code = code[column:].rstrip().upper()
+        if skip and code:
+            self.out.event(SKIPPED)
         try:
             return self._run_block(code) if code else ""
         except WordError as error:

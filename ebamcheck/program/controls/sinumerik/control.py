@@ -76,8 +76,13 @@ def form_lines(machine: MachineSettings) -> dict[str, str]:
     return values
 
 
+LOADS = r"_N_.*|.*[._](MPF|SPF|CPF|CYC|DEF|GUD|INI|TEA|SEA|COM|TOA|TMA|RPA|UFR|ARC|WPD|SYF|JOB)"
+"""Names that the control takes for its own: programs, cycles, definitions and initialisation files, by ending or by path name."""
+
+
 CONTROL = Control(
     name=NAME,
+    loads=LOADS,
     title="SINUMERIK 840D sl",
     writer="ebamcheck.program.controls.sinumerik.writing:write_program",
     reader="ebamcheck.program.controls.sinumerik.reading:read_program",

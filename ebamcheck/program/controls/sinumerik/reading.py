@@ -14,11 +14,14 @@ from ebamcheck.program.controls.sinumerik.words import (
     AXES,
     END_CODES,
     read_block,
+    split_comment,
 )
 from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.language.template_rules import checked_templates
 from ebamcheck.program.language.words import (
     NUMBER,
+    SKIP,
+    SKIPPED,
     Block,
     UnknownWord,
     WordError,
@@ -38,7 +41,10 @@ DEEPEST_CALL = 8
 
 Shift = Literal[2, 3, "uniform"]
 
-_BLOCK_NUMBER = re.compile(r"\s*N(\d+)(?!\w)\s*", re.IGNORECASE)
+_BLOCK_NUMBER = re.compile(r"\s*[N:]\s*(\d+)(?![\d._]|\s*=)\s*", re.IGNORECASE)
+"""Of a block, and behind a colon of a main block; what follows may do so without a blank."""
+_CALL = re.compile(r"([A-Z_][A-Z0-9_]+)(?:\s+P\s*=?\s*(\d+))?")
+"""A subprogram by its name, and how often it is run."""
 _MESSAGE = re.compile(r'MSG\s*\(\s*"[^"]*"\s*\)|MSG\s*\(\s*\)')
 """A line for the operator; it changes nothing."""
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
@@ -142,17 +148,20 @@ class SinumerikReader:
 
     def _run_line(self, text: str, depth: int) -> str | None:
         """Run one line; its end code, an empty string for another block, None where there is no block."""
-        code, mark, comment = text.partition(";")
-        if mark:
+        code, comment = split_comment(text)
+        if comment:
             self._note(comment.strip(), code)
         if not code.strip() or (self.out.line == 1 and _HEADER.fullmatch(code)):
             return None
-        number = _BLOCK_NUMBER.match(code)
-        column = 0
+        skip = SKIP.match(code)
+        column = skip.end() if skip else 0
+        number = _BLOCK_NUMBER.match(code, column)
         if number:
             self.out.number(number[1])
             column = number.end()
         code = code[column:].rstrip().upper()
+        if skip and code and not _MESSAGE.fullmatch(code):
+            self.out.event(SKIPPED)
         try:
             return self._run_block(code, depth) if code else ""
         except WordError as error:
@@ -237,10 +246,13 @@ class SinumerikReader:
     def _call(self, code: str, depth: int) -> bool:
         """Run a subprogram, if the block is the name of one."""
         out = self.out
-        name = code.strip()
+        found = _CALL.fullmatch(code.strip())
+        name = found[1] if found else ""
         path = out.folder / f"{name}.SPF"
-        if not re.fullmatch(r"[A-Z_][A-Z0-9_]+", name) or not path.is_file():
+        if not found or not path.is_file():
             return False
+        if found[2] is not None and found[2].lstrip("0") != "1":
+            raise WordError(f"{name} P{found[2]}: a subprogram is run once", 0)
         if depth == DEEPEST_CALL:
             raise WordError(f"{name} is called over {DEEPEST_CALL} levels deep", 0)
         self._end_spline()

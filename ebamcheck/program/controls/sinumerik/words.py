@@ -11,13 +11,15 @@ from ebamcheck.program.language.words import NUMBER, Block, UnknownWord, WordErr
 _WORD = re.compile(
     rf"""\s*(?:
       (?P<list_address>PO\[[XYZ]\])\s*=\s*\((?P<list>[^()]*)\)   # PO[X]=(1,2,3)
+    | (?P<letter>[A-Z])(?P<number>{NUMBER})(?![\d.]|\s*=)         # G1  X12.5, with blanks between them or without
     | (?P<name>[A-Z][A-Z0-9_]*)\s*=\s*(?P<value>{NUMBER})        # PL=1  CTOL=0.05  X=10
-    | (?P<letter>[A-Z])(?P<number>{NUMBER})                      # G1  X12.5
     | (?P<identifier>[A-Z_][A-Z0-9_]*)                           # BSPLINE  SOFT  MAIN_L0001
     | (?P<bad>\S.*)
     )""",
     re.VERBOSE,
 )
+
+_CODE = re.compile(r'[^;"]*(?:"[^"]*"[^;"]*)*')
 
 G_CODES = frozenset(
     {
@@ -42,6 +44,15 @@ AXES = ("X", "Y", "Z")
 NUMBERS = (*AXES, "F", "I", "J", "CR", "PL", "PW", "SD", "CTOL", "ADIS")
 DEGREE = 3
 """Highest degree of a POLY block that is read; the control knows up to 5."""
+
+
+def split_comment(text: str) -> tuple[str, str]:
+    """Code and comment of a line: the comment begins at the first semicolon that stands in no message.
+
+    A quotation mark without its other half stays in the code, which no block has.
+    """
+    end = _CODE.match(text).end()  # type: ignore[union-attr]
+    return (text, "") if text[end : end + 1] == '"' else (text[:end], text[end + 1 :])
 
 
 def read_block(code: str, rotary: tuple[str, ...] = ()) -> Block:

@@ -1,0 +1,378 @@
+"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.pipeline.certificate_form` is that of the certificate.
+
+Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
+name, and a file's name is one inside of the run folder. What a record *says* is believed by nobody; that is for
+:func:`ebamcheck.verify`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    model_validator,
+)
+
+from ebamcheck.errors import InputError
+from ebamcheck.findings import Severity
+from ebamcheck.pipeline.record_values import (
+    PRINTED,
+    Count,
+    Figures,
+    FileName,
+    Finite,
+    Number,
+    RunFile,
+    SettingsTables,
+    Sha256,
+    SlicerName,
+    known_code,
+    part_file,
+)
+from ebamcheck.printable import printable
+
+FORMAT_VERSION = 1
+
+
+class Form(BaseModel):
+    """A table of a record: no key more than these, each of its own type."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class GateForm(Form):
+    """One gate."""
+
+    name: str
+    passed: bool
+    figure: Number
+    limit: Number
+    unit: str
+    text: str
+
+
+class CheckForm(Form):
+    """One check of a program."""
+
+    name: str
+    passed: bool
+    value: Number
+    limit: Number
+    unit: str
+    where: str
+    text: str
+    layer: int | None = None
+    x_mm: Number | None = None
+    y_mm: Number | None = None
+    place: str = ""
+    remedy: str = ""
+
+
+class FindingForm(Form):
+    """One finding."""
+
+    severity: Severity
+    code: Annotated[str, AfterValidator(known_code)]
+    text: str
+    place: str = ""
+    figure: Number | None = None
+    limit: Number | None = None
+    unit: str = ""
+    remedy: str = ""
+
+
+class ProgramFile(Form):
+    """One file of a program, by its plain name."""
+
+    name: FileName
+    sha256: Sha256
+    blocks: Count = 0
+
+
+class EntryForm(Form):
+    """The program that begins at a layer."""
+
+    layer: Count
+    validated: bool
+    files: Annotated[list[ProgramFile], Field(min_length=1)]
+    check: CheckForm
+
+
+class LiveForm(Form):
+    """The main program that waits between layers."""
+
+    name: FileName
+    sha256: Sha256
+    validated: bool
+    check: CheckForm
+
+
+class TotalsForm(Form):
+    """Sums over a program."""
+
+    contour_mm: Finite
+    hatch_mm: Finite
+    travel_mm: Finite
+    deposit_s: Finite
+    travel_s: Finite
+    pause_s: Finite = 0.0
+    wire_mm: Finite
+    wire_kg: Finite
+    motions: Finite = 0.0
+
+
+class ScanForm(Form):
+    """What was planned, summed over the layers."""
+
+    model_config = ConfigDict(extra="allow")  # further sums, of runs with other beads
+    __pydantic_extra__: dict[str, Finite]
+
+    order: str
+    seed: Count
+    islands: Count
+    hatch_mm: Finite
+    travel_mm: Finite
+    starts: Finite
+    time_s: Finite
+
+
+class FeedForm(Form):
+    """Feed that the axes reach along a path."""
+
+    blocks: Number
+    time_s: Number
+    constant_feed_s: Number
+    dips: Number
+    dip_s: Number
+    least_share: Number
+    length_mm: Number
+    excess_mm3: Number
+    excess_mm3_per_m: Number
+
+
+class TimingsForm(Form):
+    """``timings.json``: what differs from one run to the next."""
+
+    finished: str
+    machine: str
+    part_path: str = ""
+    stages_s: dict[str, Finite]
+    compile_s: Finite = 0.0
+    backends: dict[SlicerName, dict[str, Finite]]
+
+
+class ProgramForm(Form):
+    """The program of a run."""
+
+    checks: list[CheckForm]
+    witness: SlicerName
+    totals: TotalsForm
+    validated: bool
+    files: Annotated[list[ProgramFile], Field(min_length=1)]
+    entry: EntryForm | None = None
+    live: LiveForm | None = None
+
+
+class BackendForm(Form):
+    """One slicer of a run."""
+
+    status: str
+    why: str
+    summary: str
+    exact: bool
+    coplanar_rule: str
+    inside_rule: str
+    device: str
+    versions: dict[str, str]
+    error_bound_mm: Number
+    height_bound_mm: Number
+    settings: dict[str, JsonValue]
+    rings: Count
+    open_paths: Count
+    points: Count
+    file: RunFile | Literal[""]
+
+
+class PairForm(Form):
+    """The worst figures of two slicers."""
+
+    a: SlicerName
+    b: SlicerName
+    layers: Count
+    gated: Count
+    agree: Count
+    limit_mm: Number
+    max_depth_mm: Number
+    max_hausdorff_mm: Number
+    max_p95_mm: Number
+    max_area_difference_mm2: Number
+    min_iou: Number
+
+
+class EvidenceForm(Form):
+    """Layers that rest on the same slicers."""
+
+    methods: list[SlicerName]
+    first_layer: Count
+    last_layer: Count
+
+
+class DisagreementForm(Form):
+    """One disagreement of two slicers."""
+
+    layer: int
+    height_mm: Number
+    backend: str
+    against: str
+    metric: str
+    value: Number
+    limit: Number
+    x_mm: Number
+    y_mm: Number
+    cause: str
+    cause_text: str = ""
+    cause_size: Number | None = None
+    cause_unit: str = ""
+    cause_share: Number | None = None
+    remedy: str = ""
+    program_layer: int
+    program_z_mm: Number
+
+
+class ComparisonForm(Form):
+    """How the slicers compare."""
+
+    compared_layers: Count
+    passed: bool
+    verdicts: dict[str, Count]
+    classes: dict[str, Count]
+    pairs: list[PairForm]
+    evidence: list[EvidenceForm]
+    no_evidence: dict[SlicerName, str]
+    findings: list[DisagreementForm]
+
+
+class PartOfRun(Form):
+    """The part, as record and certificate name it."""
+
+    name: str
+    source: Annotated[str, AfterValidator(part_file)]
+    sha256: Sha256
+    mesh_sha256: Sha256
+    units: str
+    units_from: str = ""
+    direction: Annotated[list[float], Field(min_length=3, max_length=3)]
+    place_at_mm: list[float] | None = None
+    rotate_deg: float = 0.0
+
+
+class InspectedPart(PartOfRun):
+    """The part in a record, with its inspection."""
+
+    inspection: dict[str, JsonValue]
+
+
+class HeightsForm(Form):
+    """Heights of the cuts."""
+
+    count: Count
+    first_mm: float
+    last_mm: float
+    layer_height_mm: float
+
+
+class MethodForm(Form):
+    """Figures of a fit by one method."""
+
+    blocks: Count
+    max_bulge_mm: Number
+    max_points_mm: Number
+
+
+class FitForm(MethodForm):
+    """The fit."""
+
+    method: str
+    points: Count
+    rings: Count
+    fallen_rings: dict[str, Count]
+    open_rings: Count
+    methods: dict[str, MethodForm]
+
+
+class HeatForm(Form):
+    """Heat of the whole build."""
+
+    limit_k: Number
+    build_s: Figures
+
+
+class RecordForm(Form):
+    """``run.json``."""
+
+    format: Literal[1]
+    job: Literal["run", "check"]
+    fingerprint: str
+    ebamcheck: str
+    python: str
+    part: InspectedPart
+    settings: SettingsTables
+    settings_sha256: Sha256
+    heights: HeightsForm
+    primary: SlicerName | Literal[""]
+    backends: dict[SlicerName, BackendForm]
+    comparison: ComparisonForm
+    plate: list[dict[str, JsonValue]] = []
+    slabs: dict[str, JsonValue] = {}
+    fit: FitForm | None = None
+    reference: dict[str, JsonValue] | None = None
+    kinematics: dict[Literal["program", "polyline"], FeedForm] = {}
+    heat: HeatForm | None = None
+    program: ProgramForm | None = None
+    scan: ScanForm | None = None
+    gates: list[GateForm]
+    findings: list[FindingForm] = []
+    exit_code: Annotated[int, Field(ge=0, le=5)]
+    files: dict[RunFile, Sha256]
+    timings: TimingsForm | None = None
+    """In the record of runs of earlier versions."""
+
+    @model_validator(mode="after")
+    def _slicers_of_the_run(self) -> Self:
+        done = sorted(name for name, found in self.backends.items() if found.status == "done")
+        named = {"primary": self.primary, "program.witness": self.program.witness if self.program else ""}
+        for key, name in named.items():
+            if name and name not in done:
+                raise ValueError(
+                    f"{key} {name!r} is no slicer of this run: it has {', '.join(done) or 'none'}"
+                )
+        return self
+
+
+_Form = TypeVar("_Form", bound=Form)
+
+
+def in_form(kind: type[_Form], found: Any, where: Path) -> dict[str, Any]:
+    """Return a table that has the form of its kind, as it was read.
+
+    Raises
+    ------
+    InputError
+        If a key is missing or unknown, or something else stands under it than a run writes; the message names the first.
+    """
+    try:
+        kind.model_validate(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = printable(".".join(str(step) for step in first["loc"]), PRINTED)
+        more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+        what = printable(first["msg"].removeprefix("Value error, "), 2 * PRINTED)
+        raise InputError(f"{where}: is not whole: {place or 'all of it'}: {what}{more}") from None
+    return dict(found)
