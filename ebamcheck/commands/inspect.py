@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def inspect(
     part: PartArgument,
-    units: UnitsOption = "mm",
+    units: UnitsOption = "",
     regions: Annotated[
         bool,
         typer.Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform."),
@@ -43,7 +43,9 @@ def inspect(
 
     if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
         raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
-    loaded_part, _ = read_part(part, checked(PartSettings, {"units": unit_named(units)}, "--units"))
+    loaded_part, _ = read_part(
+        part, checked(PartSettings, {"units": unit_named(units)} if units else {}, "--units")
+    )
     found = inspect_part(loaded_part)
     listed: list[Surface] = []
     if regions:

@@ -35,6 +35,9 @@ class Inspection:
     bodies: int
     size_mm: tuple[float, float, float]
     lower_mm: tuple[float, float, float]
+    units: str
+    """Unit of the file's numbers, before they became mm, and where it comes from."""
+    units_from: str
     volume_mm3: float
     open_edges: int
     nonmanifold_edges: int
@@ -125,6 +128,8 @@ def inspect(part: Part) -> Inspection:
         bodies=bodies,
         size_mm=_triple(part.size),
         lower_mm=_triple(part.bounds[0]),
+        units=part.units,
+        units_from=part.units_from,
         volume_mm3=float(part.volume),
         open_edges=open_edges,
         nonmanifold_edges=int(np.count_nonzero(facets_at_edge > 2)),

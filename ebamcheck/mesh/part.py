@@ -21,6 +21,13 @@ MOST_ROWS = 8192
 """Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine
 takes a hundred times as long as the rotation itself."""
 
+FROM_FILE = "the file"
+FROM_FORMAT = "the format, as the file states none"
+FROM_SETTINGS = "--units (part.units)"
+FROM_DEFAULT = "the default, as nothing states one"
+FROM_PARTS = "each part of the plate"
+"""Where the unit of a part's file comes from."""
+
 Vector = tuple[float, float, float]
 
 
@@ -38,8 +45,8 @@ class Part:
         Name of the part in reports.
     source, source_sha256
         File it was read from and the SHA-256 of that file's bytes; empty for a part made in memory.
-    units
-        Unit of the file's numbers, converted once at reading.
+    units, units_from
+        Unit of the file's numbers, converted once at reading, and where it comes from.
     direction
         Slicing direction in the coordinates of the file; `vertices` are rotated so that it points up.
     notes
@@ -59,6 +66,7 @@ class Part:
     source: str = ""
     source_sha256: str = ""
     units: str = "mm"
+    units_from: str = FROM_DEFAULT
     direction: Vector = (0.0, 0.0, 1.0)
     notes: tuple[str, ...] = ()
 
@@ -79,7 +87,7 @@ class Part:
             "size": short_text.size(self.size.tolist()),
             "lowest corner": ", ".join(f"{v:.6g}" for v in self.bounds[0]) + " mm",
             "volume": f"{self.volume:.6g} mm3",
-            "unit of the file": self.units,
+            "unit of the file": f"{self.units}, by {self.units_from}",
             "slicing direction": ", ".join(f"{v:g}" for v in self.direction),
         }
         return short_text.html(self.name, facts)

@@ -159,6 +159,8 @@ class SlabInspection:
             bodies=volumes.size,
             size_mm=(x, y, z),
             lower_mm=(x0, y0, z0),
+            units=self._outline.units,
+            units_from=self._outline.units_from,
             volume_mm3=float(volumes.sum()),
             inside_out_bodies=int(inside_out.sum()),
             open_bodies=int(is_open.sum()),

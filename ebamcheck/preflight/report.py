@@ -164,7 +164,7 @@ def _mesh(found: Inspection) -> PreflightCheck:
 
 def _units(found: Inspection, config: Config) -> Iterator[PreflightCheck]:
     told = [of_finding("units", finding) for finding in suspicions(found, config)]
-    size = f"{sizes(found.size_mm)} mm, read as {config.part.units}"
+    size = f"{sizes(found.size_mm)} mm, read as {found.units}, by {found.units_from}"
     yield from told or [PreflightCheck("units", "pass", size, max(found.size_mm), None, "mm")]
 
 

@@ -36,7 +36,7 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "part-under-beads",
-            f"the part is {size} mm, read as {config.part.units}: its largest extent is under {FEW_BEADS:g} beads",
+            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads",
             "part.units",
             largest,
             few_mm,
@@ -44,7 +44,7 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
             f"check the unit of the file (--units){_in_other_units(found, config)}",
         )
     # Of a file in inches that is what one expects.
-    if config.part.units not in ("in", "ft") and round_in_inches(found.size_mm):
+    if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
         yield Finding(
             "warning",
@@ -79,7 +79,7 @@ def round_in_inches(size_mm: tuple[float, float, float]) -> bool:
 
 def _in_other_units(found: Inspection, config: Config) -> str:
     """What a small part would be in inches, or in metres where it is small in inches, too; of numbers read as millimetres."""
-    if config.part.units != "mm":
+    if found.units != "mm":
         return ""
     few_mm = FEW_BEADS * config.process.bead_width_mm
     unit, name = ("in", "inches") if INCH_MM * max(found.size_mm) >= few_mm else ("m", "metres")
@@ -95,7 +95,7 @@ def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 "part-beyond-travel",
-                f"the part is {extent:.6g} mm along {axis}, read as {config.part.units}; the axis travels {high - low:g} mm",
+                f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm",
                 f"machine.travel_max_mm {axis}",
                 extent,
                 high - low,
