@@ -54,32 +54,31 @@ def test_the_unit_of_the_file_holds_and_is_told(put, unit, ours, size):
     part = ebamcheck.load(path)
     assert part.size == pytest.approx((2 * size[0], *size[1:]), rel=1e-7)
     found = ebamcheck.inspect(part)
-    assert (found.units, found.units_from.partition(" as ")[0].rstrip(",")) == (
-        ours,
-        "the file" if unit else "the format",
-    )
+    assert (found.units, found.units_from) == (ours, "from the file" if unit else "by default of 3MF")
     told = CliRunner().invoke(app, ["inspect", str(path)]).stdout
-    assert f"units                {ours}" in told
-    assert found.units_from in told
+    assert f"units                {ours} ({found.units_from})" in told
 
 
 def test_units_that_contradict_the_file_are_an_error(put):
     path = put(package(model(box(1, (2, 1, 1)), ONE, unit='unit="inch"')))
     assert ebamcheck.load(path, units="inches").size == pytest.approx([50.8, 25.4, 25.4])
-    with pytest.raises(SettingsError, match=r"part\.3mf: its unit is in by the file, and mm by --units"):
+    with pytest.raises(
+        SettingsError,
+        match=r"part\.3mf: its unit is in \(from the file\), and --units \(part\.units\) says mm",
+    ):
         ebamcheck.load(path, units="mm")
-    with pytest.raises(SettingsError, match="its unit is in by the file, and cm by"):
+    with pytest.raises(SettingsError, match=r"its unit is in \(from the file\), and --units .* says cm"):
         read_part(path, Config().changed(part={"units": "cm"}).part)
     assert CliRunner().invoke(app, ["inspect", str(path), "--units", "mm"]).exit_code == 2
     bare = put(package(model(box(1, (2, 1, 1)), ONE, unit="")), "bare.3mf")
-    with pytest.raises(SettingsError, match="its unit is mm by the format"):
+    with pytest.raises(SettingsError, match=r"its unit is mm \(by default of 3MF\)"):
         ebamcheck.load(bare, units="in")
 
 
 def test_units_of_other_formats_are_told_with_their_source(tmp_path):
     stl = ebamcheck.save(ebamcheck.load(_three(tmp_path)), tmp_path / "box.stl")
-    assert ebamcheck.load(stl).units_from.startswith("the default")
-    assert ebamcheck.load(stl, units="in").units_from.startswith("--units")
+    assert ebamcheck.load(stl).units_from == "by default"
+    assert ebamcheck.load(stl, units="in").units_from == "from --units (part.units)"
 
 
 def _three(folder: Path) -> Path:
@@ -90,7 +89,7 @@ def _three(folder: Path) -> Path:
 def test_a_preflight_of_a_file_in_centimeters_knows_its_size(put):
     path = put(package(model(box(1, (6, 6, 2)), ONE, unit='unit="centimeter"')))
     check = next(c for c in ready(path, Config()).preflight.checks if c.name == "units")
-    assert check.text == "60 x 60 x 20 mm, read as cm, by the file"
+    assert check.text == "60 x 60 x 20 mm, read as cm (from the file)"
 
 
 def _parts(*items: str, own: str = "", inner: str = 'objectid="1" p:path="/3D/Objects/o.model"') -> bytes:

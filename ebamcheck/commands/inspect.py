@@ -60,9 +60,10 @@ def inspect(
         print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
     else:
         figures = found.as_dict()
-        for key in ("name", "verdict", "why", "notes", "passed"):
+        for key in ("name", "verdict", "why", "notes", "passed", "relations", "union_known", "units_from"):
             figures.pop(key)
         figures["size_mm"] = " x ".join(f"{s:.6g}" for s in found.size_mm)
+        figures["units"] = f"{found.units} ({found.units_from})"
         figures["lower_mm"] = ", ".join(f"{s:.6g}" for s in found.lower_mm)
         for key, value in figures.items():
             typer.echo(
@@ -70,6 +71,12 @@ def inspect(
                 if isinstance(value, float)
                 else f"{key.replace('_', ' '):20} {value}"
             )
+        for relation in found.relations:
+            typer.echo(f"{'warning' if relation.lost else 'bodies':20} {relation.text}")
+        if not found.union_known:
+            typer.echo(f"{'warning':20} the volume is the sum of all bodies, which may overlap")
+        for note in found.notes:
+            typer.echo(f"{'note':20} {note}")
         typer.echo(f"{'verdict':20} {found.verdict}: {found.why}")
         if regions:
             from ebamcheck.curves.regions.surfaces import table

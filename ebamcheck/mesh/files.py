@@ -92,7 +92,7 @@ def load(path: str | Path, units: str = "") -> Part:
 def _part_of(read: Facets, path: Path, given: str) -> Part:
     if given and read.units and given != read.units:
         raise SettingsError(
-            f"{path.name}: its unit is {read.units} by {read.units_from}, and {given} by --units (part.units): leave that out, "
+            f"{path.name}: its unit is {read.units} ({read.units_from}), and --units (part.units) says {given}: leave that out, "
             "or mend the file"
         )
     units, notes = given or read.units or "mm", read.notes

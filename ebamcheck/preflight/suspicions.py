@@ -22,6 +22,9 @@ INCH_PARTS = 16
 ROUND_MM = 0.5
 """Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
 
+MOST_BODIES = 8
+"""Bodies that are told one by one."""
+
 ROUNDING = 2e-6
 """Of an extent: coordinates of single precision on both sides of it."""
 
@@ -54,6 +57,33 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
             remedy="check that the file was not converted twice",
         )
     yield from _beyond_travel(found, config)
+
+
+def of_bodies(found: Inspection) -> Iterator[Finding]:
+    """How the bodies of a part lie to each other, and what is made of them."""
+    lost = [relation for relation in found.relations if relation.lost]
+    for relation in lost[:MOST_BODIES]:
+        code = "body-doubled" if relation.kind == "doubled" else "body-in-body"
+        remedy = (
+            "delete one of the two in the model"
+            if relation.kind == "doubled"
+            else "turn its facets over in the model if it is a cavity, else delete it"
+        )
+        yield Finding("warning", code, relation.text, f"body {relation.body}", remedy=remedy)
+    if len(lost) > MOST_BODIES:
+        more = f"{len(lost) - MOST_BODIES} or more further bodies lie in others of the same sense, or are doubled"
+        yield Finding("warning", "body-in-body", more, remedy="`ebamcheck inspect` lists them")
+    rest = [relation.text for relation in found.relations if not relation.lost]
+    if rest:
+        more = f"; and {len(rest) - MOST_BODIES} more" if len(rest) > MOST_BODIES else ""
+        yield Finding("note", "bodies-related", "; ".join(rest[:MOST_BODIES]) + more)
+    if not found.union_known:
+        yield Finding(
+            "warning",
+            "bodies-related",
+            f"bodies may overlap, and the volume of {found.volume_mm3:.6g} mm3 is the sum of all of them",
+            remedy="unite them in the model",
+        )
 
 
 def sizes(size: np.typing.ArrayLike) -> str:

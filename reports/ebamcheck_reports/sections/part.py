@@ -71,7 +71,7 @@ def _verdict(found: dict[str, object]) -> Markup:
 
 def _unit(part: dict[str, str]) -> str:
     """Unit, and where it comes from; runs of earlier versions do not tell that."""
-    return f"{part['units']}, by {part['units_from']}" if "units_from" in part else part["units"]
+    return f"{part['units']} ({part['units_from']})" if "units_from" in part else part["units"]
 
 
 def _vector(direction: list[float]) -> str:
