@@ -209,29 +209,18 @@ class _Look:
 
     def _near(self) -> NDArray[np.int64]:
         """Pairs (N, 2) of bodies whose boxes share a volume: the smaller, or later, and the larger one."""
-        import shapely
-
-        boxes = shapely.box(*self.lower[:, :2].T, *self.upper[:, :2].T)
-        tree, found, many = shapely.STRtree(boxes), [], 0
-        for first in range(0, self.count, 256):
-            a, b = tree.query(boxes[first : first + 256])
-            a = a + first
-            deep = np.minimum(self.upper[a], self.upper[b]) - np.maximum(self.lower[a], self.lower[b])
-            size = np.abs(self.volumes)
-            kept = (deep > self.aside_mm).all(axis=1)
-            kept &= (size[a] < size[b]) | ((size[a] == size[b]) & (a > b))
-            found.append(np.stack([a[kept], b[kept]], axis=1))
-            many += len(found[-1])
-            if many > MOST_PAIRS:
-                self.known = False
-                break
-        return np.concatenate(found)
+        pairs = boxes_meeting(self.lower, self.upper, self.aside_mm)
+        self.known = len(pairs) <= MOST_PAIRS
+        later, earlier = pairs[:MOST_PAIRS].T
+        size = np.abs(self.volumes)
+        turn = size[later] > size[earlier]
+        return np.stack([np.where(turn, earlier, later), np.where(turn, later, earlier)], axis=1)
 
     def _shares(self, inner: NDArray[np.int64], outer: int) -> Iterator[float]:
         """Share of the surface of each body that lies in another one."""
         import shapely
 
-        corners = self.part.triangles[self._rows[outer]]
+        corners = self.part.vertices[self.part.faces[self._rows[outer]]]
         low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
         tree = shapely.STRtree(shapely.box(*low.T, *high.T))
         for body in inner.tolist():
@@ -242,7 +231,7 @@ class _Look:
     def _points(self, body: int) -> Floats:
         """Points (N, 3) just within a body, on some of its facets."""
         rows = self._rows[body]
-        corners = self.part.triangles[rows[:: max(1, len(rows) // POINTS_OF_A_BODY)]]
+        corners = self.part.vertices[self.part.faces[rows[:: max(1, len(rows) // POINTS_OF_A_BODY)]]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(across, axis=1)
         kept = length > 0.0
@@ -338,6 +327,25 @@ class _Look:
         x1, y1, z1 = self.upper[body].tolist()
         same = bool(self.volumes[body] * self.volumes[other] > 0.0)
         return Relation(body + 1, other + 1, kind, same, (x0, y0, z0), (x1, y1, z1))
+
+
+def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> NDArray[np.int64]:
+    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; more than :data:`MOST_PAIRS`
+    only if there are."""
+    import shapely
+
+    boxes = shapely.box(*lower[:, :2].T, *upper[:, :2].T)
+    tree, found, many = shapely.STRtree(boxes), [np.zeros((0, 2), np.int64)], 0
+    for first in range(0, len(boxes), 256):
+        a, b = tree.query(boxes[first : first + 256])
+        a = a + first
+        deep = np.minimum(upper[a], upper[b]) - np.maximum(lower[a], lower[b])
+        kept = (a > b) & (deep > deep_mm).all(axis=1)
+        found.append(np.stack([a[kept], b[kept]], axis=1))
+        many += len(found[-1])
+        if many > MOST_PAIRS:
+            break
+    return np.concatenate(found)
 
 
 def _layers(solids: list[Manifold], count: int) -> list[Manifold]:

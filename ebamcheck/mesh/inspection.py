@@ -53,9 +53,8 @@ class Inspection:
     relations: tuple[Relation, ...]
     """How bodies lie to each other, at most a hundred of them; those first of which something may be lost."""
     related_bodies: int
-    """How many such relations there are."""
     union_known: bool
-    """Whether `volume_mm3` is that of the union of all bodies; else their volumes were summed."""
+    """How many such relations there are; and whether `volume_mm3` is that of the union of all bodies, else it is their sum."""
     notes: tuple[str, ...]
     verdict: Verdict
     why: str
@@ -164,8 +163,7 @@ def inspect(part: Part) -> Inspection:
 def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
     """Verdict on the figures of a part, with the reason.
 
-    `unpaired` edges have more than two facets that do not pair up in opposite directions; `enclosed_mm3` is the sum of the
-    absolute volumes of all bodies.
+    `unpaired`: edges of more than two facets that do not pair up; `enclosed_mm3`: sum of the absolute volumes of all bodies.
     """
     if found.open_edges:
         return "open", (

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ebamcheck.mesh.bodies import ASIDE, boxes_meeting
 from ebamcheck.mesh.inspection import (
     NO_VOLUME,
     Inspection,
@@ -166,7 +167,7 @@ class SlabInspection:
             open_bodies=int(is_open.sum()),
             relations=(),
             related_bodies=0,
-            union_known=volumes.size < 2,
+            union_known=not len(boxes_meeting(lower, upper, ASIDE * float(np.linalg.norm(size)))),
             notes=self._outline.notes,
             verdict="sound",
             why="closed, consistently oriented, volume positive",

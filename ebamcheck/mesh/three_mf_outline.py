@@ -127,9 +127,14 @@ def outline_of(data: bytes | memoryview, name: str) -> Outline:
         _check_sizes(archive, len(data), name)
         return _outline(archive, name)
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
-        raise InputError(f"{name}: cannot be read as 3MF: no whole zip archive: {error}") from None
+        raise InputError(f"{name}: cannot be read as 3MF: no whole zip archive: {_short(error)}") from None
     except (UnicodeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name}: cannot be read as 3MF: {error}") from None
+        raise InputError(f"{name}: cannot be read as 3MF: {_short(error)}") from None
+
+
+def _short(told: object) -> str:
+    """Words of a file, or of an error that may hold some, in one line of usual length."""
+    return " ".join(ascii(str(told))[1:-1].split())[:160].lstrip("/")
 
 
 def _check_sizes(archive: zipfile.ZipFile, packed: int, name: str) -> None:
@@ -240,7 +245,7 @@ def _parsed(
 ) -> None:
     """Read a file of XML in the package, without its vertices and facets."""
     if path not in named:
-        raise InputError(f"{name}: holds no {path.lstrip('/')}: no whole 3MF file")
+        raise InputError(f"{name}: holds no {_short(path)}: no whole 3MF file")
     parser = expat.ParserCreate(namespace_separator=" ")
     parser.StartElementHandler, parser.CharacterDataHandler, parser.EndElementHandler = start, text, end
     parser.StartDoctypeDeclHandler = _no_doctype
@@ -250,7 +255,7 @@ def _parsed(
                 parser.Parse(BULK.sub(b"", chunk), False)
         parser.Parse(b"", True)
     except expat.ExpatError as error:
-        raise InputError(f"{name}: {path.lstrip('/')} is no well-formed XML: {error}") from None
+        raise InputError(f"{name}: {_short(path)} is no well-formed XML: {error}") from None
 
 
 def _no_doctype(*_: Any) -> None:
@@ -261,11 +266,11 @@ def _check_units(parts: dict[str, _ModelPart], root: str, name: str) -> None:
     for path, part in parts.items():
         if part.unit and part.unit not in UNITS:
             raise InputError(
-                f"{name}: its unit is {part.unit[:40]!r}, and 3MF knows {', '.join(UNITS)}: export it anew"
+                f"{name}: its unit is {_short(part.unit)!r}, and 3MF knows {', '.join(UNITS)}: export it anew"
             )
         if part.unit and part.unit != (parts[root].unit or "millimeter"):
             raise InputError(
-                f"{name}: {path.lstrip('/')} is in {part.unit}, and the model that it belongs to in {parts[root].unit or 'millimeter'}: export it anew"
+                f"{name}: {_short(path)} is in {part.unit}, and the model that it belongs to in {parts[root].unit or 'millimeter'}: export it anew"
             )
 
 
@@ -276,13 +281,13 @@ def _check_copies(parts: dict[str, _ModelPart], root: str, name: str) -> None:
         for number, components in parts[path].objects.items():
             if lacking := [key for key in components if key not in count]:
                 raise InputError(
-                    f"{name}: object {number[:40]} is made of object {lacking[0][1][:40]}, which does not stand before it in the file: it holds no facet"
+                    f"{name}: object {_short(number)} is made of object {_short(lacking[0][1])}, which does not stand before it in the file: it holds no facet"
                 )
             count[path, number] = sum(count[key] for key in components) if components else 1
     of_items = Counter(key for key, _ in parts[root].items)
     if lacking := [key for key in of_items if key not in count]:
         raise InputError(
-            f"{name}: a build item names object {lacking[0][1][:40]!r}, which the file does not hold: export it anew"
+            f"{name}: a build item names object {_short(lacking[0][1])!r}, which the file does not hold: export it anew"
         )
     copies = sum(times * count[key] for key, times in of_items.items())
     if not copies:

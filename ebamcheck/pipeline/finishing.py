@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import has_fault
@@ -68,5 +70,7 @@ def finish(
 
 def _volume_off(job: Job, comparison: Comparison, primary: str) -> str:
     """How far the volume of the part is off its sections; nothing where it has none, or none were compared."""
-    layers = comparison.stacks.get(primary)
-    return volume_off(job.part, layers, job.config) if job.found.passed and layers is not None else ""
+    if primary not in comparison.stacks or not job.found.passed:
+        return ""
+    areas = comparison.stacks[primary]["area_mm2"].to_numpy(np.float64)
+    return volume_off(job.part, np.asarray(job.heights), areas, job.config)

@@ -125,7 +125,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agrees = comparison.passed
     tables, why_not = _tables(manifest, comparison)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
-    off = volume_off(part, comparison.stacks[witness], config) if sound.passed else ""
+    off = volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
     made = [gates.input_gate(sound, off), agreement]
     told = [*noticed.of_part(sound, config), *loose_limits(config)]
     told += [*outside_window(config, "warning"), *unusual_layers(config)]

@@ -8,7 +8,6 @@ the metal that would count twice. Only that is summed over layers, and only its 
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 
 from ebamcheck.layers.layer_rule import section_areas
 from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
@@ -18,15 +17,15 @@ from ebamcheck.pipeline.solid_metal import layer_borders
 from ebamcheck.settings.config import Config
 
 
-def volume_off(part: Part, layers: pd.DataFrame, config: Config) -> str:
+def volume_off(part: Part, cuts: Floats, areas: Floats, config: Config) -> str:
     """Say how far the volume of the part is off that of its sections; empty where they agree, or the layers are not all of the part.
 
     Parameters
     ----------
     part
         The part as placed, closed and the right way out.
-    layers
-        Columns ``height_mm`` and ``area_mm2`` of one slicer, from below.
+    cuts, areas
+        Heights (L,), mm, of the layers from below, and areas (L,), mm2, of their sections by one slicer.
     config
         Its `process.mass_tolerance` is the share by which a mass may be off.
 
@@ -35,12 +34,11 @@ def volume_off(part: Part, layers: pd.DataFrame, config: Config) -> str:
     Between two heights a section of the metal that counts twice changes by no more than its surface seen from above, P. Cut at the
     middles of layers of height h, it is summed to within h P / 2.
     """
-    cuts = layers["height_mm"].to_numpy(np.float64)
     if len(cuts) < 2 or config.layers.heights_mm or config.base_mm > 0.0:
         return ""
     found = bodies_of(part)
     heights = np.diff(layer_borders(part, cuts, config))
-    twice = section_areas(part, cuts) - layers["area_mm2"].to_numpy(np.float64)
+    twice = section_areas(part, cuts) - areas
     of_sections = found.signed_mm3 - float((heights * twice).sum())
     bound = 0.5 * float(heights.max()) * _seen_from_above(part)
     allowed = bound + config.process.mass_tolerance * found.volume_mm3
