@@ -259,13 +259,11 @@ def body_boxes(
     part: Part, body: NDArray[np.int32], bodies: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest corner of the box of each body, (B, 3) mm each."""
-    lower, upper = np.full((bodies, 3), np.inf), np.full((bodies, 3), -np.inf)
-    used = body >= 0
-    for corner in range(3):
-        points = part.vertices[part.faces[used, corner]]
-        np.minimum.at(lower, body[used], points)
-        np.maximum.at(upper, body[used], points)
-    return lower, upper
+    order = np.argsort(body, kind="stable")
+    starts = np.searchsorted(body[order], np.arange(bodies))
+    a, b, c = (part.vertices[part.faces[order, corner]] for corner in range(3))
+    lower = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts)
+    return lower, np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts)
 
 
 def outermost(
