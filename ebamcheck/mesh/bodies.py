@@ -334,7 +334,7 @@ def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> NDArray[np.in
     only if there are."""
     import shapely
 
-    boxes = shapely.box(*lower[:, :2].T, *upper[:, :2].T)
+    boxes = np.asarray(shapely.box(*lower[:, :2].T, *upper[:, :2].T), object)
     tree, found, many = shapely.STRtree(boxes), [np.zeros((0, 2), np.int64)], 0
     for first in range(0, len(boxes), 256):
         a, b = tree.query(boxes[first : first + 256])

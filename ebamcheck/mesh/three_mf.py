@@ -47,13 +47,14 @@ def read_3mf(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], 
     outline = outline_of(data, name)
     with scratch_folder() as folder:
         (folder / "part.3mf").write_bytes(data)
+        seconds = LEAST_SECONDS + outline.unpacked_bytes // BYTES_A_SECOND
         asked = {
             "file": str(folder / "part.3mf"),
             "corners": str(folder / "corners.npy"),
             "items": outline.items,
             "unprintable": outline.unprintable,
             "volumes": {f"{path}#{number}": rows for (path, number), rows in outline.volumes.items()},
-            "seconds": LEAST_SECONDS + outline.unpacked_bytes // BYTES_A_SECOND,
+            "seconds": seconds,
         }
         done = subprocess.run(
             [sys.executable, "-P", "-m", "ebamcheck.mesh.three_mf_meshes"],
@@ -62,7 +63,7 @@ def read_3mf(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], 
             check=False,
         )
         if done.returncode:
-            raise InputError(f"{name}: cannot be read as 3MF: {_why(done, int(asked['seconds']))}")
+            raise InputError(f"{name}: cannot be read as 3MF: {_why(done, seconds)}")
         told = json.loads(done.stdout)
         if "error" in told:
             raise InputError(f"{name}: cannot be read as 3MF: {told['error']}")
