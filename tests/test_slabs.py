@@ -146,7 +146,13 @@ def test_inspection_of_the_slabs_is_that_of_the_whole(name, tmp_path):
                 assert inspect(slab.part).open_edges == 0
             looked.add(slab)
         found, expected = dataclasses.asdict(looked.found()), dataclasses.asdict(inspect(whole))
-        assert found.pop("volume_mm3") == pytest.approx(expected.pop("volume_mm3"), rel=1e-9, abs=1e-9)
+        # How bodies lie to each other is seen in the whole alone; slabs sum their volumes, and say so.
+        expected.pop("volume_mm3")
+        assert found.pop("volume_mm3") == pytest.approx(whole.signed_volume, rel=1e-9, abs=1e-9)
+        related, known = expected.pop("related_bodies"), expected.pop("union_known")
+        assert found.pop("related_bodies") == 0 == len(found.pop("relations"))
+        assert not (found.pop("union_known") and known and related)
+        expected.pop("relations")
         # The reason of a part inside out holds its volume.
         assert found.pop("why")[:40] == expected.pop("why")[:40]
         assert found == expected

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def inspect(
     part: PartArgument,
-    units: UnitsOption = "mm",
+    units: UnitsOption = "",
     regions: Annotated[
         bool,
         typer.Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform."),
@@ -43,7 +43,9 @@ def inspect(
 
     if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
         raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
-    loaded_part, _ = read_part(part, checked(PartSettings, {"units": unit_named(units)}, "--units"))
+    loaded_part, _ = read_part(
+        part, checked(PartSettings, {"units": unit_named(units)} if units else {}, "--units")
+    )
     found = inspect_part(loaded_part)
     listed: list[Surface] = []
     if regions:
@@ -58,9 +60,10 @@ def inspect(
         print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
     else:
         figures = found.as_dict()
-        for key in ("name", "verdict", "why", "notes", "passed"):
+        for key in ("name", "verdict", "why", "notes", "passed", "relations", "union_known", "units_from"):
             figures.pop(key)
         figures["size_mm"] = " x ".join(f"{s:.6g}" for s in found.size_mm)
+        figures["units"] = f"{found.units} ({found.units_from})"
         figures["lower_mm"] = ", ".join(f"{s:.6g}" for s in found.lower_mm)
         for key, value in figures.items():
             typer.echo(
@@ -68,6 +71,12 @@ def inspect(
                 if isinstance(value, float)
                 else f"{key.replace('_', ' '):20} {value}"
             )
+        for relation in found.relations:
+            typer.echo(f"{'warning' if relation.lost else 'bodies':20} {relation.text}")
+        if not found.union_known:
+            typer.echo(f"{'warning':20} the volume is the sum of all bodies, which may overlap")
+        for note in found.notes:
+            typer.echo(f"{'note':20} {note}")
         typer.echo(f"{'verdict':20} {found.verdict}: {found.why}")
         if regions:
             from ebamcheck.curves.regions.surfaces import table

@@ -26,7 +26,10 @@ ConfigOption = Annotated[
     typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
 ]
 UnitsOption = Annotated[
-    str, typer.Option(help="Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Never guessed.")
+    str,
+    typer.Option(
+        help="Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Default: that of the file where it has one, else mm."
+    ),
 ]
 DirectionOption = Annotated[str, typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,9 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, edge_groups
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.showing import short_text
+
+if TYPE_CHECKING:
+    from ebamcheck.mesh.bodies import Relation
 
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat"]
 
@@ -35,6 +38,9 @@ class Inspection:
     bodies: int
     size_mm: tuple[float, float, float]
     lower_mm: tuple[float, float, float]
+    units: str
+    """Unit of the file's numbers, before they became mm, and where it comes from."""
+    units_from: str
     volume_mm3: float
     open_edges: int
     nonmanifold_edges: int
@@ -44,6 +50,11 @@ class Inspection:
     zero_area_facets: int
     inside_out_bodies: int
     open_bodies: int
+    relations: tuple[Relation, ...]
+    """How bodies lie to each other, at most a hundred of them; those first of which something may be lost."""
+    related_bodies: int
+    union_known: bool
+    """How many such relations there are; and whether `volume_mm3` is that of the union of all bodies, else it is their sum."""
     notes: tuple[str, ...]
     verdict: Verdict
     why: str
@@ -105,15 +116,17 @@ def inspect(part: Part) -> Inspection:
     >>> inspect(from_arrays(corners, [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])).verdict
     'sound'
     """
+    from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
+
     groups = edge_groups(part.faces, len(part.vertices))
     facets_at_edge = np.diff(groups.starts)
     balance = direction_balance(part.faces, groups)
     open_edges = int(np.count_nonzero(facets_at_edge == 1))
     inconsistent = int(np.count_nonzero((facets_at_edge == 2) & (balance != 0)))
     unpaired = int(np.count_nonzero((facets_at_edge > 2) & (balance != 0)))
-    body = body_labels(part, groups)
-    bodies = int(body.max()) + 1 if body.size and body.max() >= 0 else 0
-    volumes = body_volumes(part, body, bodies)
+    told = bodies_of(part, groups)
+    body, volumes = told.label, told.volumes
+    bodies = len(volumes)
     open_body = np.zeros(bodies, np.bool_)
     open_body[body[groups.half_edges[groups.starts[:-1][facets_at_edge == 1]] // 3]] = True
     repeated, zero_area = degenerate(part)
@@ -125,7 +138,12 @@ def inspect(part: Part) -> Inspection:
         bodies=bodies,
         size_mm=_triple(part.size),
         lower_mm=_triple(part.bounds[0]),
-        volume_mm3=float(part.volume),
+        units=part.units,
+        units_from=part.units_from,
+        volume_mm3=told.volume_mm3,
+        relations=told.relations[:MOST_LISTED],
+        related_bodies=len(told.relations),
+        union_known=told.known,
         open_edges=open_edges,
         nonmanifold_edges=int(np.count_nonzero(facets_at_edge > 2)),
         inconsistent_edges=inconsistent,
@@ -145,14 +163,7 @@ def inspect(part: Part) -> Inspection:
 def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
     """Verdict on the figures of a part, with the reason.
 
-    Parameters
-    ----------
-    found
-        The figures.
-    unpaired
-        Number of edges with more than two facets that do not pair up in opposite directions.
-    enclosed_mm3
-        Sum of the absolute volumes of all bodies.
+    `unpaired`: edges of more than two facets that do not pair up; `enclosed_mm3`: sum of the absolute volumes of all bodies.
     """
     if found.open_edges:
         return "open", (
@@ -248,13 +259,11 @@ def body_boxes(
     part: Part, body: NDArray[np.int32], bodies: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest corner of the box of each body, (B, 3) mm each."""
-    lower, upper = np.full((bodies, 3), np.inf), np.full((bodies, 3), -np.inf)
-    used = body >= 0
-    for corner in range(3):
-        points = part.vertices[part.faces[used, corner]]
-        np.minimum.at(lower, body[used], points)
-        np.maximum.at(upper, body[used], points)
-    return lower, upper
+    order = np.argsort(body, kind="stable")
+    starts = np.searchsorted(body[order], np.arange(bodies))
+    a, b, c = (part.vertices[part.faces[order, corner]] for corner in range(3))
+    lower = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts)
+    return lower, np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts)
 
 
 def outermost(
@@ -324,6 +333,7 @@ def fix_orientation(part: Part) -> tuple[Part, int]:
     turned
         Number of facets reversed.
     """
+
     groups = edge_groups(part.faces, len(part.vertices))
     flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)
     faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)

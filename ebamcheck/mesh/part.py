@@ -21,6 +21,13 @@ MOST_ROWS = 8192
 """Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine
 takes a hundred times as long as the rotation itself."""
 
+FROM_FILE = "from the file"
+FROM_FORMAT = "by default of 3MF"
+FROM_SETTINGS = "from --units (part.units)"
+FROM_DEFAULT = "by default"
+FROM_PARTS = "from each part of the plate"
+"""Where the unit of a part's file comes from."""
+
 Vector = tuple[float, float, float]
 
 
@@ -38,8 +45,8 @@ class Part:
         Name of the part in reports.
     source, source_sha256
         File it was read from and the SHA-256 of that file's bytes; empty for a part made in memory.
-    units
-        Unit of the file's numbers, converted once at reading.
+    units, units_from
+        Unit of the file's numbers, converted once at reading, and where it comes from.
     direction
         Slicing direction in the coordinates of the file; `vertices` are rotated so that it points up.
     notes
@@ -59,6 +66,7 @@ class Part:
     source: str = ""
     source_sha256: str = ""
     units: str = "mm"
+    units_from: str = FROM_DEFAULT
     direction: Vector = (0.0, 0.0, 1.0)
     notes: tuple[str, ...] = ()
 
@@ -79,7 +87,7 @@ class Part:
             "size": short_text.size(self.size.tolist()),
             "lowest corner": ", ".join(f"{v:.6g}" for v in self.bounds[0]) + " mm",
             "volume": f"{self.volume:.6g} mm3",
-            "unit of the file": self.units,
+            "unit of the file": f"{self.units} ({self.units_from})",
             "slicing direction": ", ".join(f"{v:g}" for v in self.direction),
         }
         return short_text.html(self.name, facts)
@@ -120,9 +128,16 @@ class Part:
         """Corner points of every facet, (F, 3, 3) mm."""
         return self.vertices[self.faces]
 
-    @cached_property
+    @property
     def volume(self) -> float:
-        """Signed volume, mm3, about the centre of the box; meaningful for closed parts."""
+        """Volume of what is built, mm3: of the places with a winding number over 0; the signed one of an open part."""
+        from ebamcheck.mesh.bodies import bodies_of
+
+        return bodies_of(self).volume_mm3
+
+    @cached_property
+    def signed_volume(self) -> float:
+        """Signed volume, mm3, about the centre of the box: bodies that overlap count twice where they do."""
         a, b, c = np.moveaxis(self.triangles - self.bounds.mean(axis=0), 1, 0)
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 

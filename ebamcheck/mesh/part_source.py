@@ -28,7 +28,11 @@ def read_part(path: str | Path, settings: PartSettings) -> tuple[Part, int]:
         raise SettingsError(
             f"{path}: part.place_at_mm and part.rotate_deg are of one part: a plate places each of its parts itself"
         )
-    part: Part = load_plate(path, settings.units, settings.direction) if plate else load(path, settings.units)
+    part: Part = (
+        load_plate(path, settings.units or "", settings.direction)
+        if plate
+        else load(path, settings.units or "")
+    )
     turned = 0
     if settings.fix_orientation:
         from ebamcheck.mesh.inspection import fix_orientation  # kernels load when they are needed
@@ -55,10 +59,10 @@ def read_reference(path: str | Path, part_path: str | Path, settings: PartSettin
             raise SettingsError(
                 f"{file}: a reference is of one part: measure the parts of a plate one by one"
             )
-    fine = load(path, settings.units).along(settings.direction)
+    fine = load(path, settings.units or "").along(settings.direction)
     if settings.place_at_mm is None and not settings.rotate_deg:
         return fine
-    return _placing(load(part_path, settings.units).along(settings.direction), settings).moved(fine)
+    return _placing(load(part_path, settings.units or "").along(settings.direction), settings).moved(fine)
 
 
 def source_sha256(path: str | Path) -> str:

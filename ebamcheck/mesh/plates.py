@@ -29,7 +29,7 @@ from pydantic import BeforeValidator, Field
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.mesh.files import load
-from ebamcheck.mesh.part import Part, Vector
+from ebamcheck.mesh.part import FROM_PARTS, Part, Vector
 from ebamcheck.mesh.placing import placing_of
 from ebamcheck.settings.base import Angle, Between, Place, Section
 from ebamcheck.settings.checking import checked, read_toml
@@ -81,7 +81,7 @@ class Member:
 
     Parameters
     ----------
-    name, source, sha256, units, direction
+    name, source, sha256, units, units_from, direction
         Name of the part, and the file from which it was read.
     place_at_mm, rotate_deg
         Place of the middle of its box, and its turn about the vertical.
@@ -93,6 +93,7 @@ class Member:
     source: str
     sha256: str
     units: str
+    units_from: str
     direction: Vector
     place_at_mm: tuple[float, float]
     rotate_deg: float
@@ -124,7 +125,7 @@ def is_plate(path: str | Path) -> bool:
     return Path(path).suffix.lower() == PLATE_SUFFIX
 
 
-def load_plate(path: str | Path, units: str = "mm", direction: Vector = (0.0, 0.0, 1.0)) -> PlatePart:
+def load_plate(path: str | Path, units: str = "", direction: Vector = (0.0, 0.0, 1.0)) -> PlatePart:
     """Read a plate and all of its parts.
 
     Parameters
@@ -132,7 +133,7 @@ def load_plate(path: str | Path, units: str = "mm", direction: Vector = (0.0, 0.
     path
         The TOML file.
     units, direction
-        Values for parts that have none of their own.
+        Values for parts that have none of their own; without a unit, that of each file.
 
     Raises
     ------
@@ -196,6 +197,7 @@ def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator
                     entry.file,
                     turned.source_sha256,
                     turned.units,
+                    turned.units_from,
                     turned.direction,
                     place,
                     entry.rotate_deg,
@@ -226,6 +228,7 @@ def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> Plat
         name=path.stem,
         source=str(path),
         source_sha256=plate_sha256(path),
+        units_from=FROM_PARTS,
         notes=tuple(
             dict.fromkeys(f"{Path(part.source).name}: {note}" for _, part in placed for note in part.notes)
         ),

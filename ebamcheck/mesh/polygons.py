@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,7 +61,21 @@ def numbers_of(tokens: list[bytes], where: str) -> NDArray[np.float64]:
         return np.array(tokens, dtype=np.bytes_).astype(np.float64) if tokens else np.zeros(0)
     except ValueError:
         bad = next(token for token in tokens if not _is_number(token))
-        raise InputError(f"{where}: {bad[:40].decode('ascii', 'replace')!r} is not a number") from None
+        token = bad[:40].decode("ascii", "replace")
+        raise InputError(f"{where}: {token!r} is not a number{decimal_comma(token)}") from None
+
+
+def decimal_comma(token: str) -> str:
+    """Say what to do where a number has a comma in place of its point; empty for any other token.
+
+    Examples
+    --------
+    >>> decimal_comma("1,5"), decimal_comma("1.5x")
+    (': it has a decimal comma: export the file with decimal points, or replace the commas', '')
+    """
+    if not re.fullmatch(r"[-+]?\d*,\d+([eE][-+]?\d+)?", token):
+        return ""
+    return ": it has a decimal comma: export the file with decimal points, or replace the commas"
 
 
 def _is_number(token: bytes) -> bool:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
 from ebamcheck.mesh.files import extent_notes, told_if_unreadable
-from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, Part
 from ebamcheck.mesh.stl import FACET_BYTES, FOREIGN, HEADER_BYTES, facet_corners, looks_like_ascii
 from ebamcheck.settings.units import UNITS_MM, unit_named
 
@@ -110,9 +110,7 @@ def facet_count(path: Path) -> int:
         return _count(file.read(HEADER_BYTES))
 
 
-def read_once(
-    path: str | Path, units: str = "mm", progress: Callable[[int], None] | None = None
-) -> FacetFile:
+def read_once(path: str | Path, units: str = "", progress: Callable[[int], None] | None = None) -> FacetFile:
     """Read a binary STL file from end to end: its box, its hash, and the heights of its facets.
 
     Parameters
@@ -120,7 +118,7 @@ def read_once(
     path
         The file.
     units
-        Unit of its numbers.
+        Unit of its numbers; empty: mm.
     progress
         Called with the number of facets read since the last call.
 
@@ -134,7 +132,7 @@ def read_once(
         raise InputError(
             f"{path.name}: only a binary STL file is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
         )
-    unit = unit_named(units)
+    unit = unit_named(units or "mm")
     millimetres = UNITS_MM[unit]
     with opened(path) as file, ThreadPoolExecutor(1) as aside:
         stamp = _stamp(file)
@@ -169,6 +167,7 @@ def read_once(
         source=str(path),
         source_sha256=digest.hexdigest(),
         units=unit,
+        units_from=FROM_SETTINGS if units else FROM_DEFAULT,
         notes=tuple(notes),
     )
     return FacetFile(path, low, high, millimetres, outline, stamp)

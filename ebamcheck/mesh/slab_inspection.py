@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from ebamcheck.mesh.bodies import ASIDE, boxes_meeting
 from ebamcheck.mesh.inspection import (
     NO_VOLUME,
     Inspection,
@@ -159,9 +160,14 @@ class SlabInspection:
             bodies=volumes.size,
             size_mm=(x, y, z),
             lower_mm=(x0, y0, z0),
+            units=self._outline.units,
+            units_from=self._outline.units_from,
             volume_mm3=float(volumes.sum()),
             inside_out_bodies=int(inside_out.sum()),
             open_bodies=int(is_open.sum()),
+            relations=(),
+            related_bodies=0,
+            union_known=not len(boxes_meeting(lower, upper, ASIDE * float(np.linalg.norm(size)))),
             notes=self._outline.notes,
             verdict="sound",
             why="closed, consistently oriented, volume positive",

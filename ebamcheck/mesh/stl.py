@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+from ebamcheck.mesh.polygons import decimal_comma
+from ebamcheck.mesh.unread_formats import how_to_read
 from ebamcheck.numeric.kernels import kernel, run_blocks
 
 HEADER_BYTES = 84
@@ -41,6 +43,12 @@ FOREIGN = (
     (b"PK\x03\x04", "a zip archive (a 3MF file, perhaps): unpack it, or name it .3mf"),
     (b"<", "a page or an XML file, not a mesh: was the download answered by an error page?"),
     (b"ply", "a PLY file: name it .ply"),
+    (b"ISO-10303-21", f"a STEP file, whatever its name: it {how_to_read('.step')}"),
+    (b"glTF", f"a glTF file, whatever its name: it {how_to_read('.glb')}"),
+    (b"OFF", f"an OFF file, whatever its name: it {how_to_read('.off')}"),
+    (b"#VRML", f"a VRML file, whatever its name: it {how_to_read('.wrl')}"),
+    (b"3D Geometry File Format", f"a Rhino file, whatever its name: it {how_to_read('.3dm')}"),
+    (b"**ABCDEFGHIJKLMNOPQRSTUVWXYZ", f"a Parasolid file, whatever its name: it {how_to_read('.x_t')}"),
 )
 """First bytes of other files that people save as .stl, with what to tell them."""
 
@@ -322,7 +330,10 @@ def _refuse_ascii(
 
 
 def _refuse_number(text: NDArray[np.uint8], name: str, at: int, why: str) -> NoReturn:
-    raise InputError(f"{name}: line {_line(text, at)}: vertex coordinate {_token(text, at)!r} {why}")
+    token = _token(text, at)
+    raise InputError(
+        f"{name}: line {_line(text, at)}: vertex coordinate {token!r} {why}{decimal_comma(token)}"
+    )
 
 
 def _token(text: NDArray[np.uint8], at: int) -> str:

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import has_fault
 from ebamcheck.pipeline import gates, noticed
@@ -15,6 +18,7 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.run_folder import FINGERPRINT, RunFolder
+from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.work import Job
 
 if TYPE_CHECKING:
@@ -39,7 +43,7 @@ def finish(
     """
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     judged = [
-        gates.input_gate(job.found),
+        gates.input_gate(job.found, _volume_off(job, checked.comparison, primary)),
         gates.agreement_gate(
             checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
         ),
@@ -63,3 +67,11 @@ def finish(
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
     return job.folder.finish(), tuple(judged), code, manifest
+
+
+def _volume_off(job: Job, comparison: Comparison, primary: str) -> str:
+    """How far the volume of the part is off its sections; nothing where it has none, or none were compared."""
+    if primary not in comparison.stacks or not job.found.passed:
+        return ""
+    areas = comparison.stacks[primary]["area_mm2"].to_numpy(np.float64)
+    return volume_off(job.part, np.asarray(job.heights), areas, job.config)

@@ -44,10 +44,11 @@ class Gate:
     text: str
 
 
-def input_gate(inspection: Inspection) -> Gate:
-    """The part is closed, consistently oriented and the right way out."""
-    faults = float(not inspection.passed)
-    return Gate("input", inspection.passed, faults, 0.0, "faults", f"{inspection.verdict}: {inspection.why}")
+def input_gate(inspection: Inspection, volume_off: str = "") -> Gate:
+    """The part is closed, consistently oriented and the right way out, and its volume is that of its sections."""
+    told = [f"{inspection.verdict}: {inspection.why}", *([volume_off] if volume_off else [])]
+    faults = (not inspection.passed) + bool(volume_off)
+    return Gate("input", not faults, float(faults), 0.0, "faults", "; ".join(told))
 
 
 def agreement_gate(

@@ -39,6 +39,7 @@ from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.tables_again import of_comparison, order_of, sums_of, tables_check
 from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
@@ -130,7 +131,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agrees = comparison.passed
     tables, why_not = _tables(manifest, comparison)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
-    made = [gates.input_gate(sound), agreement]
+    off = volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
+    made = [gates.input_gate(sound, off), agreement]
     told = [*noticed.of_part(sound, config), *loose_limits(config)]
     told += [*outside_window(config, "warning"), *unusual_layers(config)]
     record = manifest.get("program")

@@ -9,7 +9,7 @@ import pandas as pd
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.findings import Finding
 from ebamcheck.mesh.inspection import Inspection
-from ebamcheck.preflight.suspicions import suspicions
+from ebamcheck.preflight.suspicions import of_bodies, suspicions
 from ebamcheck.program.language.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
@@ -92,8 +92,9 @@ def of_set_aside(pairs: pd.DataFrame) -> Iterator[Finding]:
 
 
 def of_part(found: Inspection, config: Config) -> Iterator[Finding]:
-    """What the size of the part and its file say of its unit."""
-    return suspicions(found, config)
+    """What bodies, size and file of the part tell."""
+    yield from of_bodies(found)
+    yield from suspicions(found, config)
 
 
 # -- the profile -------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.mesh.files import corners_of
+from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.numeric.rings import Floats
@@ -51,8 +51,8 @@ FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.
 class _MeshFile:
     """Facets of a file, mm. Those of a file that is not large are held: copies on a plate ask for them again and again."""
 
-    def __init__(self, path: Path, unit_mm: float) -> None:
-        self.path, self._unit_mm = path, unit_mm
+    def __init__(self, path: Path, unit: str | None) -> None:
+        self.path, self._unit = path, unit
         self._held: list[Floats] | None = None
 
     def facets(self) -> Iterator[Floats]:
@@ -61,8 +61,7 @@ class _MeshFile:
             yield from self._held
             return
         held, count = list[Floats](), 0
-        for some in self._read():
-            corners = some * self._unit_mm
+        for corners in self._read():
             count += len(corners)
             held = [*held, corners] if count <= AT_ONCE else []
             yield corners
@@ -70,9 +69,13 @@ class _MeshFile:
 
     def _read(self) -> Iterator[Floats]:
         if self.path.suffix.lower() == ".stl":
-            return _facets_of(self.path)
-        every = corners_of(self.path)
-        return (np.asarray(every[k : k + AT_ONCE], np.float64) for k in range(0, len(every), AT_ONCE))
+            unit_mm = UNIT_MM[self._unit or "mm"]
+            return (some * unit_mm for some in _facets_of(self.path))
+        every, _, own, _ = read_facets(self.path)
+        unit_mm = UNIT_MM[self._unit or own or "mm"]
+        return (
+            np.asarray(every[k : k + AT_ONCE], np.float64) * unit_mm for k in range(0, len(every), AT_ONCE)
+        )
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,7 @@ def file_check(part: Part, config: Config) -> Check:
     what = max(off, key=lambda name: off[name])
     value = off[what]
     if value <= SAME_SIZE:
-        unit = "" if isinstance(part, PlatePart) else f" in {config.part.units}"
+        unit = "" if isinstance(part, PlatePart) else f" in {part.units}"
         text = f"{name}{unit}, {found[0]:.6g} mm high"
     elif math.isinf(value):
         text = f"the part has another number of facets than {name}"
@@ -137,14 +140,14 @@ def _bodies(part: Part, config: Config) -> list[_Body]:
         return []
     source, own = Path(part.source), config.part
     if not isinstance(part, PlatePart):
-        return [_Body(_MeshFile(source, UNIT_MM[own.units]), own.direction, own.rotate_deg, own.place_at_mm)]
-    bodies, files = [], dict[tuple[Path, float], _MeshFile]()
+        return [_Body(_MeshFile(source, own.units), own.direction, own.rotate_deg, own.place_at_mm)]
+    bodies, files = [], dict[tuple[Path, str | None], _MeshFile]()
     for entry in tomllib.loads(source.read_text(encoding="utf-8"))["parts"] if source.is_file() else ():
-        unit_mm = UNIT_MM[known_as(entry.get("units", own.units))]
+        unit = known_as(entry.get("units", own.units))
         (x, y), (step_x, step_y) = entry["place_mm"], entry.get("step_mm", (0.0, 0.0))
         path, turn_deg = source.parent / entry["file"], entry.get("rotate_deg", 0.0)
         direction = tuple(entry.get("direction", own.direction))
-        file = files.setdefault((path, unit_mm), _MeshFile(path, unit_mm))
+        file = files.setdefault((path, unit), _MeshFile(path, unit))
         for n in range(entry.get("copies", 1)):
             place = (x + n * step_x, y + n * step_y, 0.0)
             bodies.append(_Body(file, direction, turn_deg, place))

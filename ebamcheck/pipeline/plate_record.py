@@ -51,6 +51,7 @@ def plate_record(part: Part, config: Config, program: NCProgram | None = None) -
                 "sha256": member.sha256,
                 "mesh_sha256": mesh.sha256,
                 "units": member.units,
+                "units_from": member.units_from,
                 "direction": list(member.direction),
                 "place_at_mm": list(member.place_at_mm),
                 "rotate_deg": member.rotate_deg,

@@ -62,6 +62,7 @@ def manifest(
             "sha256": job.part.source_sha256,
             "mesh_sha256": job.part.sha256,
             "units": job.part.units,
+            "units_from": job.part.units_from,
             "direction": list(job.part.direction),
             **_placed(job),
             "inspection": job.found.as_dict(),

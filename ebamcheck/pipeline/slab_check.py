@@ -85,7 +85,7 @@ def check_in_slabs(
     _as_it_stands(config)
     backends = chosen_backends(config)
     observer.stage("read", facet_count(Path(part_path)))
-    file = read_once(part_path, config.part.units, observer.advance)
+    file = read_once(part_path, config.part.units or "", observer.advance)
     heights = cut_heights(file.outline, config)
     division = divided(file, heights, slabs, _reach_mm(file, backends, config))
     _within_work(division, heights, config, yes)

@@ -17,7 +17,7 @@ from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.preflight.room import room_checks
 from ebamcheck.preflight.sense import sense_checks
-from ebamcheck.preflight.suspicions import sizes, suspicions
+from ebamcheck.preflight.suspicions import of_bodies, sizes, suspicions
 from ebamcheck.preflight.workload import Workload, work_checks, workload
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
@@ -139,6 +139,7 @@ def _checks(
     of_layers: Sequence[PreflightCheck],
 ) -> Iterator[PreflightCheck]:
     yield _mesh(found)
+    yield from (of_finding("bodies", finding) for finding in of_bodies(found))
     yield from _units(found, config)
     yield _thickness(found, config)
     if config.machine.spool_kg is not None and found.passed:
@@ -164,7 +165,7 @@ def _mesh(found: Inspection) -> PreflightCheck:
 
 def _units(found: Inspection, config: Config) -> Iterator[PreflightCheck]:
     told = [of_finding("units", finding) for finding in suspicions(found, config)]
-    size = f"{sizes(found.size_mm)} mm, read as {config.part.units}"
+    size = f"{sizes(found.size_mm)} mm, read as {found.units} ({found.units_from})"
     yield from told or [PreflightCheck("units", "pass", size, max(found.size_mm), None, "mm")]
 
 

@@ -22,6 +22,9 @@ INCH_PARTS = 16
 ROUND_MM = 0.5
 """Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
 
+MOST_BODIES = 8
+"""Bodies that are told one by one."""
+
 ROUNDING = 2e-6
 """Of an extent: coordinates of single precision on both sides of it."""
 
@@ -36,7 +39,7 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
         yield Finding(
             "warning",
             "part-under-beads",
-            f"the part is {size} mm, read as {config.part.units}: its largest extent is under {FEW_BEADS:g} beads",
+            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads",
             "part.units",
             largest,
             few_mm,
@@ -44,7 +47,7 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
             f"check the unit of the file (--units){_in_other_units(found, config)}",
         )
     # Of a file in inches that is what one expects.
-    if config.part.units not in ("in", "ft") and round_in_inches(found.size_mm):
+    if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
         yield Finding(
             "warning",
@@ -54,6 +57,33 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
             remedy="check that the file was not converted twice",
         )
     yield from _beyond_travel(found, config)
+
+
+def of_bodies(found: Inspection) -> Iterator[Finding]:
+    """How the bodies of a part lie to each other, and what is made of them."""
+    lost = [relation for relation in found.relations if relation.lost]
+    for relation in lost[:MOST_BODIES]:
+        code = "body-doubled" if relation.kind == "doubled" else "body-in-body"
+        remedy = (
+            "delete one of the two in the model"
+            if relation.kind == "doubled"
+            else "turn its facets over in the model if it is a cavity, else delete it"
+        )
+        yield Finding("warning", code, relation.text, f"body {relation.body}", remedy=remedy)
+    if len(lost) > MOST_BODIES:
+        more = f"{len(lost) - MOST_BODIES} or more further bodies lie in others of the same sense, or are doubled"
+        yield Finding("warning", "body-in-body", more, remedy="`ebamcheck inspect` lists them")
+    rest = [relation.text for relation in found.relations if not relation.lost]
+    if rest:
+        more = f"; and {len(rest) - MOST_BODIES} more" if len(rest) > MOST_BODIES else ""
+        yield Finding("note", "bodies-related", "; ".join(rest[:MOST_BODIES]) + more)
+    if not found.union_known:
+        yield Finding(
+            "warning",
+            "bodies-related",
+            f"bodies may overlap, and the volume of {found.volume_mm3:.6g} mm3 is the sum of all of them",
+            remedy="unite them in the model",
+        )
 
 
 def sizes(size: np.typing.ArrayLike) -> str:
@@ -79,7 +109,7 @@ def round_in_inches(size_mm: tuple[float, float, float]) -> bool:
 
 def _in_other_units(found: Inspection, config: Config) -> str:
     """What a small part would be in inches, or in metres where it is small in inches, too; of numbers read as millimetres."""
-    if config.part.units != "mm":
+    if found.units != "mm":
         return ""
     few_mm = FEW_BEADS * config.process.bead_width_mm
     unit, name = ("in", "inches") if INCH_MM * max(found.size_mm) >= few_mm else ("m", "metres")
@@ -95,7 +125,7 @@ def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
             yield Finding(
                 "warning",
                 "part-beyond-travel",
-                f"the part is {extent:.6g} mm along {axis}, read as {config.part.units}; the axis travels {high - low:g} mm",
+                f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm",
                 f"machine.travel_max_mm {axis}",
                 extent,
                 high - low,

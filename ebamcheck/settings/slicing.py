@@ -17,9 +17,9 @@ Component = Annotated[float, Between(-1e6, 1e6)]
 class PartSettings(Section):
     """How the part's file is read and placed."""
 
-    units: Annotated[Literal["mm", "cm", "m", "um", "in", "ft"], BeforeValidator(known_as)] = "mm"
+    units: Annotated[Literal["mm", "cm", "m", "um", "in", "ft"], BeforeValidator(known_as)] | None = None
     """Unit of the numbers in the file, by its short or its usual longer name ("inch", "inches"); converted to mm once, at
-    reading."""
+    reading. None: that of the file where it has one (3MF), else mm; a file's own unit that is another is an error."""
     direction: tuple[Component, Component, Component] = (0.0, 0.0, 1.0)
     """Slicing direction in the coordinates of the file; the part is turned so that it points up."""
     rotate_deg: Angle = 0.0

@@ -58,6 +58,7 @@ def write_part(folder: Path, part: Part) -> None:
         "source": part.source,
         "source_sha256": part.source_sha256,
         "units": part.units,
+        "units_from": part.units_from,
         "direction": list(part.direction),
         "sha256": part.sha256,
     }

@@ -33,7 +33,7 @@ def render(run: RunData) -> Markup:
                 ("file", part["source"]),
                 ("name", part["name"]),
                 ("SHA-256 of the file", element("code", part["sha256"] or part["mesh_sha256"])),
-                ("unit of the file", part["units"]),
+                ("unit of the file", _unit(part)),
                 ("slicing direction", _vector(part["direction"])),
                 ("size as placed", join([" × ".join(shown(v) for v in found["size_mm"]), " mm"])),
                 ("lowest corner", join(["(", ", ".join(shown(v) for v in found["lower_mm"]), ") mm"])),
@@ -67,6 +67,11 @@ def _verdict(found: dict[str, object]) -> Markup:
     verdict = str(found["verdict"])
     said = join([element("b", verdict), ": ", found["why"], ". ", words.meaning(words.FAULTS, verdict)])
     return element("div", said, class_=f"note {'good' if found['passed'] else 'bad'}")
+
+
+def _unit(part: dict[str, str]) -> str:
+    """Unit, and where it comes from; runs of earlier versions do not tell that."""
+    return f"{part['units']} ({part['units_from']})" if "units_from" in part else part["units"]
 
 
 def _vector(direction: list[float]) -> str:

@@ -1,0 +1,379 @@
+"""Bodies of a part: which lies in which, which overlap or stand twice, and the volume of what is built of them.
+
+Built is what has a winding number over 0: bodies that overlap unite, a body in another of the same sense vanishes, and one of the
+opposite sense is a cavity. Boxes are looked at first, then points of the smaller body; manifold3d is asked where bodies cut each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ebamcheck.mesh.inspection import (
+    body_boxes,
+    body_labels,
+    body_volumes,
+    direction_balance,
+    duplicates,
+    inside_out_bodies,
+)
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import EdgeGroups, edge_groups
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Index = NDArray[np.int32]
+
+ASIDE = 1e-6
+"""How far within a body its points are taken, and how deep boxes must meet, over the size of the part: over the rounding of files."""
+
+SAME = 1e-6
+"""Share by which volumes differ that are the same."""
+
+POINTS_OF_A_BODY = 4096
+"""Most facets of a body at which it is looked whether it lies in another."""
+
+IN_FACET = (0.3512, 0.2871, 0.3617)
+"""Where on a facet: on no line that a regular mesh has."""
+
+MOST_PAIRS = 20_000
+"""Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any."""
+
+MOST_CUT_FACETS = 2_000_000
+"""Most facets that manifold3d is given, in all, to see whether bodies cut each other, and for their union."""
+
+MOST_LISTED = 100
+"""Most relations that are listed."""
+
+
+@dataclass(frozen=True)
+class Relation:
+    """How a body lies to another one. Bodies are numbered from 1, by their first facet."""
+
+    body: int
+    other: int
+    kind: Literal["inside", "doubled", "overlapping"]
+    """`body` lies in `other`, is `other` once more, or overlaps it."""
+    same_sense: bool
+    """Whether the facets of both look the same way: out of them, or into them."""
+    lower_mm: tuple[float, float, float]
+    upper_mm: tuple[float, float, float]
+    """Corners of the box of `body`."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether a body is lost that may have been meant as something else."""
+        return self.kind == "doubled" or (self.kind == "inside" and self.same_sense)
+
+    @property
+    def text(self) -> str:
+        """What is the case, and what is made of it."""
+        size = " x ".join(f"{b - a:.6g}" for a, b in zip(self.lower_mm, self.upper_mm, strict=True))
+        which = f"body {self.body} ({size} mm from {', '.join(f'{a:.6g}' for a in self.lower_mm)})"
+        if self.kind == "doubled":
+            return f"{which} is body {self.other} once more, doubled: it is built once"
+        if self.kind == "overlapping":
+            return f"{which} overlaps body {self.other}: they are built as one"
+        if self.same_sense:
+            return f"{which} lies in body {self.other}: body inside a body, same sense: lost cavity? It is built as solid metal"
+        return f"{which} lies in body {self.other}, opposite sense: its surface bounds a cavity"
+
+
+@dataclass(frozen=True, eq=False)
+class Bodies:
+    """Bodies of a part.
+
+    Parameters
+    ----------
+    label
+        (F,) body of each facet, from 0; -1 for a facet with a repeated corner.
+    volumes
+        (B,) signed volume of each, mm3.
+    relations
+        How bodies lie to each other: those first of which something may be lost.
+    volume_mm3
+        Volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum.
+    signed_mm3
+        Sum of the signed volumes.
+    known
+        Whether that is the volume of the union; else it is the signed sum, because there were too many or too odd bodies.
+    """
+
+    label: Index
+    volumes: Floats
+    relations: tuple[Relation, ...]
+    volume_mm3: float
+    signed_mm3: float
+    known: bool = True
+
+
+def bodies_of(part: Part, groups: EdgeGroups | None = None) -> Bodies:
+    """Tell the bodies of a part apart; the result is kept with the part."""
+    if "bodies" not in part.__dict__:
+        part.__dict__["bodies"] = _bodies_of(part, groups or edge_groups(part.faces, len(part.vertices)))
+    found: Bodies = part.__dict__["bodies"]
+    return found
+
+
+def _bodies_of(part: Part, groups: EdgeGroups) -> Bodies:
+    label = body_labels(part, groups)
+    closed = not direction_balance(part.faces, groups).any()
+    if closed:
+        label = _apart(part, label)
+    count = int(label.max(initial=-1)) + 1
+    volumes = body_volumes(part, label, count)
+    signed = part.signed_volume
+    if not closed or count < 2 or inside_out_bodies(part, label, volumes).any():
+        return Bodies(label, volumes, (), signed, signed)
+    return _Look(part, label, volumes).found(signed)
+
+
+def _apart(part: Part, label: Index) -> Index:
+    """Bodies with the facets that repeat others as bodies of their own, where these are closed."""
+    if not duplicates(part.faces):
+        return label
+    first = part.faces.argmin(axis=1)
+    turned = np.take_along_axis(part.faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    order = np.lexsort(turned.T[::-1])
+    same = (turned[order][1:] == turned[order][:-1]).all(axis=1)
+    if not same.any():
+        return label
+    start = np.concatenate([[0], np.flatnonzero(~same) + 1])
+    times = np.empty(len(order), np.int64)
+    times[order] = np.arange(len(order)) - np.repeat(start, np.diff(np.append(start, len(order))))
+    times[label < 0] = -1
+    found, count = np.full_like(label, -1), 0
+    for k in range(int(times.max()) + 1):
+        rows = np.flatnonzero(times == k)
+        some = Part(part.vertices, np.ascontiguousarray(part.faces[rows]))
+        groups = edge_groups(some.faces, len(some.vertices))
+        if direction_balance(some.faces, groups).any():
+            return label
+        found[rows] = body_labels(some, groups) + np.int32(count)
+        count = int(found.max()) + 1
+    return found
+
+
+class _Look:
+    """A look at the bodies of a closed part."""
+
+    def __init__(self, part: Part, label: Index, volumes: Floats) -> None:
+        self.part, self.label, self.volumes = part, label, volumes
+        self.count = len(volumes)
+        self.lower, self.upper = body_boxes(part, label, self.count)
+        self.aside_mm = ASIDE * float(np.linalg.norm(part.size))
+        order = np.argsort(label, kind="stable")
+        self._rows = np.split(order, np.searchsorted(label[order], np.arange(self.count)))[1:]
+        self._solids: dict[int, Manifold | None] = {}
+        self._budget = MOST_CUT_FACETS
+        self.known = True
+
+    def found(self, signed: float) -> Bodies:
+        """Relations and volume."""
+        inside, overlapping = self._related()
+        if not inside.size and not overlapping.size:
+            return Bodies(self.label, self.volumes, (), signed, signed, self.known)
+        volume = self._volume(inside, overlapping)
+        known = self.known and volume is not None
+        relations = sorted(self._relations(inside, overlapping), key=lambda r: (not r.lost, r.body))
+        return Bodies(
+            self.label,
+            self.volumes,
+            tuple(relations),
+            signed if volume is None else volume,
+            signed,
+            known,
+        )
+
+    def _related(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Pairs (N, 2) of a body and one that it lies in, and pairs of bodies that overlap."""
+        inside, overlapping = [], []
+        pairs = self._near()
+        for outer in np.unique(pairs[:, 1]).tolist():
+            inner = pairs[pairs[:, 1] == outer, 0]
+            for body, share in zip(inner.tolist(), self._shares(inner, outer), strict=True):
+                if share == 1.0:
+                    inside.append((body, outer))
+                elif share > 0.0 or self._cut(body, outer):
+                    overlapping.append((body, outer))
+        return np.array(inside, np.int64).reshape(-1, 2), np.array(overlapping, np.int64).reshape(-1, 2)
+
+    def _near(self) -> NDArray[np.int64]:
+        """Pairs (N, 2) of bodies whose boxes share a volume: the smaller, or later, and the larger one."""
+        pairs = boxes_meeting(self.lower, self.upper, self.aside_mm)
+        self.known = len(pairs) <= MOST_PAIRS
+        later, earlier = (pairs if self.known else pairs[:0]).T
+        size = np.abs(self.volumes)
+        turn = size[later] > size[earlier]
+        return np.stack([np.where(turn, earlier, later), np.where(turn, later, earlier)], axis=1)
+
+    def _shares(self, inner: NDArray[np.int64], outer: int) -> Iterator[float]:
+        """Share of the surface of each body that lies in another one."""
+        import shapely
+
+        corners = self.part.vertices[self.part.faces[self._rows[outer]]]
+        low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
+        tree = shapely.STRtree(shapely.box(*low.T, *high.T))
+        for body in inner.tolist():
+            points = self._points(body)
+            at, facet = tree.query(shapely.points(points[:, :2]))
+            yield float((_windings(points, corners, at, facet) != 0).mean()) if len(points) else 0.0
+
+    def _points(self, body: int) -> Floats:
+        """Points (N, 3) just within a body, on some of its facets."""
+        rows = self._rows[body]
+        corners = self.part.vertices[self.part.faces[rows[:: max(1, len(rows) // POINTS_OF_A_BODY)]]]
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(across, axis=1)
+        kept = length > 0.0
+        inwards = -np.sign(self.volumes[body]) * across[kept] / length[kept, None]
+        points: Floats = np.einsum("k,fki->fi", np.array(IN_FACET), corners[kept]) + self.aside_mm * inwards
+        return points
+
+    def _cut(self, body: int, other: int) -> bool:
+        """Whether two bodies, of which no point lies in the other, cut each other all the same."""
+        facets = len(self._rows[body]) + len(self._rows[other])
+        if facets > self._budget:
+            return False
+        self._budget -= facets
+        a, b = self._solid(body), self._solid(other)
+        if a is None or b is None:
+            return False
+        common = float((a ^ b).volume())
+        return common > SAME * abs(float(self.volumes[body]))
+
+    def _solid(self, body: int) -> Manifold | None:
+        """Body as a solid of manifold3d, whatever its sense; None where that takes it for none."""
+        import manifold3d
+
+        if body not in self._solids:
+            used, faces = np.unique(self.part.faces[self._rows[body]], return_inverse=True)
+            faces = faces.reshape(-1, 3)
+            faces = faces if self.volumes[body] > 0.0 else faces[:, ::-1]
+            mesh = manifold3d.Mesh64(self.part.vertices[used], np.ascontiguousarray(faces, np.uint64))
+            solid = manifold3d.Manifold(mesh)
+            self._solids[body] = solid if solid.status() == manifold3d.Error.NoError else None
+        return self._solids[body]
+
+    def _volume(self, inside: NDArray[np.int64], overlapping: NDArray[np.int64]) -> float | None:
+        """Volume of the places with a winding number over 0; None where it is not found."""
+        sign = np.sign(self.volumes).astype(np.int64)
+        outer = np.bincount(inside[:, 0], sign[inside[:, 1]], self.count).astype(np.int64)
+        # A surface counts where the winding number changes between 0 and more.
+        counts = (outer + sign > 0).astype(np.int64) - (outer > 0)
+        cluster = np.full(self.count, -1)
+        if overlapping.size:
+            a, b = np.concatenate([inside, overlapping]).T
+            graph = coo_array((np.ones(len(a)), (a, b)), (self.count, self.count))
+            _, joined = connected_components(graph, directed=False)
+            cut = np.isin(joined, joined[overlapping[:, 0]])
+            cluster[cut] = joined[cut]
+        volume = float((counts * np.abs(self.volumes))[cluster < 0].sum())
+        for one in np.unique(cluster[cluster >= 0]).tolist():
+            more = self._united(np.flatnonzero(cluster == one).tolist())
+            if more is None:
+                return None
+            volume += more
+        return volume
+
+    def _united(self, bodies: list[int]) -> float | None:
+        """Volume of the places that lie in more outward bodies than inward ones, of bodies that cut each other."""
+        import manifold3d
+
+        if sum(len(self._rows[k]) for k in bodies) > MOST_CUT_FACETS:
+            return None
+        plus = [self._solid(k) for k in bodies if self.volumes[k] > 0.0]
+        minus = [self._solid(k) for k in bodies if self.volumes[k] < 0.0]
+        solids, voids = [s for s in plus if s is not None], [s for s in minus if s is not None]
+        if len(solids) < len(plus) or len(voids) < len(minus):
+            return None
+        if not voids:
+            return float(manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).volume())
+        layers = len(voids) + 1
+        if layers * len(bodies) > 1000:
+            return None
+        # In at least k solids and fewer than k voids, for some k.
+        full, empty = _layers(solids, layers), _layers(voids, layers)
+        whole = manifold3d.Manifold()
+        for solid, void in zip(full, empty, strict=True):
+            whole = whole + (solid - void)
+        return float(whole.volume())
+
+    def _relations(self, inside: NDArray[np.int64], overlapping: NDArray[np.int64]) -> Iterator[Relation]:
+        """Each body in the smallest one around it, and each pair that overlaps."""
+        size = np.abs(self.volumes)
+        innermost: dict[int, int] = {}
+        for body, outer in inside.tolist():
+            if body not in innermost or (size[outer], -outer) < (size[innermost[body]], -innermost[body]):
+                innermost[body] = outer
+        for body, outer in innermost.items():
+            box = np.array([self.lower[body] - self.lower[outer], self.upper[body] - self.upper[outer]])
+            twice = abs(size[outer] - size[body]) <= SAME * size[outer] and np.abs(box).max() <= self.aside_mm
+            yield self._relation(body, outer, "doubled" if twice else "inside")
+        for body, other in overlapping.tolist():
+            yield self._relation(body, other, "overlapping")
+
+    def _relation(self, body: int, other: int, kind: Literal["inside", "doubled", "overlapping"]) -> Relation:
+        x0, y0, z0 = self.lower[body].tolist()
+        x1, y1, z1 = self.upper[body].tolist()
+        same = bool(self.volumes[body] * self.volumes[other] > 0.0)
+        return Relation(body + 1, other + 1, kind, same, (x0, y0, z0), (x1, y1, z1))
+
+
+def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> NDArray[np.int64]:
+    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; more than :data:`MOST_PAIRS`
+    only if there are."""
+    import shapely
+
+    boxes = np.asarray(shapely.box(*lower[:, :2].T, *upper[:, :2].T), object)
+    tree, found, many = shapely.STRtree(boxes), [np.zeros((0, 2), np.int64)], 0
+    for first in range(0, len(boxes), 256):
+        a, b = tree.query(boxes[first : first + 256])
+        a = a + first
+        deep = np.minimum(upper[a], upper[b]) - np.maximum(lower[a], lower[b])
+        kept = (a > b) & (deep > deep_mm).all(axis=1)
+        found.append(np.stack([a[kept], b[kept]], axis=1))
+        many += len(found[-1])
+        if many > MOST_PAIRS:
+            break
+    return np.concatenate(found)
+
+
+def _layers(solids: list[Manifold], count: int) -> list[Manifold]:
+    """Places that lie in at least 1, 2 .. `count` solids."""
+    import manifold3d
+
+    found = [manifold3d.Manifold() for _ in range(count)]
+    for solid in solids:
+        for k in range(count - 1, 0, -1):
+            found[k] = found[k] + (found[k - 1] ^ solid)
+        found[0] = found[0] + solid
+    return found
+
+
+def _windings(
+    points: Floats, corners: Floats, at: NDArray[np.int64], facet: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Winding number (N,) at points: facets over it that look up, less those that look down; of pairs of a point and a facet."""
+    p, (a, b, c) = points[at], np.moveaxis(corners[facet], 1, 0)
+
+    def side(u: Floats, v: Floats) -> Floats:
+        found: Floats = (v[:, 0] - u[:, 0]) * (p[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (p[:, 0] - u[:, 0])
+        return found
+
+    s = np.stack([side(b, c), side(c, a), side(a, b)], axis=1)
+    whole = s.sum(axis=1)
+    over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
+    z = np.stack([a[:, 2], b[:, 2], c[:, 2]], axis=1)
+    above = np.zeros(len(at), np.bool_)
+    above[over] = (s[over] * z[over]).sum(axis=1) / whole[over] > p[over, 2]
+    return np.bincount(at[above], np.sign(whole[above]), len(points)).astype(np.int64)

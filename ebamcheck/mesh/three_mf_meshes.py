@@ -1,0 +1,261 @@
+"""Meshes of a 3MF file as placed by its build, read by lib3mf: the program of a process of its own.
+
+lib3mf sets the locale of its process to C, and is native code that reads files of strangers: it may end, hang or fill the memory, but
+nothing else with it.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import lib3mf
+import numpy as np
+from numpy.typing import NDArray
+
+MOST_FACETS = 30_000_000
+"""Most facets of all placed meshes together."""
+
+MOST_MEMORY_BYTES = 8 << 30
+
+REFUSED = {
+    0x801E: "its unit is none that 3MF knows",
+    0x8092: "it requires an extension of 3MF that is not known",
+    0x805F: "the type of an object is none that 3MF knows",
+    0x1048: "a model part is empty",
+    0x80E7: "it is of a version of 3MF before the first",
+}
+"""Warnings of lib3mf (NMR_ErrorConst.h) after which it is not known what the file holds."""
+
+HARMLESS = {
+    0x80B0,  # a UUID is missing: the extension for production asks for them
+    0x80A0,  # or stands twice
+    0x80A7,  # an attribute that a slicer added
+    0x80B2, 0x805D, 0x805C, 0x80AE, 0x80C6,  # metadata
+    0x80BD,  # an item of type "other", which is told in any case
+    0x8078, 0x805B, 0x2020, 0x80BB, 0x80BE,  # textures, colours and materials
+    0x104B,  # an attachment
+}  # fmt: skip
+"""Warnings that have nothing to do with the solid."""
+
+KINDS = ("an object of type other", "part of the solid", "a support", "a solid support", "a surface")
+"""Types of objects, by their numbers in lib3mf."""
+
+MODEL = 1
+
+Floats = NDArray[np.float64]
+
+
+class Refused(Exception):
+    """The file cannot be read exactly; the text says why."""
+
+
+def main() -> None:
+    """Read the file that the standard input names, write its corners (F, 3, 3) as ``.npy``, and print what was left out, as JSON."""
+    asked = json.load(sys.stdin)
+    resource.setrlimit(resource.RLIMIT_CPU, (asked["seconds"], asked["seconds"] + 5))
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
+    try:
+        corners, notes = placed(asked["file"], asked["items"], set(asked["unprintable"]), asked["volumes"])
+        np.save(asked["corners"], corners)
+        told: dict[str, Any] = {"notes": notes}
+    except Refused as why:
+        told = {"error": str(why)}
+    except MemoryError:
+        told = {"error": f"needs more than {MOST_MEMORY_BYTES >> 30} GB of memory to be read"}
+    except lib3mf.ELib3MFException as why:
+        told = {"error": " ".join(str(why).split())[:160]}
+    sys.stdout.write(json.dumps(told))
+
+
+def placed(
+    file: str, items: int, unprintable: set[int], volumes: dict[str, list[tuple[int, int, str]]]
+) -> tuple[Floats, list[str]]:
+    """Corners (F, 3, 3) of the facets that are built, in the file's unit, and what is left out or ignored.
+
+    Parameters
+    ----------
+    file
+        The file.
+    items, unprintable
+        Number of its build items, and those that are not to be printed.
+    volumes
+        Facets that are no part of the solid (first, last or -1, kind), by ``path#number`` of their object.
+    """
+    model = lib3mf.get_wrapper().CreateModel()
+    reader = model.QueryReader("3mf")
+    reader.ReadFromFile(file)
+    notes = _remarks(reader)
+    build = list(_each(model.GetBuildItems(), lambda rows: rows.GetCurrent()))
+    if len(build) != items:
+        raise Refused(f"its build lists {items} items, of which lib3mf reads {len(build)}")
+    left_out: dict[str, list[str]] = {}
+    meshes = _Meshes(volumes, left_out)
+    for k, item in enumerate(build):
+        whole = item.GetObjectResource()
+        if k in unprintable:
+            _leave_out(left_out, whole, "not to be printed (printable=0)")
+            meshes.pass_over(whole)
+            continue
+        turn = _matrix(item.GetObjectTransform()) if item.HasObjectTransform() else np.eye(4)
+        for body, matrix in _parts(whole, turn, meshes.is_solid):
+            meshes.add(body, matrix)
+    for other in _each(model.GetObjects(), lambda rows: rows.GetCurrentObject()):
+        if other.GetUniqueResourceID() not in meshes.seen:
+            _leave_out(left_out, other, "not in the build")
+    notes += [f"left out: {_listed(which)}: {why}" for why, which in left_out.items()]
+    if not meshes.corners or not sum(map(len, meshes.corners)):
+        raise Refused("; ".join(["holds no facet that is built", *notes]))
+    return np.concatenate(meshes.corners), notes
+
+
+class _Meshes:
+    """Placed meshes so far; each mesh is asked for once."""
+
+    def __init__(
+        self, volumes: dict[str, list[tuple[int, int, str]]], left_out: dict[str, list[str]]
+    ) -> None:
+        self.corners: list[Floats] = []
+        self.seen: set[int] = set()
+        self._volumes, self._left_out = volumes, left_out
+        self._known: dict[int, Floats] = {}
+        self._facets = 0
+
+    def is_solid(self, body: Any) -> bool:
+        """Whether an object is part of the solid by its type; others are left out with all that they contain."""
+        self.seen.add(body.GetUniqueResourceID())
+        kind = int(body.GetType())
+        if kind == MODEL:
+            return True
+        self.pass_over(body)
+        _leave_out(self._left_out, body, KINDS[kind])
+        return False
+
+    def pass_over(self, whole: Any) -> None:
+        """Note that an object is left out with all that it contains."""
+
+        def seen(body: Any) -> bool:
+            self.seen.add(body.GetUniqueResourceID())
+            return True
+
+        for _ in _parts(whole, np.eye(4), seen):
+            pass
+
+    def add(self, body: Any, matrix: Floats) -> None:
+        """Place a mesh."""
+        number = body.GetUniqueResourceID()
+        if number not in self._known:
+            self._known[number] = self._solid(body)
+        corners = self._known[number]
+        self._facets += len(corners)
+        if self._facets > MOST_FACETS:
+            raise Refused(
+                f"its build places more than {MOST_FACETS} facets: build fewer copies, or a coarser mesh"
+            )
+        turn, scale = matrix[:3, :3], float(np.abs(matrix[:3, :3]).max(initial=0.0))
+        size = float(np.linalg.det(turn))
+        if not np.isfinite(matrix).all() or abs(size) <= 1e-9 * scale**3 or scale == 0.0:
+            raise Refused(
+                f"the transform of {_called(body)} is no placing: {matrix[:, :3].round(6).tolist()}"
+            )
+        there = corners @ turn + matrix[3, :3]
+        # A mirrored body has its facets the other way round.
+        self.corners.append(there if size > 0.0 else there[:, ::-1])
+
+    def _solid(self, body: Any) -> Floats:
+        """Corners (F, 3, 3) of the facets of a mesh that are part of the solid, where it stands by itself."""
+        _check_triangles_alone(body)
+        points = body.GetVertices()
+        vertices = np.frombuffer((lib3mf.Position * len(points))(*points), np.float32).reshape(-1, 3)
+        rows = body.GetTriangleIndices()
+        faces = np.frombuffer((lib3mf.Triangle * len(rows))(*rows), np.uint32).reshape(-1, 3)
+        kept = np.ones(len(faces), np.bool_)
+        key = f"{body.PackagePart().GetPath().lower()}#{body.GetModelResourceID()}"
+        for first, last, kind in self._volumes.get(key, []):
+            if not 0 <= first <= max(last, first) < max(len(faces), 1):
+                raise Refused(f"a {kind} of {_called(body)} has facets {first} to {last} of {len(faces)}")
+            kept[first : last + 1 if last >= 0 else len(faces)] = False
+            _leave_out(self._left_out, body, f"a {kind} in it" if last >= 0 else f"a {kind}")
+        corners: Floats = vertices.astype(np.float64)[faces[kept]]
+        return corners
+
+
+def _check_triangles_alone(body: Any) -> None:
+    """Refuse what is built of other things than triangles: the mesh beside them is not the part."""
+    if not body.IsMeshObject():
+        raise Refused(f"{_called(body)} is given by a function, not by a mesh: export it as a mesh")
+    lattice = body.BeamLattice()
+    if lattice.GetBeamCount() or lattice.GetBallCount():
+        raise Refused(
+            f"{_called(body)} has a beam lattice ({lattice.GetBeamCount()} beams): export it as a mesh"
+        )
+    if body.HasSlices(False) and body.GetSlicesMeshResolution() == lib3mf.SlicesMeshResolution.Lowres:
+        raise Refused(f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh")
+
+
+def _remarks(reader: Any) -> list[str]:
+    """Warnings of lib3mf that may concern the solid, each once; raises where what the file holds is not known."""
+    told = dict[str, int]()
+    for k in range(reader.GetWarningCount()):
+        code, words = reader.GetWarning(k)
+        if code in REFUSED:
+            raise Refused(f"{REFUSED[code]}: export it anew")
+        if code not in HARMLESS:
+            told[words] = told.get(words, 0) + 1
+    return [
+        f"lib3mf says: {words.rstrip('.')}" + (f" ({n} times)" if n > 1 else "") for words, n in told.items()
+    ]
+
+
+def _parts(
+    whole: Any, turn: Floats, wanted: Callable[[Any], bool] = lambda body: True
+) -> Iterator[tuple[Any, Floats]]:
+    """Meshes in an object with the matrices that place them; not what is in objects that are not wanted."""
+    open_objects = [(whole, turn)]
+    while open_objects:
+        body, matrix = open_objects.pop()
+        if not wanted(body):
+            continue
+        if not body.IsComponentsObject():
+            yield body, matrix
+            continue
+        inner = []
+        for k in range(body.GetComponentCount()):
+            component = body.GetComponent(k)
+            own = _matrix(component.GetTransform()) if component.HasTransform() else np.eye(4)
+            inner.append((component.GetObjectResource(), own @ matrix))
+        open_objects += inner[::-1]
+
+
+def _matrix(transform: Any) -> Floats:
+    """Matrix (4, 4) of a transform: a row (x, y, z, 1) times it is the place."""
+    matrix = np.eye(4)
+    matrix[:, :3] = np.array([list(row) for row in transform.Fields])
+    return matrix
+
+
+def _each(rows: Any, current: Callable[[Any], Any]) -> Iterator[Any]:
+    while rows.MoveNext():
+        yield current(rows)
+
+
+def _called(body: Any) -> str:
+    name = body.GetName()
+    return f"object {body.GetModelResourceID()}" + (f" ({name[:40]!r})" if name else "")
+
+
+def _leave_out(left_out: dict[str, list[str]], body: Any, why: str) -> None:
+    which = left_out.setdefault(why, [])
+    if _called(body) not in which:
+        which.append(_called(body))
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,328 @@
+"""What a 3MF file says of itself, from its directory and the tags around its meshes: before any mesh is read.
+
+A few kilobytes can stand for gigabytes of text or for billions of copies, so sizes and copies are counted first. What slicers write for
+themselves (items that are not to be printed, volumes that modify or cut others) is looked for here, because the readers of the format
+do not know it.
+"""
+
+from __future__ import annotations
+
+import io
+import posixpath
+import re
+import zipfile
+import zlib
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+from xml.parsers import expat
+
+from ebamcheck.errors import InputError
+from ebamcheck.settings.units import known_as
+
+MOST_ENTRIES = 10_000
+"""Most files in the archive."""
+
+MOST_BYTES = 2 << 30
+"""Most bytes of all files in it, unpacked: about twenty million facets."""
+
+MOST_RATIO, FREE_BYTES = 200, 256 << 20
+"""Meshes shrink to between a fifth and a fiftieth. An archive of more than that many bytes that shrinks far more holds no mesh."""
+
+MOST_COPIES = 100_000
+"""Most placed meshes: more come from components that contain each other over and over."""
+
+CHUNK = 1 << 22
+"""Bytes that are unpacked at a time."""
+
+CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
+PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
+ROOT_MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+
+UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
+"""Units that the format knows; without one it is the millimeter."""
+
+BULK = re.compile(rb"<(?:vertex|triangle)\s[^<>]*/>")
+"""Vertices and facets, nearly all of the text. A tag holds no other tag, so nothing else goes with them, wherever they stand."""
+
+CUT = "negative volume"
+MODIFIERS = {
+    "NegativeVolume": CUT,
+    "negative_part": CUT,
+    "ParameterModifier": "modifier",
+    "modifier_part": "modifier",
+    "SupportEnforcer": "support enforcer",
+    "support_enforcer": "support enforcer",
+    "SupportBlocker": "support blocker",
+    "support_blocker": "support blocker",
+}
+"""Kinds of volumes in the notes of PrusaSlicer, and of Bambu Studio and OrcaSlicer, that are no part of the solid."""
+
+CURA = {
+    "cura:support_mesh": "support",
+    "cura:anti_overhang_mesh": "support blocker",
+    "cura:infill_mesh": "modifier",
+    "cura:cutting_mesh": "modifier",
+}
+"""Metadata of objects by which Cura says the same."""
+
+Key = tuple[str, str]
+"""An object: its model part, in lower case, and its number there."""
+
+
+class Volume(NamedTuple):
+    """Facets of an object that are no part of the solid."""
+
+    first: int
+    last: int
+    """First and last facet; -1: to the end."""
+    kind: str
+
+
+@dataclass
+class Outline:
+    """What a 3MF file says of itself."""
+
+    unit: str = ""
+    """Its unit by our short name; empty: it states none."""
+    items: int = 0
+    """Build items."""
+    unprintable: list[int] = field(default_factory=list)
+    """Those of them that are marked as not to be printed."""
+    volumes: dict[Key, list[Volume]] = field(default_factory=dict)
+    """What of each object is no part of the solid."""
+    unpacked_bytes: int = 0
+
+
+@dataclass
+class _ModelPart:
+    """One model part: its unit, and its objects with their components, in the order of the text."""
+
+    unit: str = ""
+    objects: dict[str, list[Key]] = field(default_factory=dict)
+    items: list[tuple[Key, bool]] = field(default_factory=list)
+    """Object of each build item, and whether it is to be printed."""
+    marked: dict[str, str] = field(default_factory=dict)
+    """Objects that Cura marks as no part of the solid."""
+
+
+def outline_of(data: bytes | memoryview, name: str) -> Outline:
+    """Look at a 3MF file before its meshes are read.
+
+    Parameters
+    ----------
+    data
+        The whole file.
+    name
+        Its name, for messages.
+
+    Raises
+    ------
+    InputError
+        If it is no 3MF file, unpacks to too much, names what is not there, holds too many copies or a negative volume, or its unit
+        is none.
+    """
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(data))
+        _check_sizes(archive, len(data), name)
+        return _outline(archive, name)
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        raise InputError(f"{name}: cannot be read as 3MF: no whole zip archive: {_short(error)}") from None
+    except (UnicodeError, ValueError, OverflowError) as error:
+        raise InputError(f"{name}: cannot be read as 3MF: {_short(error)}") from None
+
+
+def _short(told: object) -> str:
+    """Words of a file, or of an error that may hold some, in one line of usual length."""
+    return " ".join(ascii(str(told))[1:-1].split())[:160].lstrip("/")
+
+
+def _check_sizes(archive: zipfile.ZipFile, packed: int, name: str) -> None:
+    entries = archive.infolist()
+    unpacked = sum(entry.file_size for entry in entries)
+    if len(entries) > MOST_ENTRIES:
+        raise InputError(f"{name}: holds {len(entries)} files, over {MOST_ENTRIES}: export it anew")
+    if unpacked > MOST_BYTES or (unpacked > FREE_BYTES and unpacked > MOST_RATIO * packed):
+        raise InputError(
+            f"{name}: {packed * 1e-6:.3g} MB would unpack to {unpacked * 1e-6:.6g} MB, which is no mesh that can be built "
+            f"(at most {MOST_BYTES * 1e-6:.0f} MB, and {MOST_RATIO} times the file): export it anew"
+        )
+
+
+def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
+    named = {_absolute(entry.filename): entry for entry in archive.infolist()}
+    root = _root_of(archive, named, name)
+    parts = {root: _read_part(archive, named, root, name)}
+    used = [key for components in parts[root].objects.values() for key in components]
+    for path, _ in [*used, *(key for key, _ in parts[root].items)]:
+        if path not in parts:
+            parts[path] = _read_part(archive, named, path, name)
+    _check_units(parts, root, name)
+    _check_copies(parts, root, name)
+    top = parts[root]
+    found = Outline(
+        known_as(top.unit) if top.unit else "",
+        len(top.items),
+        [k for k, (_, printed) in enumerate(top.items) if not printed],
+        unpacked_bytes=sum(entry.file_size for entry in archive.infolist()),
+    )
+    for path, part in parts.items():
+        for number, kind in part.marked.items():
+            found.volumes.setdefault((path, number), []).append(Volume(0, -1, kind))
+    for path, entry in named.items():
+        if path.startswith("/metadata/") and path.endswith(".config"):
+            _add_volumes(archive.read(entry), root, top, found)
+    for (_, number), volumes in found.volumes.items():
+        if any(volume.kind == CUT for volume in volumes):
+            raise InputError(
+                f"{name}: object {number} has a negative volume, which its slicer alone cuts off: apply it there (as a mesh boolean), and export the result"
+            )
+    return found
+
+
+def _absolute(path: str) -> str:
+    """Name of a file of the package as relations name it: from its root, in lower case."""
+    return posixpath.normpath("/" + path.replace("\\", "/").lstrip("/")).lower()
+
+
+def _root_of(archive: zipfile.ZipFile, named: dict[str, zipfile.ZipInfo], name: str) -> str:
+    found: list[str] = []
+
+    def start(tag: str, values: dict[str, str]) -> None:
+        if tag.endswith(" Relationship") and values.get("Type") == ROOT_MODEL:
+            found.append(_absolute(values.get("Target", "")))
+
+    _parsed(archive, named, "/_rels/.rels", name, start)
+    if not found:
+        raise InputError(f"{name}: names no model among its relations (_rels/.rels): export it anew")
+    return found[0]
+
+
+def _read_part(
+    archive: zipfile.ZipFile, named: dict[str, zipfile.ZipInfo], path: str, name: str
+) -> _ModelPart:
+    """Read the tags of a model part that are no vertices or facets."""
+    part, open_object, marking = _ModelPart(), [""], [""]
+
+    def start(tag: str, values: dict[str, str]) -> None:
+        space, _, local = tag.rpartition(" ")
+        if space != CORE:
+            return
+        if local == "model":
+            part.unit = values.get("unit", "")
+        elif local == "object":
+            open_object[0] = values.get("id", "")
+            part.objects[open_object[0]] = []
+        elif local in ("component", "item"):
+            key = _absolute(values.get(PATH, path)), values.get("objectid", "")
+            if local == "component":
+                part.objects.setdefault(open_object[0], []).append(key)
+            else:
+                marks = [values[k] for k in values if k.rpartition(" ")[2] == "printable"]
+                part.items.append((key, not any(mark.strip().lower() in ("0", "false") for mark in marks)))
+        elif local == "metadata":
+            marking[0] = CURA.get(values.get("name", ""), "")
+
+    def text(words: str) -> None:
+        if marking[0] and words.strip().lower() in ("true", "1"):
+            part.marked[open_object[0]] = marking[0]
+
+    def end(tag: str) -> None:
+        marking[0] = ""
+
+    _parsed(archive, named, path, name, start, text, end)
+    return part
+
+
+def _parsed(
+    archive: zipfile.ZipFile,
+    named: dict[str, zipfile.ZipInfo],
+    path: str,
+    name: str,
+    start: Any,
+    text: Any = None,
+    end: Any = None,
+) -> None:
+    """Read a file of XML in the package, without its vertices and facets."""
+    if path not in named:
+        raise InputError(f"{name}: holds no {_short(path)}: no whole 3MF file")
+    parser = expat.ParserCreate(namespace_separator=" ")
+    parser.StartElementHandler, parser.CharacterDataHandler, parser.EndElementHandler = start, text, end
+    parser.StartDoctypeDeclHandler = _no_doctype
+    try:
+        with archive.open(named[path]) as file:
+            while chunk := file.read(CHUNK):
+                parser.Parse(BULK.sub(b"", chunk), False)
+        parser.Parse(b"", True)
+    except expat.ExpatError as error:
+        raise InputError(f"{name}: {_short(path)} is no well-formed XML: {error}") from None
+
+
+def _no_doctype(*_: Any) -> None:
+    raise ValueError("it declares a document type, which the format forbids")
+
+
+def _check_units(parts: dict[str, _ModelPart], root: str, name: str) -> None:
+    for path, part in parts.items():
+        if part.unit and part.unit not in UNITS:
+            raise InputError(
+                f"{name}: its unit is {_short(part.unit)!r}, and 3MF knows {', '.join(UNITS)}: export it anew"
+            )
+        if part.unit and part.unit != (parts[root].unit or "millimeter"):
+            raise InputError(
+                f"{name}: {_short(path)} is in {part.unit}, and the model that it belongs to in {parts[root].unit or 'millimeter'}: export it anew"
+            )
+
+
+def _check_copies(parts: dict[str, _ModelPart], root: str, name: str) -> None:
+    """Count the placed meshes: an object stands before those that contain it, and parts other than the root contain no further part."""
+    count: dict[Key, int] = {}
+    for path in [*(path for path in parts if path != root), root]:
+        for number, components in parts[path].objects.items():
+            if lacking := [key for key in components if key not in count]:
+                raise InputError(
+                    f"{name}: object {_short(number)} is made of object {_short(lacking[0][1])}, which does not stand before it in the file: it holds no facet"
+                )
+            count[path, number] = sum(count[key] for key in components) if components else 1
+    of_items = Counter(key for key, _ in parts[root].items)
+    if lacking := [key for key in of_items if key not in count]:
+        raise InputError(
+            f"{name}: a build item names object {_short(lacking[0][1])!r}, which the file does not hold: export it anew"
+        )
+    copies = sum(times * count[key] for key, times in of_items.items())
+    if not copies:
+        raise InputError(f"{name}: holds no facet that is built: its build lists no item")
+    if copies > MOST_COPIES:
+        raise InputError(
+            f"{name}: its build places {copies:.6g} meshes, over {MOST_COPIES}: components that contain each other over and over, or too many items"
+        )
+
+
+def _add_volumes(text: bytes, root: str, top: _ModelPart, found: Outline) -> None:
+    """Volumes that a slicer's own notes name: by ranges of facets (PrusaSlicer), or by components (Bambu Studio, OrcaSlicer)."""
+    parser = expat.ParserCreate()
+    number, span = [""], [(0, -1)]
+
+    def add(key: Key, first: int, last: int, kind: str) -> None:
+        found.volumes.setdefault(key, []).append(Volume(first, last, kind))
+
+    def start(tag: str, values: dict[str, str]) -> None:
+        if tag == "object":
+            number[0] = values.get("id", "")
+        elif tag == "volume":
+            span[0] = int(values.get("firstid", "0")), int(values.get("lastid", "-1"))
+        elif tag == "metadata" and values.get("key") in ("volume_type", "modifier"):
+            kind = MODIFIERS.get(values.get("value", ""), "")
+            kind = "modifier" if values["key"] == "modifier" and values.get("value") == "1" else kind
+            if kind and number[0] in top.objects:
+                add((root, number[0]), *span[0], kind)
+        elif tag == "part" and (kind := MODIFIERS.get(values.get("subtype", ""), "")):
+            for key in top.objects.get(number[0], []):
+                if key[1] == values.get("id"):
+                    add(key, 0, -1, kind)
+
+    parser.StartElementHandler = start
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError:
+        return  # Not of the form that any slicer writes: other programs keep their settings under such names.

@@ -1,0 +1,183 @@
+"""Bodies in bodies: how they lie, the volume of what is built of them, and its check against the sections."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import ebamcheck
+from ebamcheck.commands.main import app
+from ebamcheck.layers.heights import layer_heights
+from ebamcheck.mesh.bodies import bodies_of
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.pipeline import gates
+from ebamcheck.pipeline.section_volume import volume_off
+from ebamcheck.preflight.report import ready
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
+from tests.three_mf import QUADS
+
+OUT, IN = 1, -1
+
+
+def boxes(*rows: tuple[tuple[float, float, float], tuple[float, float, float], int]) -> Part:
+    """Boxes, each by its lowest corner, its size, and whether its facets look out of it; equal corners are welded."""
+    corners = []
+    for at, size, sense in rows:
+        points = np.array(
+            [[a + s * (k >> n & 1) for n, (a, s) in enumerate(zip(at, size, strict=True))] for k in range(8)]
+        )
+        facets = np.array([[q[i] for i in t] for q in QUADS for t in ((0, 1, 2), (0, 2, 3))])
+        corners.append(points[facets[:, ::sense]])
+    flat = np.concatenate(corners).reshape(-1, 3)
+    points, faces = np.unique(flat, axis=0, return_inverse=True)
+    return from_arrays(points, faces.reshape(-1, 3))
+
+
+CUBE, INNER = ((0, 0, 0), (60, 60, 60)), ((20, 20, 20), (20, 20, 20))
+PLATE = ((0, 0, 0), (60, 60, 20))
+CASES = {
+    "same sense": (boxes((*CUBE, OUT), (*INNER, OUT)), 216000, ["inside"]),
+    "opposite sense": (boxes((*CUBE, OUT), (*INNER, IN)), 208000, ["inside"]),
+    "doubled": (boxes((*PLATE, OUT), (*PLATE, OUT)), 72000, ["doubled"]),
+    "three times": (boxes((*PLATE, OUT), (*PLATE, OUT), (*PLATE, OUT)), 72000, ["doubled", "doubled"]),
+    "overlap": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((20, 20, 0), (40, 40, 20), OUT)), 56000, ["overlapping"]),
+    "three overlap": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((20, 0, 0), (40, 40, 20), OUT), ((30, 30, 0), (40, 40, 20), OUT)), 74000, ["overlapping"] * 3),
+    "crossed bars": (boxes(((0, 20, 5), (60, 20, 10), OUT), ((20, 0, 0), (20, 60, 20), OUT)), 12000 + 24000 - 4000, ["overlapping"]),
+    "a body in a cavity": (boxes((*CUBE, OUT), (*INNER, IN), ((25, 25, 25), (10, 10, 10), OUT)), 209000, ["inside", "inside"]),
+    "a cavity in an overlap": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((20, 0, 0), (40, 40, 20), OUT), ((25, 5, 5), (10, 10, 10), IN)), 48000, ["inside", "overlapping"]),
+    "a cavity beside an overlap": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((20, 0, 0), (40, 40, 20), OUT), ((5, 5, 5), (10, 10, 10), IN)), 47000, ["inside", "overlapping"]),
+    "side by side": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((50, 0, 0), (40, 40, 20), OUT)), 64000, []),
+    "touching": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((40, 10, 0), (40, 20, 20), OUT)), 48000, []),
+    "one face": (boxes(((0, 0, 0), (40, 40, 20), OUT), ((40, 0, 0), (40, 40, 20), OUT)), 64000, []),
+    "flush inside": (boxes((*PLATE, OUT), ((0, 10, 5), (20, 20, 10), OUT)), 72000, ["inside"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_volume_and_relations(name):
+    part, volume, kinds = CASES[name]
+    found = inspect(part)
+    assert found.verdict == "sound"
+    assert found.volume_mm3 == part.volume == pytest.approx(volume, rel=1e-9)
+    assert sorted(relation.kind for relation in found.relations) == kinds
+    assert found.union_known
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_sections_have_the_volume_that_is_told(name):
+    part, volume, _ = CASES[name]
+    cuts = layer_heights(part, 1.0)
+    areas = slice_part(part, cuts).areas()
+    assert float(areas.sum()) == pytest.approx(volume, rel=0.05)
+    assert volume_off(part, cuts, areas, Config().changed(layers={"layer_height_mm": 1.0})) == ""
+
+
+def _told(part: Part, share: float) -> Part:
+    """Part with the volume of its sections plus a share of that."""
+    other = dataclasses.replace(part)
+    known = bodies_of(part)
+    other.__dict__["bodies"] = dataclasses.replace(known, volume_mm3=known.volume_mm3 * (1.0 + share))
+    return other
+
+
+@pytest.mark.parametrize("name", ["same sense", "doubled", "side by side", "overlap"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_volume_just_outside_of_the_bound_shuts_the_gate_and_one_just_inside_does_not(name, sign):
+    part, volume, _ = CASES[name]
+    config = Config().changed(layers={"layer_height_mm": 0.5})
+    cuts = layer_heights(part, 0.5)
+    areas = slice_part(part, cuts).areas()
+    seen = {"same sense": 2 * 400, "doubled": 4 * 3600, "side by side": 0, "overlap": 4 * 1600}[name]
+    tolerance = config.process.mass_tolerance
+    allowed = tolerance + 0.25 * seen / volume
+    inside, outside = (sign * allowed * times for times in (1 / 1.2, 1.2))
+    assert volume_off(_told(part, inside), cuts, areas, config) == ""
+    said = volume_off(_told(part, outside), cuts, areas, config)
+    assert "mm3 apart, over" in said
+    shut = gates.input_gate(inspect(part), said)
+    assert not shut.passed
+    assert shut.figure == 1.0
+    assert gates.input_gate(inspect(part)).passed
+
+
+def test_a_shell_that_cuts_itself_shuts_the_gate():
+    # A box whose upper half is turned about by a quarter more than once would be odd; a bow tie swept upwards is plain.
+    outline = np.array([(0, 0), (40, 0), (40, 40), (10, 40), (10, 10), (30, 10), (30, 30), (0, 30)], float)
+    n = len(outline)
+    points = np.concatenate([np.c_[outline, np.zeros(n)], np.c_[outline, np.full(n, 20.0)]])
+    sides = [t for k in range(n) for t in ((k, (k + 1) % n, (k + 1) % n + n), (k, (k + 1) % n + n, k + n))]
+    lids = [t for k in range(1, n - 1) for t in ((0, k + 1, k), (n, n + k, n + k + 1))]
+    part = from_arrays(points, [*sides, *lids])
+    assert inspect(part).verdict == "sound"
+    cuts = layer_heights(part, 1.0)
+    areas = slice_part(part, cuts).areas()
+    lost = part.volume - 20.0 * areas[0]
+    assert abs(lost) > 0.05 * part.volume
+    assert "facets of one body cut each other" in volume_off(
+        part, cuts, areas, Config().changed(layers={"layer_height_mm": 1.0})
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "level", "words"),
+    [
+        ("same sense", "warning", "body inside a body, same sense: lost cavity? It is built as solid metal"),
+        ("doubled", "warning", "is body 1 once more, doubled: it is built once"),
+        ("opposite sense", "pass", "lies in body 1, opposite sense: its surface bounds a cavity"),
+        ("overlap", "pass", "overlaps body 1: they are built as one"),
+    ],
+)
+def test_inspect_and_preflight_say_what_is_made_of_each_body(name, level, words, tmp_path):
+    path = ebamcheck.save(CASES[name][0], tmp_path / "part.stl")
+    found = [check for check in ready(path, Config()).preflight.checks if check.name == "bodies"]
+    assert [(check.level, words in check.text) for check in found] == [(level, True)]
+    told = CliRunner().invoke(app, ["inspect", str(path)])
+    assert told.exit_code == 0
+    assert words in told.stdout
+    assert f"volume mm3           {CASES[name][1]:.9g}" in told.stdout
+
+
+def test_the_spool_is_held_against_the_union(tmp_path):
+    path = ebamcheck.save(CASES["doubled"][0], tmp_path / "part.stl")
+    config = Config().changed(machine={"spool_kg": 1.0})
+    check = next(c for c in ready(path, config).preflight.checks if c.name == "wire on the spool")
+    assert check.figure == pytest.approx(72000e-9 * config.material.density_kg_m3)
+
+
+def test_open_and_inside_out_parts_keep_their_signed_volume():
+    part = CASES["overlap"][0]
+    opened = dataclasses.replace(part, faces=part.faces[1:])
+    assert inspect(opened).verdict == "open"
+    assert opened.volume == opened.signed_volume
+    turned = CASES["side by side"][0].reversed()
+    assert inspect(turned).verdict == "inside-out"
+    assert turned.volume == pytest.approx(-64000)
+
+
+def test_a_thousand_cavities_are_told_apart_without_cutting(monkeypatch):
+    holes = [
+        ((4 + 10 * x, 4 + 10 * y, 4 + 10 * z), (2, 2, 2), IN)
+        for x in range(10)
+        for y in range(10)
+        for z in range(10)
+    ]
+    part = boxes(((0, 0, 0), (100, 100, 100), OUT), *holes)
+    monkeypatch.setattr("ebamcheck.mesh.bodies.MOST_CUT_FACETS", 0)
+    found = inspect(part)
+    assert (found.bodies, found.related_bodies, len(found.relations)) == (1001, 1000, 100)
+    assert found.volume_mm3 == pytest.approx(1e6 - 8000)
+
+
+def test_too_many_to_unite_is_said(monkeypatch, tmp_path):
+    monkeypatch.setattr("ebamcheck.mesh.bodies.MOST_CUT_FACETS", 10)
+    part = dataclasses.replace(CASES["overlap"][0])
+    found = inspect(part)
+    assert not found.union_known
+    assert found.volume_mm3 == pytest.approx(64000)
+    checks = ready(ebamcheck.save(part, tmp_path / "part.stl"), Config()).preflight.checks
+    assert any("is the sum of all of them" in check.text for check in checks if check.level == "warning")
