@@ -43,6 +43,9 @@ MOST = HIGHEST * LEVELLED
 """Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames, rings,
 tapers and meshes, as they are planned, are all within it."""
 
+HATCH_ROOM = 1.2
+"""Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place."""
+
 TO_LEVEL, MOST_TO_LEVEL = 0.3, 0.2
 """Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. A place asks
 for what a layer needs on the surface that is there, but all layers together have the metal of the part: where sections taper,
@@ -223,7 +226,8 @@ def _changes(nc: NCProgram, config: Config, found: _Asked, sums: _Sums, begin: I
 def _worst(nc: NCProgram, spans: _Judged, bead_mm: float, beads: int) -> Check:
     """The span that is furthest over its limit, or nearest to it, as a check."""
     known = np.where(spans.length_mm >= LEAST_BEADS * bead_mm, np.abs(spans.off), 0.0)
-    limit = most_off(spans.length_mm, bead_mm)
+    room = np.where(nc.ring[spans.row] >= 0, 1.0, HATCH_ROOM)
+    limit = room * most_off(spans.length_mm, bead_mm)
     k = int(np.argmax(known / limit))
     row, most = int(spans.row[k]), float(limit[k])
     said = f"over {spans.length_mm[k]:.3g} mm a bead has {1.0 + spans.off[k]:.3g} times the wire that its place asks for"
@@ -248,7 +252,17 @@ def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> _Aske
     step, bead_mm = surface.step_mm, process.bead_width_mm
     pool, strip = pool_of(bead_mm, step), strip_of(bead_mm, step)
     thickness = np.diff(z_of, prepend=config.base_mm)
-    found = [_Asked(np.zeros(0, np.int64), np.zeros(0), *np.zeros((3, 3, 0)), *np.zeros((2, 0)))]
+    found = [
+        _Asked(
+            np.zeros(0, np.int64),
+            np.zeros(0),
+            np.zeros((3, 0)),
+            np.zeros((3, 0)),
+            np.zeros((3, 0)),
+            np.zeros(0),
+            np.zeros(0),
+        )
+    ]
     for k, section in enumerate(sections):
         height = float(thickness[k])
         mine = rows[nc.layer[rows] == k]
@@ -270,7 +284,7 @@ def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> _Aske
         width = mm2[row] / height
         limit = 1.0 * (width >= most * (1.0 - AT_LIMIT)) - 1.0 * (width <= least * (1.0 + AT_LIMIT))
         ways = np.stack([by_area, by_pool, by_strip], axis=1)
-        found.append(_Asked(row, along, *ways, width / bead_mm, limit))
+        found.append(_Asked(row, along, ways[0], ways[1], ways[2], width / bead_mm, limit))
     return _Asked(
         *(np.concatenate([getattr(f, name) for f in found], axis=-1) for name in _Asked.__dataclass_fields__)
     )
@@ -289,10 +303,8 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
     row, column = np.nonzero(target.share)
     cells = target.origin + (np.column_stack([column, row]) + 0.5) * target.step_mm
     _, near = cKDTree(places).query(cells)
-    return (
-        np.stack([np.bincount(near, f[row, column], minlength=len(places)) for f in fields])
-        * target.step_mm**2
-    )
+    areas = [np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
+    return np.asarray(np.stack(areas) * target.step_mm**2, np.float64)
 
 
 def _around(target: Target, places: Floats, values: Floats, pool: Floats) -> Floats:

@@ -26,21 +26,23 @@ from ebamcheck.settings.config import Config
 
 NAME = "ends of beads"
 
-MEAN_SPACINGS = 0.8
-"""Gap ahead of many ends on average, in spacings: at most half a spacing from the border of an island to the next bead, and as much as
-the pool behind an end covers, three tenths, before it."""
+MEAN_SPACINGS = 0.75
+"""Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
+it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all."""
 
-SINGLE_BEADS = 1.0
-"""Gap ahead of a single end, in bead widths: from there on its round end touches no other bead."""
+SINGLE_BEADS = 1.35
+"""Gap straight ahead of a single end, in bead widths: at one its round end touches no other bead there, and in a corner of islands a
+third may be left to the beads beside it."""
 
-BORDER_BEADS = 0.5
-"""Distance of an end that faces the border of the part, in bead widths: as far as its round end reaches."""
+BORDER_BEADS = 0.8
+"""Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a
+border that it meets at an angle it is nearer than straight ahead."""
 
 LEAST_BEADS = 0.5
 """Length of a bead, in bead widths, under which it fills a spot, and its ends have no direction."""
 
-AHEAD = math.tan(math.radians(60.0))
-"""Places within 60 degrees of the direction of an end lie ahead of it."""
+AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
+"""Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own."""
 
 REACH_BEADS = 2.5
 """Distance, in bead widths, within which the next metal is looked for."""
@@ -55,12 +57,12 @@ def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
     if not len(ends):
         return Check(NAME, True, 0.0, SINGLE_BEADS * bead_mm, "mm", "", "no hatch bead has ends")
     most = np.where(ends["free"], BORDER_BEADS, SINGLE_BEADS) * bead_mm
-    single = (ends["gap_mm"] / most).to_numpy()
+    single = (ends["straight_mm"] / most).to_numpy()
     k = int(np.argmax(single))
     row, layer, gap, limit = (
         int(ends["row"].iloc[k]),
         int(ends["layer"].iloc[k]),
-        float(ends["gap_mm"].iloc[k]),
+        float(ends["straight_mm"].iloc[k]),
         float(most[k]),
     )
     what = "the border of the part" if ends["free"].iloc[k] else "other metal"
@@ -78,12 +80,12 @@ def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
 
 
 def most_on_average_mm(count: Floats, config: Config) -> Floats:
-    """Gap that so many ends may have on average, mm: that of a single one, and less the more there are.
+    """Gap that so many independent ends may have on average, mm: that of a single one, and less the more there are.
 
     Examples
     --------
     >>> most_on_average_mm(np.array([1.0, 4.0, 400.0]), Config()).round(3).tolist()
-    [6.0, 4.092, 3.462]
+    [8.1, 4.455, 3.252]
     """
     mean_mm = MEAN_SPACINGS * config.process.hatch_spacing_mm
     return np.asarray(mean_mm + (SINGLE_BEADS * config.process.bead_width_mm - mean_mm) / count, np.float64)
@@ -100,7 +102,9 @@ def _means(ends: pd.DataFrame, config: Config) -> pd.DataFrame:
         gap_mm=("gap_mm", "mean"), count=("row", "size"), row=("row", "first")
     )
     found = found.reset_index()
-    found["limit_mm"] = most_on_average_mm(found["count"].to_numpy(np.float64), config)
+    # Ends in one layer meet the borders of the same few islands, and corners of these come together.
+    independent = np.where(found["layer"] < 0, found["count"], np.sqrt(found["count"]))
+    found["limit_mm"] = most_on_average_mm(independent, config)
     if not len(found):
         found.loc[0] = [-1, True, 0.0, 0, int(ends["row"].iloc[0]), 1.0]
     return found
@@ -133,11 +137,13 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         near = _near(place[mine], at, REACH_BEADS * bead_mm)
         other = mine[near[1]]
         own = (bead[other] == bead[owner[near[0]]]) & (np.abs(along[other] - along[owner[near[0]]]) < bead_mm)
-        gap = _ahead(at, way, near[0][~own], place[other[~own]])
+        end, others = near[0][~own], place[other[~own]]
+        gap = _ahead(at, way, end, others, AHEAD)
+        straight = _ahead(at, way, end, others, STRAIGHT)
         section = wanted_region(layer_section(layers.polygons(k)), config)
         border = _border_ahead(at, way, section, REACH_BEADS * bead_mm)
         found.append({
-            "gap_mm": np.minimum(gap, border), "free": border < gap, "start": np.arange(owner.size) < ends.size,
+            "gap_mm": gap, "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
             "row": row[owner], "layer": np.full(owner.size, k), "x_mm": at[:, 0], "y_mm": at[:, 1],
         })  # fmt: skip
     return pd.concat([pd.DataFrame(f) for f in found], ignore_index=True) if found else pd.DataFrame()
@@ -149,12 +155,12 @@ def _near(places: Floats, at: Floats, reach_mm: float) -> tuple[Ints, Ints]:
     return pairs["i"], pairs["j"]
 
 
-def _ahead(at: Floats, way: Floats, end: Ints, place: Floats) -> Floats:
-    """Distance (n,) from ends to the nearest of the places (m, 2) ahead of each; endless without any."""
+def _ahead(at: Floats, way: Floats, end: Ints, place: Floats, slope: float) -> Floats:
+    """Distance (n,) from ends to the nearest of the places (m, 2) ahead of each, by the slope of what counts as that; endless without any."""
     to = place - at[end]
     along = (to * way[end]).sum(axis=1)
     across = np.abs(to[:, 0] * way[end, 1] - to[:, 1] * way[end, 0])
-    ahead: Bools = (along > 0.0) & (across <= AHEAD * along)
+    ahead: Bools = (along > 0.0) & (across <= slope * along)
     gap = np.full(len(at), np.inf)
     np.minimum.at(gap, end[ahead], np.hypot(to[ahead, 0], to[ahead, 1]))
     return gap
