@@ -65,17 +65,7 @@ def test_two_millimetres_at_every_bead_are_found_and_half_a_millimetre_is_not(pl
     assert moved(plate, tmp_path, **{end: 0.3}).passed
 
 
-@pytest.mark.parametrize(("late_mm", "passes"), [(2.0, True), (12.0, False)])
-def test_one_end_may_be_further_from_other_metal_than_many(plate, tmp_path, late_mm, passes):
-    nc = read(plate)
-    beads = beads_of(nc)
-    hatch = beads.first[(nc.ring[beads.first] < 0) & (nc.lengths[beads.first] > 14.0)]
-    found = moved(plate, tmp_path, late_mm=late_mm, only=int(hatch[0]))
-    assert found.passed == passes
-    assert passes or ("a bead starts" in found.text and found.layer == int(nc.layer[hatch[0]]))
-
-
 def test_the_mean_of_many_ends_is_held_to_less_than_one_end():
-    """Three quarters of a spacing for very many, 1.35 bead widths for one."""
+    """Three quarters of a spacing for very many, one and a half bead widths for one."""
     limits = most_on_average_mm(np.array([1.0, 10.0, 1e6]), CONFIG)
-    assert limits == pytest.approx([8.1, 3.24 + 0.486, 3.24], abs=1e-3)
+    assert limits == pytest.approx([9.0, 3.24 + 0.576, 3.24], abs=1e-3)

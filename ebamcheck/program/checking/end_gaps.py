@@ -30,9 +30,9 @@ MEAN_SPACINGS = 0.75
 """Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
 it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all."""
 
-SINGLE_BEADS = 1.35
-"""Gap straight ahead of a single end, in bead widths: at one its round end touches no other bead there, and in a corner of islands a
-third may be left to the beads beside it."""
+SINGLE_BEADS = 1.5
+"""Gap straight ahead of a single end, in bead widths: a line beside its own, which may fill what the end leaves, comes within 30 degrees
+at 1.44 of them, at the default spacing."""
 
 BORDER_BEADS = 0.8
 """Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a
@@ -85,7 +85,7 @@ def most_on_average_mm(count: Floats, config: Config) -> Floats:
     Examples
     --------
     >>> most_on_average_mm(np.array([1.0, 4.0, 400.0]), Config()).round(3).tolist()
-    [8.1, 4.455, 3.252]
+    [9.0, 4.68, 3.254]
     """
     mean_mm = MEAN_SPACINGS * config.process.hatch_spacing_mm
     return np.asarray(mean_mm + (SINGLE_BEADS * config.process.bead_width_mm - mean_mm) / count, np.float64)
