@@ -47,6 +47,7 @@ from ebamcheck.program import Check
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.cold_entries import COLD
 from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
+from ebamcheck.program.checking.end_gaps import NAME as ENDS_OF_BEADS
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.interpass_checks import AGAIN
@@ -82,6 +83,7 @@ OF_TEXT_ALONE = (
     CROSSINGS,
     HANDSHAKE,
     WIRE_OF_BEADS,
+    ENDS_OF_BEADS,
     # Not by runs of an earlier version.
     AGAIN,
     COLD,

@@ -16,6 +16,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, lines_of, row_faults
+from ebamcheck.program.checking.end_gaps import end_gaps_check
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
 from ebamcheck.scan.filling.coverage import covered_fraction, ground
@@ -57,7 +58,7 @@ def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | No
     checks = [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
     if layers is not None:
         checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
-        checks.append(bead_wire_check(nc, config, z_of, layers))
+        checks += [bead_wire_check(nc, config, z_of, layers), end_gaps_check(nc, config, layers)]
     return checks
 
 

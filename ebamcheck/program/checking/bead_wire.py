@@ -1,21 +1,24 @@
 """Check of the wire of every bead by the place that it lies at, from the text and the sections alone.
 
-Where beads meet they share the metal of a layer, so that each takes as much wire as is missing under it. What a bead's place
-asks for is the metal of the layer there, over what all beads together lay there, as a mean over the bead's footprint. In a
-sound program that is nearly one number for all hatch beads, and another for all contours, whose flanks reach over the rim; a
-bead with more or less wire than its neighbours leave it, or that ends short of its place, stands out.
+What a place asks for is local: the area of the section that is nearer to it than to any other place of a bead, one layer high, and
+by part what levels the surface that is there. Where beads meet or lie side by side, one may lay what the other leaves: wire is wrong
+where the place says so by itself, together with all that lies in its pool, and by the height of the metal over the width of the bead.
+
+What counts is the height that the error comes to, over any length of bead. Every pool levels some of it; along the bead it levels an
+error that is not much longer than the bead is wide, and hardly any of a long one.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.metal import Surface, target_of
+from ebamcheck.metal import Surface, Target, target_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.checks import Check
@@ -28,29 +31,34 @@ from ebamcheck.settings.config import Config
 
 NAME = "wire of beads"
 
-LEAST_STRETCH = 0.5
-"""Length of a stretch, in bead widths, under which the steps beside it make its place."""
+HIGHEST = 0.35
+"""Share of a layer to which wrong wire that comes back in every layer may add up."""
 
-MOST_OF_SHORT, MOST_OF_SPOT = 0.35, 1.0
-"""The same of a bead that is shorter than it is wide, or than half of that: its place is that of its ends, which others share."""
+LEVELLED = 0.43
+"""Share of the height of a single line that its neighbours take when it levels: a Gaussian of half a bead width
+(:data:`~ebamcheck.metal.surface.LEVELLED_BEADS`) leaves 0.57 of a line one spacing wide. What comes back in every layer adds up to
+one over this."""
 
-LAYER_ROOM = 1.25
-"""Factor by which a layer as a whole may ask for more or less: what it lays in all has a check of its own (``metal of layers``),
-and near the pole of a sphere beads lie where they fit."""
+MOST = HIGHEST * LEVELLED
+"""Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames, rings,
+tapers and meshes, as they are planned, are all within it."""
 
-LEVELLING, MOST_LEVELLED = 0.3, 0.2
+HATCH_ROOM = 1.2
+"""Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place."""
+
+TO_LEVEL, MOST_TO_LEVEL = 0.3, 0.2
 """Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. A place asks
 for what a layer needs on the surface that is there, but all layers together have the metal of the part: where sections taper,
 what their rims lack heaps up inside of them, and no wire levels it. So what is between the layer's height and this is asked for;
 how far the surface may heap up is a check of its own (``surface``)."""
 
-MOST = MOST_LEVELLED
-"""Wire that a bead may lack, over what it has, or have too much of, over what its place asks for: what the layer above levels.
-Of the beads of sound programs of a blade, a torus, a cube, five small parts and six that taper none is off by more than 0.142;
-on a level surface a bead with 0.7 of its wire lacks 0.23 and more, one of 1.3 has 0.17 and more too much."""
+HEAPED = 0.2
+"""Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is
+higher than between them, and higher still where islands meet."""
 
-MOST_OF_STRETCH = MOST + 0.15
-"""The same of a stretch of a bead at one speed of the wire: along a contour that changes where walls get thin, in steps of 15 %."""
+SPANS = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(14))
+"""Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled
+along the bead. Between two of them limit and error change by less than a tenth."""
 
 AT_LIMIT = 0.01
 """A bead within this of the least or greatest wire cannot have less, or more."""
@@ -58,25 +66,45 @@ AT_LIMIT = 0.01
 LEAST_BEADS = 0.1
 """Length of a bead, in bead widths, under which it has hardly a place of its own."""
 
+LEAST_OWN = 0.3
+"""Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours."""
+
+SUBCELLS = 20
+"""Points across a cell by which the strip is laid on cells: its weights err by less than a thousandth."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What the places of one layer's motions ask for: sums over each bead (B,), by the way of their metal."""
+    """What the places (n,) along all beads lay, and what they ask for, in program order.
 
-    bead: Ints
-    """(n,) bead of each place."""
+    The rows of `laid`, `least` and `most` (3, n) are metal by the nearest area, the same with all that lies in the pool, and the
+    metal over the width of the bead; `own` (n,) is what the bead lays itself over one bead width.
+    """
+
+    row: Ints
     along_mm: Floats
-    """(n,) length of bead that each place stands for."""
+    laid: Floats
     least: Floats
-    """(n,) metal that is asked for at least, over what is laid."""
     most: Floats
-    """(n,) the same at most."""
+    own: Floats
     at_limit: Floats
     """(n,) -1 where the bead has the least wire, 1 where it has the most, else 0."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """Spans of beads (m,): first motion, length, and wire over what their places ask for, less 1."""
+
+    row: Ints
+    length_mm: Floats
+    off: Floats
+
+
 def bead_wire_check(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
-    """Check that every bead has the wire that its place asks for, as others of its kind have.
+    """Check that every bead has the wire that its place asks for, over any length of it.
+
+    A contour may change its wire along itself, and is judged over every span of :data:`SPANS`; a hatch bead has one wire, and is
+    judged as a whole, and where its wire changes.
 
     Parameters
     ----------
@@ -86,143 +114,228 @@ def bead_wire_check(nc: NCProgram, config: Config, z_of: Floats, layers: Layers)
     if config.base_mm > 0.0:
         text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
         return Check(NAME, True, 0.0, MOST, "of the wire", "", text)
-    beads = beads_of(nc)
-    rows, size = beads.rows, len(nc)
-    step = np.ones(rows.size, np.bool_)
-    step[1:] = (np.diff(beads.bead) != 0) | (np.diff(nc.wire_mm_s[rows]) != 0.0)
-    own = np.full(size, -1, np.int64)
-    own[rows] = np.cumsum(step) - 1
-    found = _asked(nc, config, z_of, layers, own)
-    bead_mm = config.process.bead_width_mm
-    stretches = _compared(nc, found, rows[step], LEAST_STRETCH * bead_mm, MOST_OF_STRETCH, 0.0)
-    of_bead = replace(found, bead=beads.bead[step][found.bead])
-    whole = _compared(nc, of_bead, beads.first, LEAST_BEADS * bead_mm, MOST, bead_mm)
-    first, off, judged, most = (np.concatenate(both) for both in zip(whole, stretches, strict=True))
-    return _worst(nc, first, off, judged, most)
-
-
-def _compared(
-    nc: NCProgram,
-    found: _Asked,
-    first: Ints,
-    least_mm: float,
-    most: float,
-    short_mm: float,
-) -> tuple[Ints, Floats, Bools, Floats]:
-    """What the places of beads, or of stretches of them, ask for over what others of their kind do.
-
-    Parameters
-    ----------
-    first
-        (B,) first motion of each.
-    least_mm, short_mm
-        Length under which one is not judged, and under which :data:`MOST_OF_SHORT` is its limit.
-    most
-        Limit of what is lacking, and of what is too much.
-
-    Returns
-    -------
-    tuple
-        First motions, what is asked for over the median of the kind, or 1 where its range holds that, whether it is judged, and its limit, (B,) each.
-    """
-    count = first.size
-    bead, weight = found.bead, found.along_mm
-    length = np.bincount(bead, weight, minlength=count)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        least, greatest, limit = (
-            np.bincount(bead, weight * asked, minlength=count) / length
-            for asked in (found.least, found.most, found.at_limit)
-        )
-    contour = nc.ring[first] >= 0
-    low, high = np.zeros((2, count))
-    for mine in ((length >= least_mm) & contour, (length >= least_mm) & ~contour):
-        if mine.any():
-            usual = float(np.median(0.5 * (least[mine] + greatest[mine])))
-            for off, asked in ((low, least), (high, greatest)):
-                # Where most of a kind lie over nothing, their place asks for nothing, and the others for more than any limit.
-                off[mine] = asked[mine] / usual if usual > 0.0 else np.where(asked[mine] > 0.0, np.inf, 0.0)
-    shared = _of_layers(np.clip(1.0, low, high), nc.layer[first])
-    off = np.clip(1.0, low / shared, high / shared)
-    excused = ((off > 1.0) & (limit > 0.5)) | ((off < 1.0) & (limit < -0.5))
-    allowed = np.where(length < short_mm, MOST_OF_SHORT, most)
-    allowed = np.where(length < 0.5 * short_mm, MOST_OF_SPOT, allowed)
-    return first, off, (off > 0.0) & ~excused, allowed
-
-
-def _of_layers(off: Floats, layer: Ints) -> Floats:
-    """What the layer of each bead asks for as a whole, (B,): what all of its beads ask for at least; 1 where some ask for more and some for less."""
-    result = np.ones(off.size)
-    known = np.flatnonzero(off > 0.0)
-    if known.size:
-        number = layer[known] - layer[known].min()
-        least, most = np.full(number.max() + 1, np.inf), np.zeros(number.max() + 1)
-        np.minimum.at(least, number, off[known])
-        np.maximum.at(most, number, off[known])
-        shared = np.where(least > 1.0, least, np.where(most < 1.0, most, 1.0))
-        result[known] = np.clip(shared, 1.0 / LAYER_ROOM, LAYER_ROOM)[number]
-    return result
-
-
-def _worst(nc: NCProgram, first: Ints, off: Floats, judged: Bools, most: Floats) -> Check:
-    """The bead that is furthest over its limit `most` (B,), or nearest to it, as a check; `first` (B,) is the first motion of each."""
-    if not judged.any():
+    found = _asked(nc, config, z_of, layers)
+    if not found.row.size:
         return Check(NAME, True, 0.0, MOST, "of the wire", "", "no bead has a place of its own")
-    far = np.where(judged, np.maximum(off, 1.0 / np.where(off > 0.0, off, 1.0)) - 1.0, 0.0)
-    k = int(np.argmax(far / most))
-    row = int(first[k])
-    said = f"a bead has {1.0 / off[k]:.3g} times the wire that its place asks for"
-    text = f"{int(judged.sum())} beads and stretches of beads; {said}, compared with the others"
+    on_contour = nc.ring[found.row] >= 0
+    sums, bead_mm = _Sums(found, on_contour), config.process.bead_width_mm
+    beads = beads_of(nc)
+    bead = beads.spread(np.arange(len(beads)), len(nc))[found.row]
+    first = np.flatnonzero(np.diff(bead, prepend=-1))
+    stop = np.append(first[1:], bead.size)
+    judged = [sums.between(first, stop), _changes(nc, config, found, sums, first, stop)]
+    end = np.repeat(stop, stop - first)
+    contour = np.flatnonzero(on_contour)
+    for span in SPANS:
+        last = np.minimum(sums.reached(contour, span * bead_mm), end[contour])
+        whole = sums.length(contour, last) >= (span - STEP_SHARE) * bead_mm
+        judged.append(sums.between(contour[whole], last[whole]))
+    spans = _Judged(
+        np.concatenate([j.row for j in judged]),
+        np.concatenate([j.length_mm for j in judged]),
+        np.concatenate([j.off for j in judged]),
+    )
+    return _worst(nc, spans, bead_mm, first.size)
+
+
+def most_off(length_mm: Floats, bead_mm: float) -> Floats:
+    """Wire that spans (m,) of a bead may lack, or have too much of, over what their places ask for.
+
+    Examples
+    --------
+    >>> most_off(np.array([6.0, 18.0, 600.0]), 6.0).round(3).tolist()
+    [0.301, 0.167, 0.151]
+    """
+    return np.asarray(
+        MOST * (1.0 + (bead_mm / np.maximum(length_mm, LEAST_BEADS * bead_mm)) ** 2), np.float64
+    )
+
+
+class _Sums:
+    """Sums of the columns of places from the first on, so that any span is a difference of two."""
+
+    def __init__(self, found: _Asked, contour: Bools) -> None:
+        self._row, self._contour = found.row, contour
+        self._along = _summed(found.along_mm)
+        self._own = _summed(found.own * found.along_mm)
+        self._at_limit = _summed(found.at_limit * found.along_mm)
+        self._laid, self._least, self._most = (_summed(c) for c in (found.laid, found.least, found.most))
+
+    def reached(self, first: Ints, length_mm: float) -> Ints:
+        """Place behind the last one of spans of a length that begin at places `first` (m,)."""
+        return np.asarray(np.searchsorted(self._along, self._along[first] + length_mm), np.int64)
+
+    def length(self, first: Ints, stop: Ints) -> Floats:
+        """Length (m,) of spans from one place to before another, mm."""
+        return np.asarray(self._along[stop] - self._along[first], np.float64)
+
+    def ways(self, first: Ints, stop: Ints) -> tuple[Floats, Floats]:
+        """How far spans are over the most, and over the least, that is asked for, by each of three ways, (3, m) both."""
+        length = np.maximum(self.length(first, stop), np.finfo(float).tiny)
+        own = np.clip((self._own[stop] - self._own[first]) / length, LEAST_OWN, 1.0)
+        laid, least, most = (s[:, stop] - s[:, first] for s in (self._laid, self._least, self._most))
+        found = []
+        for asked in (most, least):
+            base = np.vstack([asked[:2], own * length])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                # A bead that no area is nearest to, or over nothing, has more than any limit.
+                found.append(np.where(base > 0.0, (laid - asked) / base, np.where(laid > 0.0, np.inf, 0.0)))
+        return found[0], found[1]
+
+    def between(self, first: Ints, stop: Ints) -> _Judged:
+        """Spans from one place to before another, (m,): wrong is what all ways say, and the limits of the wire do not excuse."""
+        over, under = self.ways(first, stop)
+        length = self.length(first, stop)
+        limit = (self._at_limit[stop] - self._at_limit[first]) / np.maximum(length, np.finfo(float).tiny)
+        under[2] -= np.where(self._contour[first], 0.0, HEAPED)
+        high, low = over.min(axis=0), under.max(axis=0)
+        off = np.where((high > 0.0) & (limit > -0.5), high, np.where((low < 0.0) & (limit < 0.5), low, 0.0))
+        return _Judged(self._row[first], length, off)
+
+
+def _summed(column: Floats) -> Floats:
+    """Sums of a column (..., n) before each place, and of all, (..., n + 1)."""
+    return np.concatenate([np.zeros((*column.shape[:-1], 1)), np.cumsum(column, axis=-1)], axis=-1)
+
+
+def _changes(nc: NCProgram, config: Config, found: _Asked, sums: _Sums, begin: Ints, end: Ints) -> _Judged:
+    """Parts of hatch beads, from place `begin` (B,) to `end`, whose metal is not that of the rest of the bead, and not what their places
+    ask for: the lesser of both."""
+    mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)[found.row]
+    starts = np.zeros(found.row.size, np.bool_)
+    starts[begin] = True
+    starts[1:] |= ~np.isclose(mm2[1:], mm2[:-1], rtol=AT_LIMIT, atol=0.0)
+    first = np.flatnonzero(starts)
+    stop = np.append(first[1:], found.row.size)
+    bead = np.searchsorted(begin, first, side="right") - 1
+    part = (nc.ring[found.row[first]] < 0) & (np.bincount(bead, minlength=begin.size)[bead] > 1)
+    first, stop, bead = first[part], stop[part], bead[part]
+    metal, length = _summed(mm2 * found.along_mm), sums.length(first, stop)
+    rest = sums.length(begin[bead], end[bead]) - length
+    usual = (metal[end[bead]] - metal[begin[bead]] - (metal[stop] - metal[first])) / np.maximum(rest, 1e-9)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        change = np.where(usual > 0.0, (metal[stop] - metal[first]) / length / usual - 1.0, 0.0)
+    judged = sums.between(first, stop)
+    # Metal heaps up where islands meet, whatever wire a bead has: the change has to be as wrong as the place says.
+    off = np.where(
+        change * judged.off > 0.0, np.copysign(np.minimum(np.abs(change), np.abs(judged.off)), change), 0.0
+    )
+    return _Judged(judged.row, judged.length_mm, off)
+
+
+def _worst(nc: NCProgram, spans: _Judged, bead_mm: float, beads: int) -> Check:
+    """The span that is furthest over its limit, or nearest to it, as a check."""
+    known = np.where(spans.length_mm >= LEAST_BEADS * bead_mm, np.abs(spans.off), 0.0)
+    room = np.where(nc.ring[spans.row] >= 0, 1.0, HATCH_ROOM)
+    limit = room * most_off(spans.length_mm, bead_mm)
+    k = int(np.argmax(known / limit))
+    row, most = int(spans.row[k]), float(limit[k])
+    said = f"over {spans.length_mm[k]:.3g} mm a bead has {1.0 + spans.off[k]:.3g} times the wire that its place asks for"
     x_mm, y_mm = (float(v) for v in nc.start[row, :2])
     return Check(
-        NAME, bool(far[k] <= most[k]), float(far[k]), float(most[k]), "of the wire", nc.where(row), text,
+        NAME, bool(known[k] <= most), float(known[k]), most, "of the wire", nc.where(row), f"{beads} beads; {said}",
         int(nc.layer[row]), x_mm, y_mm,
     )  # fmt: skip
 
 
-def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers, own: Ints) -> _Asked:
-    """What the places of all motions ask for, layer by layer on the surface that is there; `own` is the bead of each motion."""
+# -- what places ask for ------------------------------------------------------------------------------
+
+
+def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> _Asked:
+    """What the places of all beads ask for, layer by layer on the surface that is there."""
     process = config.process
     mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
-    rows = np.flatnonzero(nc.deposit & nc.wire & np.isfinite(nc.start).all(axis=1) & (own >= 0))
+    rows = np.flatnonzero(nc.deposit & nc.wire & np.isfinite(nc.start).all(axis=1))
     sections = [wanted_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
     bounds = np.nan_to_num(shapely.total_bounds(sections))
     surface = Surface(np.asarray(bounds, np.float64), process.bead_width_mm)
-    step, pool = surface.step_mm, pool_of(process.bead_width_mm, surface.step_mm)
+    step, bead_mm = surface.step_mm, process.bead_width_mm
+    pool, strip = pool_of(bead_mm, step), strip_of(bead_mm, step)
     thickness = np.diff(z_of, prepend=config.base_mm)
-    found = [_Asked(np.zeros(0, np.int64), *np.zeros((4, 0)))]
+    found = [
+        _Asked(
+            np.zeros(0, np.int64),
+            np.zeros(0),
+            np.zeros((3, 0)),
+            np.zeros((3, 0)),
+            np.zeros((3, 0)),
+            np.zeros(0),
+            np.zeros(0),
+        )
+    ]
     for k, section in enumerate(sections):
         height = float(thickness[k])
         mine = rows[nc.layer[rows] == k]
-        target = target_of(section, step, 2.0 * process.bead_width_mm)
+        target = target_of(section, step, 2.0 * bead_mm)
         if not (target.share.size and mine.size and height > 0.0):
             surface.add(target, target.share, height)
             continue
-        places, volume, row = metal_places(nc, mine, mm2, process.bead_width_mm * STEP_SHARE)
-        laid = ndimage.convolve(spread(target, places, volume) / step**2, pool, mode="constant")
-        levelled = LEVELLING * surface.over_mm(target) / height
-        surface.add(target, laid, height)
-        even = np.divide(target.share * height, laid, out=np.zeros_like(laid), where=laid > 1e-9 * height)
-        level = even * (1.0 - np.clip(levelled, -MOST_LEVELLED, MOST_LEVELLED))
+        places, volume, row = metal_places(nc, mine, mm2, bead_mm * STEP_SHARE)
         along = nc.lengths[row] / np.bincount(row, minlength=len(nc))[row]
-        least_asked, most_asked = (
-            _read(ndimage.convolve(over, pool, mode="constant"), (places - target.origin) / step)
-            for over in (np.minimum(even, level), np.maximum(even, level))
-        )
+        laid = ndimage.convolve(spread(target, places, volume / height) / step**2, pool, mode="constant")
+        wanted = _wanted(target, surface.over_mm(target) / height)
+        surface.add(target, laid * height, height)
+        near = _nearest_areas(target, places, wanted)
+        by_area = np.vstack([volume / height, near])
+        by_pool = np.stack([_around(target, places, column, pool) for column in by_area]) * along
+        share = np.maximum(_read(target, target.share, places, strip), LEAST_OWN)
+        by_strip = np.stack([_read(target, f, places, strip) for f in (laid, *wanted)]) / share * along
         least, most = width_limits_mm(config, height)
         width = mm2[row] / height
         limit = 1.0 * (width >= most * (1.0 - AT_LIMIT)) - 1.0 * (width <= least * (1.0 + AT_LIMIT))
-        found.append(_Asked(own[row], along, least_asked, most_asked, limit))
+        ways = np.stack([by_area, by_pool, by_strip], axis=1)
+        found.append(_Asked(row, along, ways[0], ways[1], ways[2], width / bead_mm, limit))
     return _Asked(
-        np.concatenate([a.bead for a in found]),
-        np.concatenate([a.along_mm for a in found]),
-        np.concatenate([a.least for a in found]),
-        np.concatenate([a.most for a in found]),
-        np.concatenate([a.at_limit for a in found]),
+        *(np.concatenate([getattr(f, name) for f in found], axis=-1) for name in _Asked.__dataclass_fields__)
     )
 
 
-def _read(field: Floats, at: Floats) -> Floats:
-    """Values (n,) of a field (rows, columns) at places `at` (n, 2), in cells; 0 beside it."""
+def _wanted(target: Target, over: Floats) -> tuple[Floats, Floats]:
+    """Least and most metal, layers high, that the cells of a layer may ask for on a surface that is so many layers too high."""
+    # What levels the surface is moved within the layer, whose metal is that of the part.
+    mean = float(np.average(over, weights=target.share))
+    level = 1.0 - np.clip(TO_LEVEL * (over - mean), -MOST_TO_LEVEL, MOST_TO_LEVEL)
+    return target.share * np.minimum(level, 1.0), target.share * np.maximum(level, 1.0)
+
+
+def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]) -> Floats:
+    """Sums of fields over the cells that are nearest to each place, mm2, (2, n)."""
+    row, column = np.nonzero(target.share)
+    cells = target.origin + (np.column_stack([column, row]) + 0.5) * target.step_mm
+    _, near = cKDTree(places).query(cells)
+    areas = [np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
+    return np.asarray(np.stack(areas) * target.step_mm**2, np.float64)
+
+
+def _around(target: Target, places: Floats, values: Floats, pool: Floats) -> Floats:
+    """What places (n,) have with all others in their pools, by the weights of these."""
+    return _read(target, spread(target, places, values), places, pool)
+
+
+def _read(target: Target, field: Floats, places: Floats, weights: Floats) -> Floats:
+    """Means of a field (rows, columns) around places (n, 2), by weights over the cells; it is 0 beside the grid."""
+    around = ndimage.convolve(field, weights, mode="constant")
+    at = (places - target.origin) / target.step_mm
     return np.asarray(
-        ndimage.map_coordinates(field, (at - 0.5).T[::-1], order=1, mode="constant"), np.float64
+        ndimage.map_coordinates(around, (at - 0.5).T[::-1], order=1, mode="constant"), np.float64
     )
+
+
+def strip_of(bead_mm: float, step_mm: float) -> Floats:
+    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide.
+
+    The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc. The sum is 1.
+
+    Examples
+    --------
+    >>> strip_of(6.0, 1.0).sum(axis=0).round(2).tolist()
+    [0.0, 0.08, 0.17, 0.17, 0.17, 0.17, 0.17, 0.08, 0.0]
+    """
+    radius = 0.5 * bead_mm / step_mm
+    reach = int(np.ceil(radius + 0.5))
+    cells = 2 * reach + 1
+    at = (np.arange(cells * SUBCELLS) + 0.5) / SUBCELLS - 0.5 * cells
+    deep = radius**2 - (at[:, None] ** 2 + at**2)
+    weight = np.where(deep > 0.0, 1.0 / np.sqrt(np.maximum(deep, 1.0 / SUBCELLS**2)), 0.0)
+    weight = weight.reshape(cells, SUBCELLS, cells, SUBCELLS).sum(axis=(1, 3))
+    return np.asarray(weight / weight.sum(), np.float64)

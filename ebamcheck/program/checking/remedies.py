@@ -60,6 +60,7 @@ REMEDIES: Mapping[str, str] = {
     **dict.fromkeys(("section", "smooth section"), FIT),
     **dict.fromkeys(("beads inside", "metal outside", "reach of metal"), COARSE),
     "holes": HOLE,
+    "ends of beads": f"{HATCH}; a text that was edited by hand is made again (ebamcheck run)",
     "wire of beads": f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}",
     **dict.fromkeys(
         (
