@@ -192,8 +192,8 @@ class ProcessSettings(Section):
     keep_out: tuple[KeepOut, ...] = ()
     """Places that no bead and no rapid below their top may enter."""
     largest_overhang_deg: Annotated[float, Between(0.01, 89.99)] | None = None
-    """Greatest angle from the vertical by which a layer may reach out over the one below; None: by
-    the width of a bead, so that no bead has nothing at all under it."""
+    """Greatest angle from the vertical at which a slope may reach out over the layer below. Whatever it is, and where none is
+    set, a layer reaches out by the width of a bead at most, so that no bead has nothing at all under it."""
 
     @property
     def power_w(self) -> float:

@@ -91,7 +91,7 @@ REMEDIES: Mapping[str, str] = {
     "collision": "raise machine.safe_height_mm and machine.clearance_mm, or move what stands in the way (process.keep_out)",
     "clearance": "raise machine.safe_height_mm and machine.clearance_mm",
     "support": "build in another direction (part.direction), or support the overhang in the model",
-    "overhang": "build in another direction (part.direction), support it in the model, or set the angle that your process can build (process.largest_overhang_deg)",
+    "overhang": "build in another direction (part.direction), support it in the model, or, for a slope within a bead's width, set the angle that your process can build (process.largest_overhang_deg)",
     "seams": "spread the seams (process.seam_shift_mm), or lower process.least_seam_distance_mm",
 }  # fmt: skip
 """By name of the check."""
