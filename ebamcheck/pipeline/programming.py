@@ -218,6 +218,7 @@ def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> l
         *of_mesh(job.part, witness, job.config),
     ]
     job.add_finding(*noticed_in_program.of_metal(checks))
+    job.add_finding(*noticed_in_program.of_narrow(found.narrow, witness.heights, job.config))
     low_mm, top_mm = job.part.bounds[:, 2].tolist()
     if not solid.tells_of(top_mm):
         job.add_finding(*noticed_in_program.of_height(top_mm - low_mm, witness.heights, job.config))

@@ -107,11 +107,12 @@ class ProcessSettings(Section):
     """Least and greatest energy of the beam over the wire that it melts, P / (section of the wire x wire speed). Ten is what
     titanium or steel needs to be molten at all."""
     least_wall_mm: Width | None = None
-    """Thinnest wall that may be built; None: bead_width_mm, or as much less as wire_speed_min_mm_s is under the wire speed
-    of a layer."""
+    """Thinnest wall that may be built: a thinner one of the part is a fault. None: none is, but walls are told of that are thinner
+    than bead_width_mm, or than as much less as wire_speed_min_mm_s is under the wire speed of a layer."""
     least_hole_mm: Width | None = None
-    """Narrowest hole or gap that may be built; None: bead_width_mm, since a narrower one is bridged by the melt of the
-    beads around it."""
+    """Narrowest hole, slot, gap or notch that may be built: a narrower one of the part is a fault. None: none is, but those are told
+    of that are narrower than bead_width_mm, since the melt of the beads around them bridges them. Who wants them filled, to be
+    drilled later, sets a width under theirs."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
     base_plate_mm: Annotated[float, Between(0.1, 5000.0)] = 25.0

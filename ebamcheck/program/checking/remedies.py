@@ -30,6 +30,7 @@ TOO_THIN = (
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
 HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
+NARROW = f"fill or widen it in the model, set a least width under it (process.least_hole_mm, least_wall_mm), or {NARROWER}"
 LEVELS = (
     "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
     "that is too much, allow for machining (process.machining_allowance_mm)"
@@ -60,6 +61,7 @@ REMEDIES: Mapping[str, str] = {
     **dict.fromkeys(("section", "smooth section"), FIT),
     **dict.fromkeys(("beads inside", "metal outside", "reach of metal"), COARSE),
     "holes": HOLE,
+    "narrow features": NARROW,
     "wire of beads": f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}",
     **dict.fromkeys(
         (
