@@ -14,6 +14,7 @@ import pandas as pd
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.curves.per_part import surface_kept
+from ebamcheck.curves.turned import turned_over
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
@@ -165,8 +166,14 @@ def smooth_layers(curves: Curves) -> Layers:
     return curves.sample_tolerance(SAMPLING_MM)
 
 
-def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
-    """Curves along the centre lines of the contour beads."""
+def bead_paths(layers: Layers, plan: ScanPlan, config: Config, first_layer: int = 0) -> Curves:
+    """Curves along the centre lines of the contour beads, in the direction in which they are driven.
+
+    Parameters
+    ----------
+    first_layer
+        Index in the build of the lowest of the layers.
+    """
     lines = from_polygons(
         layers.heights,
         [[region] for region in plan.contours],
@@ -179,7 +186,10 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
     method = "bounded" if config.curves.method in LIFTED else config.curves.method
     # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
     bulge_mm = min(config.curves.largest_bulge_mm, 2.0 * config.curves.tolerance_mm)
-    return fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
+    curves = fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
+    if config.process.contour_direction == "same":
+        return curves
+    return turned_over(curves, curves.closed & ((curves.ring_layer + first_layer) % 2 == 1))
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:

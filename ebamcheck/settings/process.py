@@ -142,6 +142,9 @@ class ProcessSettings(Section):
     """Distance between parallel beads over the bead width."""
     machining_allowance_mm: Annotated[float, Between(0.0, 100.0)] = 0.0
     """Metal left on the contour for machining: contour beads lie outward by this; at most their inset."""
+    contour_direction: Literal["same", "alternating"] = "same"
+    """Direction of contour beads: outer ones counter-clockwise and inner ones clockwise in every layer (same), or turned over in
+    every second layer (alternating), so that starts, ends and the pull of the melt do not all lie one way."""
     overlap_mm: Length = 0.0
     """Length by which a closed contour bead runs on over its own start, at most once around."""
     seam_shift_mm: Length = 0.0
