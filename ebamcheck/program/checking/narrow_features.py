@@ -34,6 +34,9 @@ NO_WIDTH_MM = 1e-5
 STEPS = 4
 """Places on a side over the length of the least width."""
 
+ON_SIDE = np.array([0.02, 0.5, 0.98])
+"""Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle."""
+
 LONG = 2.0
 """Length over width from which on a hole is called a slot."""
 
@@ -239,24 +242,17 @@ class _Sides(NamedTuple):
 
 
 def _sides_of_rings(rings: np.ndarray, step_mm: float) -> _Sides:
-    """Vertices and middles of the sides of rings with the metal on their left, none longer than a step."""
+    """Places on the sides of rings with the metal on their left: the middles and near both ends, of no more than a step each."""
     points, ring = shapely.get_coordinates(shapely.segmentize(rings, step_mm), return_index=True)
-    same = np.flatnonzero(ring[1:] == ring[:-1])
-    along = points[same + 1] - points[same]
+    along = np.diff(points, axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
-    same, along = same[length > 0.0], along[length > 0.0] / length[length > 0.0, None]
-    out = np.column_stack([along[:, 1], -along[:, 0]])
-    middle = 0.5 * (points[same] + points[same + 1])
-    # At a vertex between two sides the direction is that between theirs.
-    before = np.roll(out, 1, axis=0)
-    joined = np.flatnonzero(np.roll(ring[same], 1) == ring[same])
-    corner = out[joined] + before[joined]
-    size = np.hypot(corner[:, 0], corner[:, 1])
-    joined, corner = joined[size > 0.1], corner[size > 0.1] / size[size > 0.1, None]
+    side = np.flatnonzero((ring[1:] == ring[:-1]) & (length > 0.0))
+    along = along[side]
+    out = np.column_stack([along[:, 1], -along[:, 0]]) / length[side, None]
+    at = points[side, None] + ON_SIDE[:, None] * along[:, None]
+    count = len(ON_SIDE)
     return _Sides(
-        np.vstack([middle, points[same[joined]]]),
-        np.vstack([out, corner]),
-        np.concatenate([ring[same], ring[same[joined]]]).astype(np.int64),
+        at.reshape(-1, 2), np.repeat(out, count, axis=0), np.repeat(ring[side], count).astype(np.int64)
     )
 
 
@@ -327,12 +323,12 @@ def _measured(found: _Narrowed, walls: bool, least_mm: float) -> Iterator[Place]
 def _place(piece: shapely.Polygon, kind: Kind, middle: Floats, width_mm: Floats) -> Place:
     """Measure a piece by the ways across it; where no sides face one another, such as in a triangle, by its mean width."""
     (mean_mm,), (length_mm,) = equivalent_rectangles_mm([piece])
+    if kind == "hole" and width_mm.size and length_mm > LONG * width_mm.max():
+        kind = "slot"
     if not width_mm.size:
         inner = piece.representative_point()
         middle, width_mm = np.array([[inner.x, inner.y]]), np.array([mean_mm])
     at = int(width_mm.argmin())
-    if kind == "hole" and length_mm > LONG * width_mm.max():
-        kind = "slot"
     x_mm, y_mm = middle[at].tolist()
     return Place(kind, float(width_mm[at]), float(width_mm.max()), float(length_mm), x_mm, y_mm, piece)
 
@@ -342,7 +338,7 @@ def _between(place: Place, one: shapely.Polygon, other: shapely.Polygon) -> Plac
     place = place._replace(kind="gap")
     nearest = shapely.shortest_line(one, other)
     middle = shapely.centroid(nearest)
-    if nearest.length >= place.narrowest_mm or shapely.distance(place.region, middle) > NO_WIDTH_MM:
+    if nearest.length >= place.narrowest_mm or shapely.distance(place.region, middle) > place.widest_mm:
         return place
     return place._replace(narrowest_mm=nearest.length, x_mm=middle.x, y_mm=middle.y)
 
