@@ -211,7 +211,7 @@ def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: f
     deep = (depth > shallow_mm) | lost[sides.ring]
     if not deep.any():
         return None
-    return _Narrowed(parts, rings, filled, lost, _Sides(*(column[deep] for column in sides)))
+    return _Narrowed(parts, rings, filled, lost, _Sides(sides.at[deep], sides.out[deep], sides.ring[deep]))
 
 
 def _rounded(whole: BaseGeometry, walls: bool, least_mm: float) -> BaseGeometry:
@@ -272,7 +272,9 @@ def _across(sides: _Sides, rings: np.ndarray, walls: bool, least_mm: float) -> _
     joined = np.flatnonzero(ring[1:] == ring[:-1])
     ends = np.stack([points[joined], points[joined + 1]], axis=1)
     ways = shapely.linestrings(np.stack([at, at + 1.001 * least_mm * ahead], axis=1))
-    way, side = shapely.STRtree(shapely.linestrings(ends)).query(ways, predicate="intersects")
+    way, side = shapely.STRtree(np.asarray(shapely.linestrings(ends), object)).query(
+        ways, predicate="intersects"
+    )
     a, run = ends[side, 0], ends[side, 1] - ends[side, 0]
     turned = ahead[way, 0] * run[:, 1] - ahead[way, 1] * run[:, 0]
     size = np.hypot(run[:, 0], run[:, 1])
