@@ -47,6 +47,7 @@ CODES: Mapping[str, str] = {
     "metal-excess": "More metal lies at a place than the layer takes.",
     "metal-missing": "Less metal lies at a place than the layer takes.",
     "no-evidence": "A slicer's bound is so wide that its agreement proves nothing; the run does not rest on it.",
+    "opening-under-bead": "A hole, slot, gap or notch is narrower than a bead, which bridges it, or than the least that is set.",
     "part-beyond-travel": "The part is larger than the travel of the machine's axes.",
     "part-off-file": "The part that is built has another size than in its file, or stands another way.",
     "part-round-in-inches": "The part's extents are round in inches and not in millimetres.",

@@ -29,7 +29,6 @@ WIDE = {
     "layer_over_bead": (1e-3, 100.0),
     "bead_section_mm2": (1e-3, 1e4),
     "metal_energy_j_mm3": (0.01, 1e6),
-    "largest_overhang_deg": 89.0,
 }
 """A process window of no machine: for tests whose layers are few because they are thick."""
 

@@ -9,8 +9,8 @@ import shapely
 from ebamcheck.curves.columns import Curves
 from ebamcheck.scan.plan.columns import ScanPlan
 
-ANY_OVERHANG = {"largest_overhang_deg": 89.9}
-"""Its layers are curves of chance, and reach out over each other by any distance."""
+REACHES_OUT = "overhang"
+"""Check that the stack does not pass: its layers are curves of chance, and reach out over each other by any distance."""
 
 SPACING_MM = 4.32
 """Hatch spacing of the default process: 0.72 of a bead of 6 mm."""

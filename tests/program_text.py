@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from nc_stack import ANY_OVERHANG, stack
+from nc_stack import REACHES_OUT, stack
 
 from ebamcheck.program import verify_file, write_program
 from ebamcheck.settings.config import Config
@@ -18,9 +18,7 @@ class ProgramText:
 
     def __init__(self, control, folder, machine=None, process=None):
         self.control = control
-        self.config = Config().changed(
-            machine={"control": control, **(machine or {})}, process={**ANY_OVERHANG, **(process or {})}
-        )
+        self.config = Config().changed(machine={"control": control, **(machine or {})}, process=process or {})
         self.curves, self.plan = stack(count=2)
         self.files = write_program(self.curves, self.plan, self.config, folder)
         self.lines = {name: (self.files.folder / name).read_text().split("\n") for name in self.files.names}
@@ -89,7 +87,7 @@ class ProgramText:
         given.setdefault("curves", self.curves)
         given.setdefault("plan", self.plan)
         checks = verify_file(self.files.main, config=self.config, **given)
-        return {check.name: check for check in checks if not check.passed}
+        return {check.name: check for check in checks if not check.passed and check.name != REACHES_OUT}
 
     def failed_by_text(self, **given):
         """Those that fail without curves and plan."""

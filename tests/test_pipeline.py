@@ -68,7 +68,9 @@ def cut_here():
 
 @pytest.mark.usefixtures("cut_here")
 def test_a_sphere_is_validated(tmp_path):
-    result = run_job(write_stl(sphere(20.0), tmp_path / "ball.stl"), tmp_path / "ball.run", SETTINGS)
+    # Layers so high that a sphere reaches out by less than a bead from one to the next.
+    settings = SETTINGS.changed(layers={"layer_height_mm": 5.0})
+    result = run_job(write_stl(sphere(20.0), tmp_path / "ball.stl"), tmp_path / "ball.run", settings)
     assert result.exit_code is ExitCode.PASS, gates(result)
     layers = result.folder.read_layers("planecut")
     lost = np.pi * (20.0**2 - layers.heights**2) - layers.areas()

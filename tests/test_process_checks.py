@@ -118,10 +118,16 @@ def test_where_no_angle_is_set_no_bead_has_nothing_under_it(tmp_path, reach):
         assert found["overhang"].where.startswith("MAIN_L0002.SPF:")
 
 
-def test_an_angle_that_is_set_holds_beyond_the_width_of_a_bead(tmp_path):
-    found, _ = checks_of(tmp_path, [SQUARE, SQUARE * 1.5], {"largest_overhang_deg": 89.0})
-    assert found["overhang"].passed
-    assert found["overhang"].value > 80.0
+@pytest.mark.parametrize("limit_deg", [None, 80.0, 89.0])
+@pytest.mark.parametrize("reach", [6.0 / 1.2, 6.0 * 1.2, 50.0])
+def test_no_angle_lets_metal_begin_on_nothing(tmp_path, limit_deg, reach):
+    """A cantilever that begins within one layer hangs in the air beyond the width of a bead, whatever slopes may do."""
+    wider = SQUARE + np.where(SQUARE > 20, reach, 0.0) * (1, 0)
+    process = {"bead_width_mm": 6.0, "largest_overhang_deg": limit_deg}
+    found, _ = checks_of(tmp_path, [SQUARE, wider], process)
+    assert found["overhang"].passed == (reach < 6.0)
+    assert found["overhang"].limit == pytest.approx(math.degrees(math.atan2(6.0, 1.5)), abs=1e-6)
+    assert ("farther than a bead is wide" in found["overhang"].text) == (reach > 6.0)
 
 
 def rings_of_stack(tmp_path, rings, islands=(), process=None):

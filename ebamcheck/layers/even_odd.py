@@ -31,6 +31,11 @@ def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layer
         If rings of a layer cross: then shells overlap, and nothing shows what is solid.
     """
     refuse_crossing(layers, tolerance_mm, name)
+    return oriented_by_nesting(layers)
+
+
+def oriented_by_nesting(layers: Layers) -> Layers:
+    """Orient rings as :func:`directed_by_nesting` does, whether or not any of them cross."""
     odd = np.zeros(layers.closed.size, np.bool_)
     above = layers.parents.copy()
     while (above >= 0).any():

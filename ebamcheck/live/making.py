@@ -278,7 +278,7 @@ class LayerMaker:
             gates.coverage_gate(plan.metrics, config),
         ]
         with clock.stage("write"):
-            beads = bead_paths(smooth, plan, config)
+            beads = bead_paths(smooth, plan, config, wanted.layer)
             path = planned_path(beads, plan, config)
             header = {"PART SHA-256": self.part.source_sha256 or self.part.sha256}
             files: ProgramFiles = control(config.machine.control).written(

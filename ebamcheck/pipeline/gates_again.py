@@ -36,7 +36,7 @@ from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.noticed_in_program import of_metal
+from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.section_volume import volume_off
@@ -144,7 +144,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
     tables["curves.parquet"] = table_of(verdict.curves)
     smooth = verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None
-    checks, plan, of_text = text_again(run, manifest, config, part, fresh, smooth)
+    checks, plan, of_text, narrow = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
     made += [
@@ -159,6 +159,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     checks += entry
     checks += live_checked_again(run.path, record, config, float(part.size[2]))
     told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
+    told += of_narrow(narrow, fresh.heights, config)
     tables |= of_text
     if record["witness"] != witness:
         other = f"the run used sections by {record['witness']}, these are by {witness}"

@@ -5,7 +5,6 @@ A gate that passes under them proves less than its name says.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -121,9 +120,6 @@ def _wider_than_derived(config: Config) -> Iterator[str]:
             if getattr(config.machine, n)
         )
         yield f"machine.{name} {getattr(config.machine, name):g} (the power may be {100.0 * slack:.3g} % off for it)"
-    reach_deg = math.degrees(math.atan2(process.bead_width_mm, config.layer_height_mm))
-    if (process.largest_overhang_deg or 0.0) > reach_deg:
-        yield f"process.largest_overhang_deg {process.largest_overhang_deg:g} (by the bead's width {reach_deg:g})"
 
 
 def _other_material(config: Config) -> Iterator[Finding]:

@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
 
-from ebamcheck.findings import Finding, at_layer
+from ebamcheck.findings import Finding, Severity, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.consumables import consumed
-from ebamcheck.program.checking.deposit_checks import HEIGHTS, PART_FILE, SECTIONS, SOLID
+from ebamcheck.program.checking.deposit_checks import HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.remedies import COARSE, HATCH, HOLE, LEVELS, MISTAKE, NARROWER, OFF_MESH
+from ebamcheck.program.checking.narrow_features import NarrowFeature
+from ebamcheck.program.checking.remedies import (
+    COARSE,
+    HATCH,
+    HOLE,
+    LEVELS,
+    MISTAKE,
+    NARROWER,
+    OFF_MESH,
+    TOO_THIN,
+)
 from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -32,6 +42,9 @@ OVERHANG = "overhang"
 
 STEEP_DEG = 45.0
 """Overhang, from the vertical, over which hardly any process builds without support unless it was tried."""
+
+MOST_NARROW = 8
+"""Narrow features that are told one by one."""
 
 ROUNDING_MM = 1e-6
 """Sum of the roundings of heights, far under any layer."""
@@ -75,7 +88,7 @@ LACKING: Mapping[str, str] = {
 def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
     """What is wrong with the metal of a program, each with its place."""
     for check in checks:
-        if check.passed:
+        if check.passed or check.name == NARROW:
             continue
         code, remedy = METAL[check.name]
         # Excess and lack of metal are one check; its words say which.
@@ -96,10 +109,49 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         )
 
 
+def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Finding]:
+    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them.
+
+    Parameters
+    ----------
+    heights
+        (L,) heights of the cuts, mm.
+    """
+    process = config.process
+    for feature in features[:MOST_NARROW]:
+        allowed = (process.least_wall_mm if feature.is_wall else process.least_hole_mm) is not None
+        severity: Severity = "fault" if feature.is_set else "note" if allowed else "warning"
+        from_mm, to_mm = heights[feature.first], heights[feature.last]
+        through = f", z = {from_mm:.3f} to {to_mm:.3f} mm," if feature.last > feature.first else ""
+        bridged = "" if feature.is_wall or feature.is_set else ": it is bridged by the melt"
+        yield Finding(
+            severity,
+            "wall-under-bead" if feature.is_wall else "opening-under-bead",
+            f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}",
+            _at(feature.layer, heights, config, feature.x_mm, feature.y_mm),
+            feature.narrowest_mm,
+            feature.least_mm,
+            "mm",
+            TOO_THIN if feature.is_wall else HOLE,
+        )
+    if (more := len(features) - MOST_NARROW) > 0:
+        last = features[-1]
+        yield Finding(
+            "warning",
+            "wall-under-bead" if last.is_wall else "opening-under-bead",
+            f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm",
+            _at(last.layer, heights, config, last.x_mm, last.y_mm),
+            float(more),
+            0.0,
+            "features",
+            HOLE,
+        )
+
+
 def of_checks(checks: Iterable[Check]) -> Iterator[Finding]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
-        if not check.passed and check.name not in (*METAL, INTERPASS):
+        if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
             place = ", ".join(text for text in (check.where, check.place) if text)
             yield Finding(
                 "fault", "check-failed", f"{check.name}: {check.text}", place, check.value, check.limit, check.unit,

@@ -14,6 +14,7 @@ import pandas as pd
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.curves.per_part import surface_kept
+from ebamcheck.curves.turned import turned_over
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
@@ -166,8 +167,14 @@ def smooth_layers(curves: Curves) -> Layers:
     return curves.sample_tolerance(SAMPLING_MM)
 
 
-def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
-    """Curves along the centre lines of the contour beads."""
+def bead_paths(layers: Layers, plan: ScanPlan, config: Config, first_layer: int = 0) -> Curves:
+    """Curves along the centre lines of the contour beads, in the direction in which they are driven.
+
+    Parameters
+    ----------
+    first_layer
+        Index in the build of the lowest of the layers.
+    """
     lines = from_polygons(
         layers.heights,
         [[region] for region in plan.contours],
@@ -176,7 +183,10 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config) -> Curves:
         backend=layers.backend,
         settings=layers.settings,
     )
-    return bead_curves(lines, config)
+    curves = bead_curves(lines, config)
+    if config.process.contour_direction == "same":
+        return curves
+    return turned_over(curves, curves.closed & ((curves.ring_layer + first_layer) % 2 == 1))
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
@@ -215,6 +225,7 @@ def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> l
         *of_mesh(job.part, witness, job.config),
     ]
     job.add_finding(*noticed_in_program.of_metal(checks))
+    job.add_finding(*noticed_in_program.of_narrow(found.narrow, witness.heights, job.config))
     low_mm, top_mm = job.part.bounds[:, 2].tolist()
     if not solid.tells_of(top_mm):
         job.add_finding(*noticed_in_program.of_height(top_mm - low_mm, witness.heights, job.config))

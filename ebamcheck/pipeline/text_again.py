@@ -18,6 +18,7 @@ from ebamcheck.pipeline.tables_again import of_metal, of_plan, of_program
 from ebamcheck.program import Check, verify_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.header_checks import Truth
+from ebamcheck.program.checking.narrow_features import NarrowFeature
 from ebamcheck.program.checking.verification import read_checked
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
@@ -32,6 +33,8 @@ class TextAgain(NamedTuple):
     plan: ScanPlan
     tables: dict[str, pd.DataFrame | pa.Table]
     """Tables of plan and text; of the plan alone where the text cannot be read."""
+    narrow: tuple[NarrowFeature, ...] = ()
+    """Features of the part that are narrower than beads can build."""
 
 
 def text_again(
@@ -78,7 +81,7 @@ def text_again(
     )
     tables |= of_program(nc, path, run.read_layers(str(manifest["primary"])), config)
     tables |= of_metal(laid, z_of, config.base_mm)
-    return TextAgain([readable, *with_solid(checks, part, fresh, config)], plan, tables)
+    return TextAgain([readable, *with_solid(checks, part, fresh, config)], plan, tables, laid.narrow)
 
 
 def truth_of(manifest: Mapping[str, Any]) -> Truth:

@@ -89,6 +89,8 @@ class Config(Section):
             values.get("part", {}).pop("on_table", None)
         if not self.process.feed_along_path:
             values.get("process", {}).pop("feed_along_path", None)
+        if self.process.contour_direction == "same":
+            values.get("process", {}).pop("contour_direction", None)
         return values
 
     def __repr__(self) -> str:

@@ -107,11 +107,12 @@ class ProcessSettings(Section):
     """Least and greatest energy of the beam over the wire that it melts, P / (section of the wire x wire speed). Ten is what
     titanium or steel needs to be molten at all."""
     least_wall_mm: Width | None = None
-    """Thinnest wall that may be built; None: bead_width_mm, or as much less as wire_speed_min_mm_s is under the wire speed
-    of a layer."""
+    """Thinnest wall that may be built: a thinner one of the part is a fault. None: none is, but walls are told of that are thinner
+    than bead_width_mm, or than as much less as wire_speed_min_mm_s is under the wire speed of a layer."""
     least_hole_mm: Width | None = None
-    """Narrowest hole or gap that may be built; None: bead_width_mm, since a narrower one is bridged by the melt of the
-    beads around it."""
+    """Narrowest hole, slot, gap or notch that may be built: a narrower one of the part is a fault. None: none is, but those are told
+    of that are narrower than bead_width_mm, since the melt of the beads around them bridges them. Who wants them filled, to be
+    drilled later, sets a width under theirs."""
     base: Literal["cooled", "insulated"] = "cooled"
     """What the heat model assumes under the base plate: a table that keeps its temperature, or no heat flow."""
     base_plate_mm: Annotated[float, Between(0.1, 5000.0)] = 25.0
@@ -141,6 +142,9 @@ class ProcessSettings(Section):
     """Distance between parallel beads over the bead width."""
     machining_allowance_mm: Annotated[float, Between(0.0, 100.0)] = 0.0
     """Metal left on the contour for machining: contour beads lie outward by this; at most their inset."""
+    contour_direction: Literal["same", "alternating"] = "same"
+    """Direction of contour beads: outer ones counter-clockwise and inner ones clockwise in every layer (same), or turned over in
+    every second layer (alternating), so that starts, ends and the pull of the melt do not all lie one way."""
     overlap_mm: Length = 0.0
     """Length by which a closed contour bead runs on over its own start, at most once around."""
     seam_shift_mm: Length = 0.0
@@ -195,8 +199,8 @@ class ProcessSettings(Section):
     keep_out: tuple[KeepOut, ...] = ()
     """Places that no bead and no rapid below their top may enter."""
     largest_overhang_deg: Annotated[float, Between(0.01, 89.99)] | None = None
-    """Greatest angle from the vertical by which a layer may reach out over the one below; None: by
-    the width of a bead, so that no bead has nothing at all under it."""
+    """Greatest angle from the vertical at which a slope may reach out over the layer below. Whatever it is, and where none is
+    set, a layer reaches out by the width of a bead at most, so that no bead has nothing at all under it."""
 
     @property
     def power_w(self) -> float:

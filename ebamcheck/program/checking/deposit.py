@@ -27,6 +27,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
+from ebamcheck.program.checking.narrow_features import NarrowFeature, narrow_features
 from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
@@ -84,6 +85,8 @@ class Deposit:
         The layer of which surface, reach or a window comes nearest to its limit, or is furthest over it; -1 without any.
     surface
         What the program leaves; that of further layers begins on it.
+    narrow
+        Openings and walls of the part that are narrower than beads can build.
     """
 
     layers: pd.DataFrame
@@ -92,6 +95,7 @@ class Deposit:
     fields: dict[int, LayerField]
     worst: int
     surface: Surface
+    narrow: tuple[NarrowFeature, ...]
 
 
 def deposit(
@@ -119,7 +123,8 @@ def deposit(
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     thickness = np.diff(z_of, prepend=config.base_mm)
-    sections = [wanted_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    of_part = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    sections = [wanted_region(section, config) for section in of_part]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)
     field = _Field(stands.copy() if stands else Surface(bounds, process.bead_width_mm), process)
@@ -144,7 +149,8 @@ def deposit(
         if figures["reach_mm"] > 0.0:
             holes += [{"layer": k, **hole} for hole in _closed_holes(section, laid, float(thickness[k]))]
     table = pd.DataFrame(holes, columns=list(HOLE_COLUMNS))
-    return Deposit(pd.DataFrame(found), first, table, fields, worst, field.surface)
+    narrow = tuple(narrow_features(of_part, config))
+    return Deposit(pd.DataFrame(found), first, table, fields, worst, field.surface, narrow)
 
 
 def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSettings) -> dict[str, float]:

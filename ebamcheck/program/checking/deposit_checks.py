@@ -23,8 +23,11 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
 
+NARROW = "narrow features"
+"""Name of the check of openings and walls of the part that are narrower than a least that is set."""
+
 DEPOSIT_CHECKS = (
-    "metal", "metal of layers", "metal outside", "reach of metal", "holes", "height inside", "height at edges",
+    "metal", "metal of layers", "metal outside", "reach of metal", "holes", NARROW, "height inside", "height at edges",
     "height of layers", "height of zones", "surface",
 )  # fmt: skip
 """Names of the checks, in their order."""
@@ -83,6 +86,7 @@ def deposit_checks(
         _outside(solid, built, alone, config, places),
         _reach(solid, config, places),
         _holes(found, places),
+        _narrow(found, places),
         _zone(solid, "inside", "height inside", (built, alone), config, places),
         _zone(solid, "edge", "height at edges", (built, alone), config, places),
         _of_zones(solid, ("inside", "edge"), "height of layers", config, places),
@@ -197,7 +201,7 @@ def _holes(found: Deposit, places: _Places) -> Check:
     """Holes of the sections that beads close, however little metal that is."""
     holes = found.holes
     if not len(holes):
-        return Check("holes", True, 0.0, 0.0, "holes", "", "no hole of the part is closed by beads")
+        return Check("holes", True, 0.0, 0.0, "holes", "", "beads lay no metal over the holes of the part")
     first = holes.iloc[0]
     layer = int(first["layer"])
     text = (
@@ -205,6 +209,23 @@ def _holes(found: Deposit, places: _Places) -> Check:
         f"{100 * first['covered']:.0f} % of it, layer {layer + 1}, at ({first['x_mm']:.1f}, {first['y_mm']:.1f})"
     )
     return Check("holes", False, float(len(holes)), 0.0, "holes", places.of(layer), text)
+
+
+def _narrow(found: Deposit, places: _Places) -> Check:
+    """Openings and walls of the part that are narrower than a setting allows; of others, narrower than beads can build, it tells."""
+    broken = [feature for feature in found.narrow if feature.is_set]
+    if not found.narrow:
+        return Check(
+            NARROW, True, 0.0, 0.0, "features", "", "no opening and no wall is narrower than beads can build"
+        )
+    told = broken or found.narrow
+    first = told[0]
+    text = (
+        f"{counted(len(told), 'feature')} of the part narrower than {first.than}: first {first.in_words()}, "
+        f"layer {first.layer + 1}, at ({first.x_mm:.1f}, {first.y_mm:.1f})"
+    )
+    where = places.of(first.layer) if broken else ""
+    return Check(NARROW, not broken, float(len(broken)), 0.0, "features", where, text)
 
 
 def _zone(

@@ -46,31 +46,49 @@ class Laid:
 def overhang_check(nc: NCProgram, config: Config) -> Check:
     """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit.
 
-    Where no angle is set, a layer may reach out by the width of a bead: one farther out has nothing under it. What closes a
-    hole, or joins two posts, reaches out from all sides of them: by half of its span.
+    A layer may reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle
+    is set: an angle is for slopes, and none lets metal begin on nothing. What closes a hole, or joins two posts, reaches out
+    from all sides of them: by half of its span.
     """
-    limit, width_mm = config.process.largest_overhang_deg, config.process.bead_width_mm
+    width_mm = config.process.bead_width_mm
     heights = nc.layer_heights
-    worst, area, row = 0.0, 0.0, -1
-    allowed = limit or math.degrees(math.atan2(width_mm, config.layer_height_mm))
+    worst, area, row, by_bead = 0.0, 0.0, -1, False
+    allowed = math.degrees(
+        math.atan2(allowed_reach_mm(config.layer_height_mm, config), config.layer_height_mm)
+    )
     below: Laid | None = None
     for k, laid in enumerate(_layers(nc)):
         rise = float(heights[k] - heights[k - 1]) if k else 0.0
         # A height that is not known is not above.
         if rise > 0.0 and below is not None and laid.places.size:
-            reach = rise * math.tan(math.radians(limit)) if limit else width_mm
+            reach = allowed_reach_mm(rise, config)
             away, place, over = _reach(laid, below, reach, width_mm)
             angle = math.degrees(math.atan2(away, rise))
-            within = limit or math.degrees(math.atan2(width_mm, rise))
+            within = math.degrees(math.atan2(reach, rise))
             area += over
             if row < 0 or angle / within > worst / allowed:
-                worst, allowed, row = angle, within, _nearest_row(nc, k, place)
+                worst, allowed, by_bead = angle, within, away > width_mm
+                row = _nearest_row(nc, k, place)
         if laid.places.size:
             below = laid
     text = f"layers reach out by up to {worst:.4g} deg from the vertical over the one below"
     if worst > allowed:
-        text += f", {area:.6g} mm2 of them " + ("unsupported" if limit else "farther than a bead is wide")
+        text += f", {area:.6g} mm2 of them " + ("farther than a bead is wide" if by_bead else "unsupported")
     return Check("overhang", worst <= allowed, worst, allowed, "deg", nc.where(row) if row >= 0 else "", text)
+
+
+def allowed_reach_mm(rise_mm: float, config: Config) -> float:
+    """How far a layer may reach out over the one below: by the angle that is set, and never farther than a bead is wide.
+
+    Examples
+    --------
+    >>> round(allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 45.0})), 6)
+    2.0
+    >>> allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 89.0}))
+    6.0
+    """
+    limit_deg, width_mm = config.process.largest_overhang_deg, config.process.bead_width_mm
+    return width_mm if limit_deg is None else min(rise_mm * math.tan(math.radians(limit_deg)), width_mm)
 
 
 def _layers(nc: NCProgram) -> Iterator[Laid]:

@@ -133,6 +133,7 @@ def contour_checks(
     faults = _ring_faults(nc, curves, rows, z_of)
     rows = rows[nc.ring[rows] < count]
     spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
+    faults += _turned_rings(nc, curves, rows, spans)
     distance, alike = _same_parameters(nc, rows, spans, count)
     limit = limit_mm + (config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0)
     rings = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
@@ -147,7 +148,7 @@ def contour_checks(
 
     run_blocks(work, len(rings))
     return [
-        count_check("contour rings", faults, f"{count} rings, each once and in its layer"),
+        count_check("contour rings", faults, f"{count} rings, each once, in its layer and in its direction"),
         worst_check(
             "contour path", nc, rows, distance, limit, "mm", "distance from the fitted curve, both ways"
         ),
@@ -171,6 +172,26 @@ def _ring_faults(nc: NCProgram, curves: CurveColumns, rows: Ints, z_of: Floats) 
     filled = np.diff(curves.ring_starts) > 0
     breaks = np.diff(rows, prepend=-2) > 1
     return _group_faults(nc, rows, nc.ring, breaks, "contour ring", z_of[layer], np.flatnonzero(filled))
+
+
+def _turned_rings(
+    nc: NCProgram, curves: CurveColumns, rows: Ints, spans: FittedSpans
+) -> list[tuple[str, str]]:
+    """Closed rings that are driven the other way than planned: as a shape they are the same."""
+    count = len(curves.closed)
+    once = rows[~nc.overlap[rows]]
+    points = nc.evaluate(once, np.linspace(0.0, 1.0, SAMPLES)[None])
+    driven = np.bincount(nc.ring[once], _left_mm2(points), minlength=count)
+    planned = np.bincount(spans.ring, _left_mm2(spans.points), minlength=count)
+    turned = np.asarray(curves.closed) & (driven * planned < 0.0)
+    first = [int(once[np.argmax(nc.ring[once] == ring)]) for ring in np.flatnonzero(turned)]
+    return [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
+
+
+def _left_mm2(points: Floats) -> Floats:
+    """Twice the area (n,) between the origin and paths (n, m, 2), positive where it lies on their left."""
+    x, y = points[..., 0], points[..., 1]
+    return np.asarray((x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1), np.float64)
 
 
 def _group_faults(

@@ -30,6 +30,7 @@ TOO_THIN = (
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
 HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
+NARROW = f"fill or widen it in the model, set a least width under it (process.least_hole_mm, least_wall_mm), or {NARROWER}"
 LEVELS = (
     "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
     "that is too much, allow for machining (process.machining_allowance_mm)"
@@ -61,6 +62,7 @@ REMEDIES: Mapping[str, str] = {
     **dict.fromkeys(("beads inside", "metal outside", "reach of metal"), COARSE),
     "holes": HOLE,
     "ends of beads": f"{HATCH}; a text that was edited by hand is made again (ebamcheck run)",
+    "narrow features": NARROW,
     "wire of beads": f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}",
     **dict.fromkeys(
         (
@@ -95,7 +97,7 @@ REMEDIES: Mapping[str, str] = {
     "collision": "raise machine.safe_height_mm and machine.clearance_mm, or move what stands in the way (process.keep_out)",
     "clearance": "raise machine.safe_height_mm and machine.clearance_mm",
     "support": "build in another direction (part.direction), or support the overhang in the model",
-    "overhang": "build in another direction (part.direction), support it in the model, or set the angle that your process can build (process.largest_overhang_deg)",
+    "overhang": "build in another direction (part.direction), support it in the model, or, for a slope within a bead's width, set the angle that your process can build (process.largest_overhang_deg)",
     "seams": "spread the seams (process.seam_shift_mm), or lower process.least_seam_distance_mm",
 }  # fmt: skip
 """By name of the check."""

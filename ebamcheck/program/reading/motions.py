@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading import motion_items
@@ -222,9 +223,9 @@ class NCProgram:
         return self._layers(np.flatnonzero(self.deposit & (self.layer >= 0)), step_mm)
 
     def contours(self, step_mm: float) -> Layers:
-        """Return the contour rings alone as layers, in canonical form, without what overlaps their starts."""
+        """Return the contour rings alone as layers, in canonical form, without what overlaps their starts, whichever way they are driven."""
         rows = self.deposit & (self.ring >= 0) & (self.layer >= 0) & ~self.overlap
-        return self._layers(np.flatnonzero(rows), step_mm)
+        return oriented_by_nesting(self._layers(np.flatnonzero(rows), step_mm))
 
     @cached_property
     def overlap(self) -> Bools:

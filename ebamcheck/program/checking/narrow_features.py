@@ -1,0 +1,373 @@
+"""Features of the part that are narrower than a bead, found in its sections alone: openings that the melt bridges, and walls.
+
+An opening (a hole, a slot, a gap between bodies, a notch) is what a section lacks and its closing by a disc has; a wall is what the
+section has and its opening lacks (Serra 1982, chapter 2). Its width is measured from side to side. Corners are no features, but
+where their sides nearly face one another: every bead rounds a corner, and the checks of the metal judge that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+import shapely
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.checking.near_sides import side_distances, sides_of
+from ebamcheck.scan.islands.regions import ARC_SEGMENTS, equivalent_rectangles_mm, inset
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm
+
+FACING = math.cos(math.radians(40.0))
+"""Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none."""
+
+NO_WIDTH_MM = 1e-5
+"""Openings narrower than this are the rounding of coordinates."""
+
+STEPS = 4
+"""Places on a side over the length of the least width."""
+
+ON_SIDE = np.array([0.02, 0.5, 0.98])
+"""Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle."""
+
+LONG = 2.0
+"""Length over width from which on a hole is called a slot."""
+
+TAPERS = 1.25
+"""Greatest width over the least from which on both are told."""
+
+Kind = Literal["hole", "slot", "gap", "notch", "wall"]
+
+
+class Place(NamedTuple):
+    """A narrow feature in one layer: its widths from side to side and its length, mm, and a point in its narrowest place."""
+
+    kind: Kind
+    narrowest_mm: float
+    widest_mm: float
+    length_mm: float
+    x_mm: float
+    y_mm: float
+    region: BaseGeometry
+
+
+@dataclass(frozen=True)
+class NarrowFeature:
+    """A feature over all layers that it goes through.
+
+    Parameters
+    ----------
+    least_mm
+        Width under which it counts as narrow: that set, or that of the bead; openings are narrowed by the allowance for machining.
+    is_set
+        Whether a setting says so: then it may not be built.
+    narrowest_mm, widest_mm, length_mm
+        Widths from side to side over all layers; the length is that in the layer of the narrowest place.
+    layer, x_mm, y_mm
+        That place.
+    first, last
+        Lowest and highest layer.
+    """
+
+    kind: Kind
+    least_mm: float
+    is_set: bool
+    narrowest_mm: float
+    widest_mm: float
+    length_mm: float
+    layer: int
+    x_mm: float
+    y_mm: float
+    first: int
+    last: int
+
+    @property
+    def is_wall(self) -> bool:
+        """Whether it is metal and not an opening."""
+        return self.kind == "wall"
+
+    @property
+    def than(self) -> str:
+        """What it is narrower than, in words."""
+        if self.is_set:
+            setting = "process.least_wall_mm" if self.is_wall else "process.least_hole_mm"
+            return f"{setting} allows ({self.least_mm:.3g} mm)"
+        return (
+            f"beads can lay ({self.least_mm:.3g} mm)" if self.is_wall else f"a bead ({self.least_mm:.3g} mm)"
+        )
+
+    def in_words(self) -> str:
+        """Return kind and size.
+
+        Examples
+        --------
+        >>> NarrowFeature("slot", 6.0, False, 1.0, 1.0, 20.0, 0, 1.0, 2.0, 0, 5).in_words()
+        'a slot 1 mm wide and 20 mm long on 6 layers'
+        """
+        width = f"{self.narrowest_mm:.2g}"
+        if self.widest_mm > TAPERS * self.narrowest_mm:
+            width += f" to {self.widest_mm:.2g}"
+        long = f" and {self.length_mm:.3g} mm long" if self.length_mm > LONG * self.widest_mm else ""
+        layers = self.last - self.first + 1
+        counted = f"{layers} layers" if layers > 1 else "one layer"
+        return f"a {self.kind} {width} mm {'thick' if self.is_wall else 'wide'}{long} on {counted}"
+
+
+def narrow_features(sections: Sequence[BaseGeometry], config: Config) -> list[NarrowFeature]:
+    """Find openings and walls narrower than the least that is set or, where none is, than beads can build; the narrowest first.
+
+    Parameters
+    ----------
+    sections
+        (L,) of the part itself. An allowance for machining takes its double from every opening, and adds it to every wall.
+    """
+    process = config.process
+    beads = config.changed(process={"least_hole_mm": None, "least_wall_mm": None})
+    allowance_mm = 2.0 * process.machining_allowance_mm
+    found: list[NarrowFeature] = []
+    for walls, set_mm, bead_mm in (
+        (False, process.least_hole_mm, least_hole_mm(beads)),
+        (True, process.least_wall_mm, least_wall_mm(beads)),
+    ):
+        machined_mm = -allowance_mm if walls else allowance_mm
+        if set_mm is not None:
+            found += _features(sections, walls, set_mm + machined_mm, True, process.outside_reach_mm)
+        if set_mm is None or set_mm < bead_mm:
+            others = _features(sections, walls, bead_mm + machined_mm, False, process.outside_reach_mm)
+            found += [one for one in others if set_mm is None or one.narrowest_mm >= set_mm + machined_mm]
+    return sorted(found, key=lambda one: (not one.is_set, one.narrowest_mm / one.least_mm))
+
+
+def _features(
+    sections: Sequence[BaseGeometry], walls: bool, least_mm: float, is_set: bool, shallow_mm: float
+) -> list[NarrowFeature]:
+    """Features of one kind that are narrower than a width."""
+    if least_mm <= 0.0:
+        return []
+    places = _places(sections, walls, least_mm, shallow_mm)
+    return [_feature(group, least_mm, is_set) for group in _through_layers(places, least_mm)]
+
+
+def _places(
+    sections: Sequence[BaseGeometry], walls: bool, least_mm: float, shallow_mm: float
+) -> list[list[Place]]:
+    """Narrow places of every layer (L,); layers that are alike are looked at once."""
+    found: list[list[Place]] = []
+    for k, section in enumerate(sections):
+        alike = k > 0 and shapely.equals_exact(section, sections[k - 1])
+        found.append(found[-1] if alike else narrow_places(section, walls, least_mm, shallow_mm))
+    return found
+
+
+def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
+    """Find the narrow places of a section.
+
+    Parameters
+    ----------
+    walls
+        Look for walls; else for openings.
+    least_mm
+        Width under which a place is narrow.
+    shallow_mm
+        Notches and tips no deeper than this are the unevenness of a side as it is built.
+
+    Examples
+    --------
+    >>> plate = shapely.box(0, 0, 40, 30).difference(shapely.box(10, 14, 30, 15))
+    >>> [(p.kind, p.narrowest_mm, p.length_mm) for p in narrow_places(plate, False, 6.0, 1.0)]
+    [('slot', 1.0, 20.0)]
+    """
+    found = _narrowed(section, walls, least_mm, shallow_mm)
+    return list(_measured(found, walls, least_mm)) if found else []
+
+
+class _Narrowed(NamedTuple):
+    """A section, the same opened or closed, and where the two lie far apart."""
+
+    parts: np.ndarray
+    rings: np.ndarray
+    filled: BaseGeometry
+    lost: Bools
+    sides: _Sides
+
+
+def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> _Narrowed | None:
+    """Open or close a section, and take the places on its sides that then lie deep; None where none does."""
+    parts = np.asarray([shapely.orient_polygons(p) for p in valid_polygons(section)], object)
+    if not parts.size:
+        return None
+    rings = np.asarray([ring for part in parts for ring in (part.exterior, *part.interiors)], object)
+    filled = _rounded(shapely.MultiPolygon(list(parts)), walls, least_mm)
+    lost = _lost(parts, filled, walls)
+    sides = _sides_of_rings(rings, max(least_mm / STEPS, shallow_mm))
+    depth = side_distances(np.ascontiguousarray(sides.at), sides_of(filled.boundary))
+    deep = (depth > shallow_mm) | lost[sides.ring]
+    if not deep.any():
+        return None
+    return _Narrowed(parts, rings, filled, lost, _Sides(sides.at[deep], sides.out[deep], sides.ring[deep]))
+
+
+def _rounded(whole: BaseGeometry, walls: bool, least_mm: float) -> BaseGeometry:
+    """Opening of a section by a disc of the least width for walls, else its closing."""
+    radius = 0.5 * least_mm
+    if walls:
+        return shapely.buffer(inset(whole, radius), radius, quad_segs=ARC_SEGMENTS)
+    return inset(shapely.buffer(whole, radius, quad_segs=ARC_SEGMENTS), radius)
+
+
+def _lost(parts: np.ndarray, filled: BaseGeometry, walls: bool) -> Bools:
+    """Rings (R,) of which nothing is left: outer ones of parts without a core, or those of holes that are closed."""
+    shapely.prepare(filled)
+    found = []
+    for part in parts:
+        gone = walls and not shapely.intersects(filled, part)
+        holes = [not walls and shapely.contains(filled, shapely.Polygon(ring)) for ring in part.interiors]
+        found += [gone, *(gone or hole for hole in holes)]
+    return np.asarray(found, np.bool_)
+
+
+class _Sides(NamedTuple):
+    """Places along rings: where, the direction out of the metal there, and whose they are."""
+
+    at: Floats
+    out: Floats
+    ring: Ints
+
+
+def _sides_of_rings(rings: np.ndarray, step_mm: float) -> _Sides:
+    """Places on the sides of rings with the metal on their left: the middles and near both ends, of no more than a step each."""
+    points, ring = shapely.get_coordinates(shapely.segmentize(rings, step_mm), return_index=True)
+    along = np.diff(points, axis=0)
+    length = np.hypot(along[:, 0], along[:, 1])
+    side = np.flatnonzero((ring[1:] == ring[:-1]) & (length > 0.0))
+    along = along[side]
+    out = np.column_stack([along[:, 1], -along[:, 0]]) / length[side, None]
+    at = points[side, None] + ON_SIDE[:, None] * along[:, None]
+    count = len(ON_SIDE)
+    return _Sides(
+        at.reshape(-1, 2), np.repeat(out, count, axis=0), np.repeat(ring[side], count).astype(np.int64)
+    )
+
+
+class _Across(NamedTuple):
+    """Ways from one side to the side that faces it: middle (n, 2), length (n,) mm, and the rings at both ends."""
+
+    middle: Floats
+    width_mm: Floats
+    start: Ints
+    end: Ints
+
+
+def _across(sides: _Sides, rings: np.ndarray, walls: bool, least_mm: float) -> _Across:
+    """Ways across the narrow places, from every place on a side to the nearest side straight ahead, if that faces it."""
+    at, ahead = sides.at, sides.out * (-1.0 if walls else 1.0)
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    joined = np.flatnonzero(ring[1:] == ring[:-1])
+    ends = np.stack([points[joined], points[joined + 1]], axis=1)
+    ways = shapely.linestrings(np.stack([at, at + 1.001 * least_mm * ahead], axis=1))
+    way, side = shapely.STRtree(np.asarray(shapely.linestrings(ends), object)).query(
+        ways, predicate="intersects"
+    )
+    a, run = ends[side, 0], ends[side, 1] - ends[side, 0]
+    turned = ahead[way, 0] * run[:, 1] - ahead[way, 1] * run[:, 0]
+    size = np.hypot(run[:, 0], run[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        length = ((a - at[way])[:, 0] * run[:, 1] - (a - at[way])[:, 1] * run[:, 0]) / turned
+    kept = np.flatnonzero(np.isfinite(length) & (length > NO_WIDTH_MM) & (size > 0.0))
+    order = kept[np.lexsort((length[kept], way[kept]))]
+    order = order[np.flatnonzero(np.diff(way[order], prepend=-1))]
+    # A side runs with the metal on its left: over an opening it is met from its right, in a wall from its left.
+    faces = np.abs(turned[order]) >= FACING * size[order]
+    faces &= (turned[order] < 0.0) != walls
+    order = order[faces]
+    return _Across(
+        at[way[order]] + 0.5 * length[order, None] * ahead[way[order]],
+        length[order],
+        sides.ring[way[order]],
+        ring[joined][side[order]].astype(np.int64),
+    )
+
+
+def _measured(found: _Narrowed, walls: bool, least_mm: float) -> Iterator[Place]:
+    """Narrow places among the pieces that opening or closing took or gave: those with ways across, and whole rings that are lost."""
+    parts, lost = found.parts, found.rings[found.lost]
+    whole_section = shapely.MultiPolygon(list(parts))
+    one, other = (whole_section, found.filled) if walls else (found.filled, whole_section)
+    pieces = valid_polygons(shapely.difference(one, other))
+    if not pieces:
+        return
+    across = _across(found.sides, found.rings, walls, least_mm)
+    tree = shapely.STRtree(pieces)
+    owner = np.zeros(0, np.int64)
+    if len(across.middle):
+        owner = tree.query_nearest(shapely.points(across.middle), all_matches=False)[1]
+    whole = {int(k) for ring in lost for k in tree.query(shapely.Point(ring.coords[0]), "intersects")}
+    part_of = np.repeat(np.arange(len(parts)), [1 + len(part.interiors) for part in parts])
+    for k in sorted({*owner.tolist(), *whole}):
+        mine = np.flatnonzero(owner == k)
+        kind: Kind = "wall" if walls else "hole" if k in whole else "notch"
+        place = _place(pieces[k], kind, across.middle[mine], across.width_mm[mine])
+        if not walls and mine.size:
+            at = mine[across.width_mm[mine].argmin()]
+            a, b = part_of[[across.start[at], across.end[at]]]
+            place = _between(place, parts[a], parts[b]) if a != b else place
+        if place.narrowest_mm >= NO_WIDTH_MM:
+            yield place
+
+
+def _place(piece: shapely.Polygon, kind: Kind, middle: Floats, width_mm: Floats) -> Place:
+    """Measure a piece by the ways across it; where no sides face one another, such as in a triangle, by its mean width."""
+    (mean_mm,), (length_mm,) = equivalent_rectangles_mm([piece])
+    if kind == "hole" and width_mm.size and length_mm > LONG * width_mm.max():
+        kind = "slot"
+    if not width_mm.size:
+        inner = piece.representative_point()
+        middle, width_mm = np.array([[inner.x, inner.y]]), np.array([mean_mm])
+    at = int(width_mm.argmin())
+    x_mm, y_mm = middle[at].tolist()
+    return Place(kind, float(width_mm[at]), float(width_mm.max()), float(length_mm), x_mm, y_mm, piece)
+
+
+def _between(place: Place, one: shapely.Polygon, other: shapely.Polygon) -> Place:
+    """Narrow place between two parts of a section: a gap, whose narrowest is where they are nearest, if that is in it."""
+    place = place._replace(kind="gap")
+    nearest = shapely.shortest_line(one, other)
+    middle = shapely.centroid(nearest)
+    if nearest.length >= place.narrowest_mm or shapely.distance(place.region, middle) > place.widest_mm:
+        return place
+    return place._replace(narrowest_mm=nearest.length, x_mm=middle.x, y_mm=middle.y)
+
+
+def _through_layers(places: list[list[Place]], least_mm: float) -> list[list[tuple[int, Place]]]:
+    """Places of consecutive layers that lie over each other, within half of the least width, as one."""
+    flat = [(k, place) for k, found in enumerate(places) for place in found]
+    first = np.cumsum([0, *(len(found) for found in places)])
+    pairs: list[tuple[int, int]] = []
+    for k in np.flatnonzero(np.diff(first) > 0)[1:].tolist():
+        if not places[k - 1]:
+            continue
+        tree = shapely.STRtree([place.region for place in places[k - 1]])
+        here, below = tree.query([place.region for place in places[k]], "dwithin", 0.5 * least_mm)
+        pairs += zip((first[k] + here).tolist(), (first[k - 1] + below).tolist(), strict=True)
+    one, other = np.array(pairs, np.int64).reshape(-1, 2).T
+    links = coo_array((np.ones(one.size), (one, other)), shape=(len(flat), len(flat)))
+    count, group = connected_components(links, directed=False) if flat else (0, np.zeros(0, np.int64))
+    return [[flat[i] for i in np.flatnonzero(group == g).tolist()] for g in range(count)]
+
+
+def _feature(group: list[tuple[int, Place]], least_mm: float, is_set: bool) -> NarrowFeature:
+    """Return a feature of the places that belong together."""
+    layer, place = min(group, key=lambda one: one[1].narrowest_mm)
+    layers = [k for k, _ in group]
+    widest_mm = max(one.widest_mm for _, one in group)
+    return NarrowFeature(
+        place.kind, least_mm, is_set, place.narrowest_mm, widest_mm, place.length_mm,
+        layer, place.x_mm, place.y_mm, min(layers), max(layers),
+    )  # fmt: skip
