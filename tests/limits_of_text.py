@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from limit_cases import HIGH_MM, Subject, cube, downwards, upwards
+from limit_cases import HIGH_MM, Subject, cube, downwards, program_of, upwards
 
 from ebamcheck.program import Check
 from ebamcheck.program.checking.state_checks import far_away
@@ -92,6 +92,11 @@ def wire_of(figure: float) -> Subject:
     return cube().with_columns(cube().metal[5], wire_mm_s=figure)
 
 
+def ramped(**windows) -> Subject:
+    """A bead of 100 mm whose beam rises along 20 mm, and falls along as many: in two seconds each."""
+    return program_of([[[(0.0, 0.0), (100.0, 0.0)]]], process={"ramp_up_mm": 20.0, "crater_fill_mm": 20.0}).by(process=windows)
+
+
 def used_kg() -> float:
     nc = cube().nc
     rows = np.flatnonzero(nc.wire)
@@ -170,6 +175,9 @@ CASES = (
     upwards("process values", "process.travel_window_mm_s", lambda f: along(f, 48.0 * f, 1000.0 / 60.0)),
     upwards("increments", "increment_check.PRINTED machine.current_increment_ma", lambda f: in_steps(f, "current_ma", 120.0, 0.5)),
     upwards("increments", "increment_check.PRINTED machine.voltage_increment_kv", lambda f: in_steps(f, "voltage_kv", 60.0, 0.5)),
+    upwards("ramps in time", "ramp_check.ROUNDING_MM process.ramp_up_window_s", lambda f: ramped(ramp_up_window_s=(0.5, 2.0 - f * 0.01))),
+    upwards("ramps in time", "ramp_check.ROUNDING_MM process.ramp_up_window_s", lambda f: ramped(ramp_up_window_s=(2.0 + f * 0.01, 9.0))),
+    upwards("ramps in time", "process.crater_fill_window_s", lambda f: ramped(crater_fill_window_s=(0.5, 2.0 - f * 0.01))),
     upwards("wire on the spool", "machine.spool_kg", lambda f: cube().by(machine={"spool_kg": used_kg() / f})),
     upwards("life of the cathode", "machine.cathode_h", lambda f: cube().by(machine={"cathode_h": used_h() / f})),
     upwards("layer pause", "interpass_checks.PAUSE_TOLERANCE_S", lambda f: waiting(f * 1e-6), "curves", "plan"),
