@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from limit_cases import Subject, cube, program_of
 from limits_of_heat import preheated
+from limits_of_path import hatch_row
 from limits_of_text import FIRST, MAIN
 
 from ebamcheck.program.checking.header_checks import Truth
@@ -42,7 +43,7 @@ def crossed() -> Subject:
 
 
 def unknown_start() -> Subject:
-    return cube().with_columns(int(cube().metal[0]), start=np.nan)
+    return cube().with_columns(hatch_row(), start=np.nan)
 
 
 def wait_under_the_beam() -> Subject:

@@ -13,6 +13,7 @@ from prism_program import Made
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.program import Check
 from ebamcheck.program.checking.entry_check import entry_check
+from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.settings.config import Config
 
 HEAT = ("layers", "heat")
@@ -33,7 +34,7 @@ def rise_k(name: str, mm: float) -> float:
 
 def limited(name: str, f: float) -> Subject:
     """A limit over which the rise comes by so much."""
-    return wide(60.0).by(process={"interpass_limit_k": AMBIENT_K + rise_k(name, 60.0) / f})
+    return wide(90.0).by(process={"interpass_limit_k": AMBIENT_K + rise_k(name, 90.0) / f})
 
 
 def differing(f: float, mm: float, share: float, least_k: float) -> Subject:
@@ -42,6 +43,25 @@ def differing(f: float, mm: float, share: float, least_k: float) -> Subject:
     limit = rise / (1.0 + f * share) if share else rise - f * least_k
     assert (limit > 600.0) == bool(share)
     return wide(mm).by(process={"interpass_limit_k": AMBIENT_K + limit})
+
+
+@cache
+def weaker(mm: float, layer: int) -> tuple[Subject, float]:
+    """One layer with four fifths of the power, and how warm it is: as it would be with a hundredth of the power more."""
+    subject = wide(mm).with_columns(cube().of_layer(layer), power_w=0.8 * 7200.0)
+    beads = text_beads(subject.nc, subject.config)
+    sections = sections_of(subject.known["layers"])
+    shapes = text_shapes(subject.nc, subject.config, sections)
+    bed_k, _ = text_bed_k(beads, subject.config, shapes, lowest=sections[0])
+    return subject, float(bed_k[beads.layer == layer].max() - AMBIENT_K) * 0.81 / 0.8
+
+
+def with_room(f: float, mm: float, layer: int, share: float, least_k: float) -> Subject:
+    """A limit far over a weaker layer: under 0.85 of its rise, and under 80 K less, there is room for all of the power."""
+    subject, rise = weaker(mm, layer)
+    limit = f * rise / share if share else rise + f * least_k
+    assert (0.85 * limit < limit - 80.0) == bool(share)
+    return subject.by(process={"interpass": "both", "interpass_limit_k": AMBIENT_K + limit})
 
 
 def melting(f: float) -> Subject:
@@ -123,16 +143,15 @@ def apart(f: float) -> Subject:
 
 
 def longer_scan(f: float) -> Subject:
-    """A scan whose way is so much longer than that of whole passes: by 0.02 of a pass."""
+    """A scan of two passes that is longer than these: by 0.02 of the pass of 340 mm that would follow."""
     scans = Subject(preheated().nc.preheating, preheated().config)
-    passes = int(preheated().checks("layers")["preheat count"].text.split()[0])
     lit = np.flatnonzero(scans.nc.beam)
-    way = scans.nc.lengths[lit]
+    assert scans.nc.lengths[lit].sum() == 820.0
     last = int(lit[-1])
-    sign = np.sign(scans.nc.end[last, 0] - scans.nc.start[last, 0])
-    assert sign != 0.0
-    longer = with_scans(scans.with_ends(last, sign * f * 0.02 * way.sum() / passes, 0))
-    return longer.by(preheat={"passes": passes})
+    way = (scans.nc.end - scans.nc.start)[last, :2]
+    axis = int(np.argmax(np.abs(way)))
+    longer = with_scans(scans.with_ends(last, np.sign(way[axis]) * f * 0.02 * 340.0, axis))
+    return longer.by(preheat={"passes": 2})
 
 
 # -- elsewhere -----------------------------------------------------------------------------------------
@@ -155,8 +174,10 @@ def entered(f: float) -> Check:
 
 CASES: tuple[Case, ...] = (
     upwards("interpass temperature", "process.interpass_limit_k", lambda f: limited("interpass temperature", f), *HEAT),
-    upwards("balance of the heat", "heat_again.MODELS_SHARE", lambda f: differing(f, 50.0, 0.1, 0.0), *HEAT),
-    upwards("balance of the heat", "heat_again.MODELS_K", lambda f: differing(f, 90.0, 0.0, 60.0), *HEAT),
+    upwards("balance of the heat", "heat_again.MODELS_SHARE", lambda f: differing(f, 90.0, 0.1, 0.0), *HEAT),
+    upwards("balance of the heat", "heat_again.MODELS_K", lambda f: differing(f, 140.0, 0.0, 60.0), *HEAT),
+    upwards("power", "interpass_checks.ROOM", lambda f: with_room(f, 90.0, 2, 0.85, 0.0), *HEAT),
+    upwards("power", "interpass_checks.ROOM_K", lambda f: with_room(f, 140.0, 0, 0.0, 80.0), *HEAT),
     upwards("melting power", "interpass_checks.SHARE_TOLERANCE", melting, *HEAT),
     upwards("preheat state", "preheat_checks.VALUE_SHARE preheat.current_ma", scan_current, "layers"),
     upwards("preheat path", "preheat_checks.VALUE_SHARE preheat.speed_mm_s", lambda f: scanning(feed_mm_min=lambda v: v * (1.0 + f * 1e-3)), "layers"),

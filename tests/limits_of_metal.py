@@ -90,14 +90,10 @@ def outside_of_one(f: float) -> Subject:
 
 
 def covered_hole(twelfths: float) -> Subject:
-    """A slot of 12 cells beside the cube of which so many are under its metal, which reaches out by half a cell or more."""
-    left = 30.0 + REACHES_MM - twelfths
+    """A slot of 12 cells beside the cube of which so many are under its metal, which ends with it."""
+    left = 30.0 - twelfths
     section = shapely.box(0, 0, 60, 30) - shapely.box(left, 4, left + 12.0, 26)
     return sections_of(section)
-
-
-REACHES_MM = 1.0
-"""How far the metal of the cube reaches beside it as a film, in whole cells."""
 
 
 @cache

@@ -97,6 +97,17 @@ def ramped(**windows) -> Subject:
     return program_of([[[(0.0, 0.0), (100.0, 0.0)]]], process={"ramp_up_mm": 20.0, "crater_fill_mm": 20.0}).by(process=windows)
 
 
+def drawn_back(f: float) -> Subject:
+    """A program whose wire is drawn back by 3 mm, and a little more."""
+    subject = program_of([[[(0.0, 0.0), (30.0, 0.0)]]], process={"wire_retract_mm": 3.0})
+    return subject.with_values("wire_retract_mm", lambda values: values + f * 1e-6)
+
+
+def off_its_line(f: float) -> Subject:
+    """A line in parts, where its power changes, one of which begins beside it."""
+    return ramped().with_ends(int(ramped().metal[1]), f * 1e-3, 1)
+
+
 def used_kg() -> float:
     nc = cube().nc
     rows = np.flatnonzero(nc.wire)
@@ -178,6 +189,8 @@ CASES = (
     upwards("ramps in time", "ramp_check.ROUNDING_MM process.ramp_up_window_s", lambda f: ramped(ramp_up_window_s=(0.5, 2.0 - f * 0.01))),
     upwards("ramps in time", "ramp_check.ROUNDING_MM process.ramp_up_window_s", lambda f: ramped(ramp_up_window_s=(2.0 + f * 0.01, 9.0))),
     upwards("ramps in time", "process.crater_fill_window_s", lambda f: ramped(crater_fill_window_s=(0.5, 2.0 - f * 0.01))),
+    upwards("wire retract", "bead_end_checks.RETRACT_TOLERANCE_MM process.wire_retract_mm", drawn_back),
+    upwards("parts of hatch lines", "bead_end_checks.PLACE_MM", off_its_line, "curves", "plan"),
     upwards("wire on the spool", "machine.spool_kg", lambda f: cube().by(machine={"spool_kg": used_kg() / f})),
     upwards("life of the cathode", "machine.cathode_h", lambda f: cube().by(machine={"cathode_h": used_h() / f})),
     upwards("layer pause", "interpass_checks.PAUSE_TOLERANCE_S", lambda f: waiting(f * 1e-6), "curves", "plan"),
