@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,9 @@ class Subject:
         end[rows, axis] += by_mm
         after = rows + 1 < len(end)
         start[rows[after] + 1, axis] += np.broadcast_to(by_mm, rows.shape)[after]
-        return replace(self, nc=replace(self.nc, start=start, end=end, coefficients=_straight(self.nc, start, end)))
+        return replace(
+            self, nc=replace(self.nc, start=start, end=end, coefficients=_straight(self.nc, start, end))
+        )
 
     def with_values(self, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Subject:
         """Other numbers of all events of a name, but of those that are 0."""
@@ -185,14 +188,16 @@ def program_of(layers, sections=None, rings=None, **settings) -> Subject:
 
     `rings` are closed contours by layer, and `sections` one polygon for all layers or one each.
     """
-    config = Config().changed(**{"layers": {"layer_height_mm": 1.5}, "process": {"interpass": "off"}} | settings)
+    config = Config().changed(
+        **{"layers": {"layer_height_mm": 1.5}, "process": {"interpass": "off"}} | settings
+    )
     heights = (np.arange(len(layers)) + 0.5) * 1.5
     rings = rings or [[] for _ in layers]
     curves = make_curves(
         heights, [[[(np.asarray(ring, float), None)] for ring in layer] for layer in rings], [True] * sum(map(len, rings))
     )  # fmt: skip
     islands = [
-        (k, [(*a, *b) for a, b in zip(bead[:-1], bead[1:], strict=True)]) for k, beads in enumerate(layers) for bead in beads
+        (k, [(*a, *b) for a, b in pairwise(bead)]) for k, beads in enumerate(layers) for bead in beads
     ]  # fmt: skip
     plan = make_plan(heights, islands)
     files = write_program(curves, plan, config, _folder())

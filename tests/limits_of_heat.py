@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import shapely
-from limit_cases import HIGH_MM, Case, Subject, _folder, cube, downwards, program_of, upwards
+from limit_cases import HIGH_MM, Case, Subject, _folder, cube, downwards, upwards
 from prism_program import Made
 
 from ebamcheck.layers.stack import from_polygons
@@ -79,7 +79,9 @@ def melting(f: float) -> Subject:
 def preheated() -> Subject:
     """A prism whose plate is preheated."""
     given = {"when": "plate", "defocus": 20.0, "current_ma": 10.0, "target_k": 330.0, "spot_mm": 20.0}
-    config = Config().changed(preheat=given, machine={"set_focus": ["H5={defocus} ; focus"]}, scan={"order": "raster"})
+    config = Config().changed(
+        preheat=given, machine={"set_focus": ["H5={defocus} ; focus"]}, scan={"order": "raster"}
+    )
     config = config.changed(process={"interpass": "off"})
     prism = Made(_folder(), shapely.box(0, 0, 40, 40), config, layers=2)
     return Subject(prism.read(), config, {"layers": prism.layers})
@@ -89,7 +91,11 @@ def scanning(**values) -> Subject:
     """The preheating with one motion under the beam changed."""
     scans = Subject(preheated().nc.preheating, preheated().config)
     row = np.flatnonzero(scans.nc.beam)[2]
-    return with_scans(scans.with_columns(row, **{name: change(getattr(scans.nc, name)[row]) for name, change in values.items()}))
+    return with_scans(
+        scans.with_columns(
+            row, **{name: change(getattr(scans.nc, name)[row]) for name, change in values.items()}
+        )
+    )
 
 
 def with_scans(scans: Subject) -> Subject:
@@ -97,7 +103,11 @@ def with_scans(scans: Subject) -> Subject:
 
 
 def scan_current(f: float) -> Subject:
-    return with_scans(Subject(preheated().nc.preheating, preheated().config).with_values("current_ma", lambda v: v * (1.0 + f * 1e-3)))
+    return with_scans(
+        Subject(preheated().nc.preheating, preheated().config).with_values(
+            "current_ma", lambda v: v * (1.0 + f * 1e-3)
+        )
+    )
 
 
 def scan_height(f: float) -> Subject:

@@ -95,7 +95,9 @@ def turned_back(f: float) -> Subject:
 
 
 def two_lines(apart_mm: float) -> Subject:
-    return program_of([[[(0.0, 0.0), (30.0, 0.0)], [(0.0, apart_mm), (30.0, apart_mm)]]], shapely.box(-5, -5, 35, 35))
+    return program_of(
+        [[[(0.0, 0.0), (30.0, 0.0)], [(0.0, apart_mm), (30.0, apart_mm)]]], shapely.box(-5, -5, 35, 35)
+    )
 
 
 def bead_turn(f: float) -> Subject:
@@ -107,7 +109,9 @@ def bead_turn(f: float) -> Subject:
 def sector(f: float) -> Subject:
     """A bead whose direction is so far out of the only sector, but for 0.01 degrees."""
     angle = math.radians(10.0 + f * 0.01)
-    subject = program_of([[[(0.0, 0.0), (100.0 * math.cos(angle), 100.0 * math.sin(angle))]]], machine={"decimals": 6})
+    subject = program_of(
+        [[[(0.0, 0.0), (100.0 * math.cos(angle), 100.0 * math.sin(angle))]]], machine={"decimals": 6}
+    )
     return subject.by(process={"travel_sectors_deg": ((-10.0, 10.0),)})
 
 
@@ -123,7 +127,7 @@ SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)
 
 
 def seams(f: float) -> Subject:
-    subject = program_of([[], []], rings=[[SQUARE], [SQUARE + (4.0, 0.0)]])
+    subject = program_of([[], []], rings=[[SQUARE], [np.add(SQUARE, (4.0, 0.0))]])
     return subject.by(process={"least_seam_distance_mm": 4.0 * f})
 
 
@@ -146,7 +150,10 @@ def on_a_clamp(f: float) -> Subject:
     outline = ((-20.0, -20.0), (lies_mm - 3.5, -20.0), (lies_mm - 3.5, 20.0), (-20.0, 20.0))
     low = [[(0.0, 60.0), (1000.0, 60.0)]]
     subject = program_of([low, [[(0.0, 0.0), (1000.0, 0.0)]]], process={"interpass": "off"})
-    return subject.by(process={"keep_out": ({"outline_mm": outline, "z_mm": (0.0, 1.5)},)}, machine={"travel_max_mm": (1500.0, 1000.0, 1500.0)})
+    return subject.by(
+        process={"keep_out": ({"outline_mm": outline, "z_mm": (0.0, 1.5)},)},
+        machine={"travel_max_mm": (1500.0, 1000.0, 1500.0)},
+    )
 
 
 def lower_bead(f: float) -> Subject:

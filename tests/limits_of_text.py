@@ -84,8 +84,12 @@ def windows():
         "layer_over_bead": (over_bead, over_bead),
     }
     for name, (least, greatest) in figures.items():
-        yield upwards("process window", f"process.{name}", lambda f, n=name, v=greatest: with_window(n, v, 1, f))
-        yield downwards("process window", f"process.{name}", lambda f, n=name, v=least: with_window(n, v, 0, f))
+        yield upwards(
+            "process window", f"process.{name}", lambda f, n=name, v=greatest: with_window(n, v, 1, f)
+        )
+        yield downwards(
+            "process window", f"process.{name}", lambda f, n=name, v=least: with_window(n, v, 0, f)
+        )
 
 
 def wire_of(figure: float) -> Subject:
@@ -94,7 +98,9 @@ def wire_of(figure: float) -> Subject:
 
 def ramped(**windows) -> Subject:
     """A bead of 100 mm whose beam rises along 20 mm, and falls along as many: in two seconds each."""
-    return program_of([[[(0.0, 0.0), (100.0, 0.0)]]], process={"ramp_up_mm": 20.0, "crater_fill_mm": 20.0}).by(process=windows)
+    return program_of(
+        [[[(0.0, 0.0), (100.0, 0.0)]]], process={"ramp_up_mm": 20.0, "crater_fill_mm": 20.0}
+    ).by(process=windows)
 
 
 def drawn_back(f: float) -> Subject:
@@ -108,11 +114,51 @@ def off_its_line(f: float) -> Subject:
     return ramped().with_ends(int(ramped().metal[1]), f * 1e-3, 1)
 
 
+def without_axes(f: float) -> Subject:
+    """So many of the blocks of metal name no Y: from a tenth on it is the form of the program."""
+
+    def change(lines):
+        blocks = [
+            (n, i) for n in lines for i, line in enumerate(lines[n]) if re.match(r"N\d+ G1 X\S+ Y", line)
+        ]
+        for name, i in blocks[: round(f * 0.1 * len(blocks))]:
+            lines[name][i] = re.sub(r" Y\S+", "", lines[name][i])
+
+    return cube().with_text(change)
+
+
+def apart(beads: int, ways: int, axes: str) -> Subject:
+    """A program of single beads, with axes left out on the ways to some of them."""
+    subject = program_of([[[(0.0, 9.0 * k), (30.0 + k, 9.0 * k)] for k in range(beads)]])
+
+    def change(lines):
+        found = [i for i, line in enumerate(lines[FIRST]) if re.match(r"N\d+ G0 X\S+ Y", line)]
+        for i in found[1 : ways + 1]:
+            lines[FIRST][i] = re.sub(rf" [{axes}]-?[\d.]+", "", lines[FIRST][i])
+        if axes == "XY":
+            lines[FIRST] = [line for line in lines[FIRST] if not re.fullmatch(r"N\d+ G0", line)]
+
+    return subject.with_text(change)
+
+
+def late_wire(f: float) -> Subject:
+    """The wire of a contour changes later than planned: the middle of what has the wrong one lies so far behind that place."""
+
+    def change(lines):
+        i = next(i for i, line in enumerate(lines[FIRST]) if "G1 X27.000000 Y3.000000" in line)
+        assert "H3=" in lines[FIRST][i + 1]
+        lines[FIRST].insert(i + 1, f"N185 G1 X27.000000 Y{3.0 + 2.0 * f * 0.2:.6f}")
+
+    return cube().with_text(change)
+
+
 def used_kg() -> float:
     nc = cube().nc
     rows = np.flatnonzero(nc.wire)
     seconds = 60.0 * nc.lengths[rows] / nc.feed_mm_min[rows]
-    return float((seconds * nc.wire_mm_s[rows]).sum() * np.pi * 0.8**2 * 1e-9 * cube().config.material.density_kg_m3)
+    return float(
+        (seconds * nc.wire_mm_s[rows]).sum() * np.pi * 0.8**2 * 1e-9 * cube().config.material.density_kg_m3
+    )
 
 
 def used_h() -> float:
@@ -126,7 +172,9 @@ def waiting(wait_s: float, layer: int = 1, **process) -> Subject:
     pause_s = process.get("layer_pause_s", 0.0)
     subject = cube().by(process=process)
     for k in range(1, 4):
-        subject = subject.with_event(int(cube().of_layer(k)[0]) - 2, "layer_pause_s", wait_s if k == layer else pause_s)
+        subject = subject.with_event(
+            int(cube().of_layer(k)[0]) - 2, "layer_pause_s", wait_s if k == layer else pause_s
+        )
     return subject
 
 
@@ -191,6 +239,10 @@ CASES = (
     upwards("ramps in time", "process.crater_fill_window_s", lambda f: ramped(crater_fill_window_s=(0.5, 2.0 - f * 0.01))),
     upwards("wire retract", "bead_end_checks.RETRACT_TOLERANCE_MM process.wire_retract_mm", drawn_back),
     upwards("parts of hatch lines", "bead_end_checks.PLACE_MM", off_its_line, "curves", "plan"),
+    downwards("words of motions", "word_checks.MOST_WHOLE", without_axes),
+    upwards("words of motions", "word_checks.FEW", lambda n: apart(12, n, "XY"), inside=3, outside=2),
+    upwards("words of motions", "word_checks.LEAST_WHOLE", lambda n: apart(n, 2, "Y"), inside=7, outside=10),
+    upwards("mass balance", "wire_checks.NEAR_MM", late_wire, "curves", "plan"),
     upwards("wire on the spool", "machine.spool_kg", lambda f: cube().by(machine={"spool_kg": used_kg() / f})),
     upwards("life of the cathode", "machine.cathode_h", lambda f: cube().by(machine={"cathode_h": used_h() / f})),
     upwards("layer pause", "interpass_checks.PAUSE_TOLERANCE_S", lambda f: waiting(f * 1e-6), "curves", "plan"),

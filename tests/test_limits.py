@@ -9,6 +9,7 @@ import limits_of_heat
 import limits_of_metal
 import limits_of_parts
 import limits_of_path
+import limits_of_tables
 import limits_of_text
 import pytest
 from finished_runs import certified_plate
@@ -32,11 +33,12 @@ CASES = (
     *limits_of_metal.CASES,
     *limits_of_heat.CASES,
     *limits_of_parts.CASES,
+    *limits_of_tables.CASES,
 )
 
 ELSEWHERE = {
-    # A table that turns: test_tilt_table.py.
-    "table limits", "table turns", "table height", "frame", "frame taken back",
+    # How a table turns, and that it is taken back: test_tilt_table.py.
+    "table turns", "frame taken back",
     # Scans of a plate that heat more, or less, than the model says: test_preheat_made_wrong.py.
     "preheat balance",
     # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py, test_verified_runs.py.
@@ -72,15 +74,13 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE word_checks.MOST_WHOLE word_checks.LEAST_WHOLE
-        word_checks.FEW preheat_region.ROUND_SHARE preheat_region.SLIVER_MM preheat_region.ALONG_MM wire_checks.NEAR_MM
+        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_region.ROUND_SHARE preheat_region.SLIVER_MM preheat_region.ALONG_MM
         ramp_check.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
         turned.SAME_MM interpass_checks.PERCENT""",
     "what a warning tells, and no check": "loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM",
     "the wire of beads: test_bead_wire.py": """
         bead_wire.MOST_OF_SHORT bead_wire.MOST_OF_SPOT bead_wire.LAYER_ROOM bead_wire.LEVELLING bead_wire.MOST_LEVELLED
         bead_wire.MOST_OF_STRETCH bead_wire.AT_LIMIT""",
-    "tables that turn: test_tilt_table.py": "tilt_checks.PLACE_MM tilt_checks.LIMIT_DEG",
 }
 """Constants of rooms of checks that need no two cases, by the reason."""
 
@@ -137,9 +137,18 @@ def constants(folder):
             value = getattr(node, "value", None)
             if target is None or value is None:
                 continue
-            numbers = [x.value for x in ast.walk(value) if isinstance(x, ast.Constant) and type(x.value) in (int, float)]
+            numbers = [
+                x.value
+                for x in ast.walk(value)
+                if isinstance(x, ast.Constant) and type(x.value) in (int, float)
+            ]
             for name in target.elts if isinstance(target, ast.Tuple) else [target]:
-                if isinstance(name, ast.Name) and name.id.isupper() and not name.id.startswith("_") and numbers:
+                if (
+                    isinstance(name, ast.Name)
+                    and name.id.isupper()
+                    and not name.id.startswith("_")
+                    and numbers
+                ):
                     yield f"{path.stem}.{name.id}"
 
 
@@ -153,7 +162,12 @@ def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
 
 
 def test_every_setting_that_makes_a_check_looser_has_its_two_cases():
-    limits = {*loose_limits.WIDER_IF_GREATER, *loose_limits.WIDER_IF_LESS, *loose_limits.WINDOWS, *loose_limits.OF_PREHEATING}
+    limits = {
+        *loose_limits.WIDER_IF_GREATER,
+        *loose_limits.WIDER_IF_LESS,
+        *loose_limits.WINDOWS,
+        *loose_limits.OF_PREHEATING,
+    }
     cased = {name for case in CASES for name in case.limits}
     assert limits - cased - NOT_JUDGED_HERE == set()
 
