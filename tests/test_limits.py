@@ -67,7 +67,7 @@ NO_LIMITS = {
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING
         deposit_checks.SMALL_KG header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
         metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
-        matching.APART_MM bead_checks.APART_MM certificate.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
+        matching.APART_MM certificate.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
         noticed_in_program.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT report_writers.TIME_S
         report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES run_folder.FORMAT_VERSION
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN

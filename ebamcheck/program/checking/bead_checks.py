@@ -17,6 +17,7 @@ from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, lines_of, row_faults
 from ebamcheck.program.checking.hatch_form import form_checks
+from ebamcheck.program.checking.matching import APART_MM
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
 from ebamcheck.scan.filling.coverage import covered_fraction, ground
 from ebamcheck.scan.islands.regions import CRUMB, inset, layer_section
@@ -30,9 +31,6 @@ SPACING_SHARE = 1.5
 
 SAME_LINE_MM = 0.01
 """Lines nearer than this, along one another, are one line laid twice: far under any spacing."""
-
-APART_MM = 1e6
-"""Distance of layers in the space in which ends of lines are compared: no line is that of another layer."""
 
 PARALLEL_RAD = 1e-3
 """Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
@@ -166,7 +164,8 @@ def _once(nc: NCProgram) -> Check:
         for ends in ((nc.start[rows, :2], nc.end[rows, :2]), (nc.end[rows, :2], nc.start[rows, :2]))
     ]
     pairs = cKDTree(np.vstack(ways)).query_pairs(SAME_LINE_MM, p=np.inf, output_type="ndarray")
-    again = np.unique((pairs % max(rows.size, 1)).max(axis=1))
+    pairs = pairs % max(rows.size, 1)
+    again = np.unique(pairs[pairs[:, 0] != pairs[:, 1]].max(axis=1))
     faults = row_faults(nc, rows[again], "this line has been laid before in its layer")
     return count_check("lines laid once", faults, f"{rows.size} lines, none twice")
 
