@@ -118,7 +118,9 @@ def planted_checks():
 
 
 def test_every_check_that_has_a_remedy_is_planted():
-    assert set(REMEDIES) - planted_checks() == set()
+    assert set(REMEDIES) - planted_checks() == set(), (
+        "give each a row in limits_of_*.py, or a fault in limits_of_faults.py"
+    )
 
 
 @pytest.mark.slow
@@ -156,7 +158,9 @@ def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
     known = {*constants("program/checking"), *constants("pipeline")}
     listed = {name for names in NO_LIMITS.values() for name in names.split()}
     cased = {name for case in CASES for name in case.limits}
-    assert known - listed - cased == set()
+    assert known - listed - cased == set(), (
+        "give each a row in limits_of_*.py, or tell in NO_LIMITS why it is none"
+    )
     assert listed - known == set(), "no constant of that name"
     assert listed & cased == set(), "is a limit"
 
