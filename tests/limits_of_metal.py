@@ -128,8 +128,9 @@ def small_zone(f: float) -> Subject:
     return thick.given(layers=from_polygons(heights, [[shapely.box(0, 0, side, side)]]))
 
 
-def uneven_by(f: float) -> Subject:
-    return thick_layer().by(process={"surface_tolerance_mm": figure(thick_layer, "surface") / f})
+def uneven_by(f: float, times: float, off_mm: float) -> Subject:
+    """A layer with too much or too little wire, whose surface comes to lie so far off."""
+    return with_metal(times, 1).by(process={"surface_tolerance_mm": off_mm / f})
 
 
 def twice(f: float) -> Subject:
@@ -170,7 +171,8 @@ CASES = (
     upwards("height inside", "process.inside_tolerance", lambda f: inside(f), *METAL),
     upwards("height of layers", "metal_zones.HALF_LINE process.edge_tolerance", lambda f: in_half_lines(f, "height of layers", 18.0), *METAL),
     upwards("height of zones", "metal_zones.HALF_LINE metal_zones.WINDOW_BEADS", lambda f: in_half_lines(f, "height of zones", 19.0), *METAL),
-    upwards("surface", "process.surface_tolerance_mm", uneven_by, *METAL),
+    upwards("surface", "process.surface_tolerance_mm", lambda f: uneven_by(f, 1.25, 1.13), *METAL),
+    upwards("surface", "process.surface_tolerance_mm", lambda f: uneven_by(f, 0.5, 1.43), *METAL),
     upwards("metal laid once", "overfill.MOST_METAL", twice, "layers"),
     upwards("metal laid once", "overfill.STRETCH_BEADS", pile, "layers"),
 )  # fmt: skip
