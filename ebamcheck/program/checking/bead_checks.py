@@ -8,6 +8,7 @@ import re
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
@@ -18,6 +19,7 @@ from ebamcheck.program.checking.bead_wire import bead_wire_check
 from ebamcheck.program.checking.checks import Check, count_check, lines_of, row_faults
 from ebamcheck.program.checking.end_gaps import end_gaps_check
 from ebamcheck.program.checking.hatch_form import form_checks
+from ebamcheck.program.checking.matching import APART_MM
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
 from ebamcheck.scan.filling.coverage import covered_fraction, ground
 from ebamcheck.scan.islands.regions import CRUMB, inset, layer_section
@@ -158,13 +160,16 @@ def _once(nc: NCProgram) -> Check:
     """Whether a line, of the hatch or of a contour, lies on another of its layer; contours may overlap their start."""
     contour = (nc.ring >= 0) & (nc.kind == STRAIGHT) & ~nc.overlap
     rows = np.flatnonzero(nc.deposit & ~nc.turn & ((nc.island >= 0) | contour) & (nc.lengths > SAME_LINE_MM))
-    ends = np.hstack([nc.start[rows, :2], nc.end[rows, :2]])
-    swap = (ends[:, 0] > ends[:, 2]) | ((ends[:, 0] == ends[:, 2]) & (ends[:, 1] > ends[:, 3]))
-    ends[swap] = ends[swap][:, [2, 3, 0, 1]]
-    key = np.round(ends / SAME_LINE_MM).astype(np.int64)
-    found = np.unique(np.column_stack([nc.layer[rows], key]), axis=0, return_index=True)[1]
-    again = np.ones(rows.size, np.bool_)
-    again[found] = False
+    rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & np.isfinite(nc.end[rows]).all(axis=1)]
+    layer = APART_MM * nc.layer[rows]
+    # Each line in both directions: nothing else tells which of its ends is the first.
+    ways = [
+        np.column_stack([*ends, layer])
+        for ends in ((nc.start[rows, :2], nc.end[rows, :2]), (nc.end[rows, :2], nc.start[rows, :2]))
+    ]
+    pairs = cKDTree(np.vstack(ways)).query_pairs(SAME_LINE_MM, p=np.inf, output_type="ndarray")
+    pairs = pairs % max(rows.size, 1)
+    again = np.unique(pairs[pairs[:, 0] != pairs[:, 1]].max(axis=1))
     faults = row_faults(nc, rows[again], "this line has been laid before in its layer")
     return count_check("lines laid once", faults, f"{rows.size} lines, none twice")
 

@@ -180,12 +180,13 @@ def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple
     for k, (file, layer) in enumerate(found):
         said = f"layer {int(layer[1])} of {int(layer[2])}"
         true = f"layer {k + 1} of {len(found)}"
-        if said == true and layer[3] and heights is not None and z is not None and k < heights.size:
-            cut_off, z_off = abs(float(layer[3]) - heights[k]), abs(float(layer[4]) - z[k])
-            if max(cut_off, z_off) > PRINTED_MM:
-                said += f" cut at {float(layer[3]):g} mm, Z {float(layer[4]):g} mm"
-                true += f" cut at {heights[k]:g} mm, Z {z[k]:g} mm"
-        if said != true:
+        wrong = said != true
+        if not wrong and layer[3] and heights is not None and z is not None and k < heights.size:
+            off_mm = max(abs(float(layer[3]) - heights[k]), abs(float(layer[4]) - z[k]))
+            wrong = off_mm > PRINTED_MM
+            said += f" cut at {float(layer[3]):.6f} mm, Z {float(layer[4]):.6f} mm"
+            true += f" cut at {heights[k]:.6f} mm, Z {z[k]:.6f} mm"
+        if wrong:
             faults.append((_place(file, layer.start()), f"says {said}, it is {true}"))
     return faults
 

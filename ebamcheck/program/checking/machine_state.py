@@ -27,9 +27,6 @@ FLOW = "program flow"
 TRANSFORMATION_OFF = "TRAFOOF"
 """Word of a SINUMERIK."""
 
-FEWEST_ENTRIES = 3
-"""First blocks of a program and of two layers: of fewer there is none that the others could be held against."""
-
 WAITS = ("layer_pause_s", DWELL)
 
 STOPS = ("M0", "M1")
@@ -233,8 +230,6 @@ def _tolerance_of(nc: NCProgram, i: int) -> bool:
 def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
     """Layers that lack a mode or value with which others begin: the control could not enter the program there."""
     begins = _begun(nc, _entries(nc, set(wanted)))
-    if len(begins) < FEWEST_ENTRIES:
-        return []
     found = Counter(name for names in begins for name in names)
     usual = [name for name in (*wanted, *BEAM_VALUES) if 2 * found[name] > len(begins)]
     faults = []

@@ -1,0 +1,183 @@
+"""Every limit has a planted case just inside and one just outside; a limit, or a check, without its two cases fails here."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import limits_of_heat
+import limits_of_metal
+import limits_of_parts
+import limits_of_path
+import limits_of_tables
+import limits_of_text
+import pytest
+from finished_runs import certified_plate
+from limit_cases import cube
+from limits_of_faults import FAULTY
+from limits_of_heat import preheated
+from planted_faults import FAULTS
+
+import ebamcheck
+from ebamcheck.pipeline import loose_limits
+from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.plugins import registry
+from ebamcheck.program import Check
+from ebamcheck.program.checking import plugged
+from ebamcheck.program.checking.remedies import REMEDIES
+
+CASES = (
+    *limits_of_text.CASES,
+    *limits_of_path.CASES,
+    *limits_of_metal.CASES,
+    *limits_of_heat.CASES,
+    *limits_of_parts.CASES,
+    *limits_of_tables.CASES,
+)
+
+ELSEWHERE = {
+    # How a table turns, and that it is taken back: test_tilt_table.py.
+    "table turns", "frame taken back",
+    # Scans of a plate that heat more, or less, than the model says: test_preheat_made_wrong.py.
+    "preheat balance",
+    # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py, test_verified_runs.py.
+    "settings unchanged", "file unchanged", "part unchanged", "certificate", "signature", "record", "verdict", "handshake",
+    "program", "worked out again", "part sound", "mounting",
+    # The wire that a place asks for: test_bead_wire.py.
+    "wire of beads",
+}  # fmt: skip
+"""Checks with a sound and a faulty case in tests of their own."""
+
+NO_LIMITS = {
+    "how finely something is looked at": """
+        bare_parts.MARGIN bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
+        hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
+        heat_again.HOTTEST_K heat_again.SUMMED in_the_air.STEP_MM outside_check.STEP_MM overfill.CELLS overhang.OUTLINE_STEP_MM
+        overhang.INNER_STEP_MM overhang.FIRST_ASKED overhang.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
+        path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
+        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
+        standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
+        tilt_checks.STEP_DEG near_sides.SIDES_A_LEAF near_sides.MOST_LEVELS near_sides.ROUNDING_MM preheat_way.LONGEST_S
+        bead_wire.LEAST_STRETCH bead_wire.LEAST_BEADS
+        mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
+        solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE programming.SAMPLING_MM gates_again.SMOOTH_MM turned.STEP_MM
+        turned.MOST_PLACES""",
+    "units, forms of files, and how much of something is told": """
+        consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING
+        deposit_checks.SMALL_KG header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
+        metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
+        matching.APART_MM certificate.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
+        noticed_in_program.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT report_writers.TIME_S
+        report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES run_folder.FORMAT_VERSION
+        run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
+        toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
+    "which of several things is compared with which: each way of it is judged by a limit of its own": """
+        bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
+        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_region.ROUND_SHARE preheat_region.SLIVER_MM preheat_region.ALONG_MM
+        ramp_check.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
+        turned.SAME_MM interpass_checks.PERCENT""",
+    "what a warning tells, and no check": "loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM",
+    "the wire of beads: test_bead_wire.py": """
+        bead_wire.MOST_OF_SHORT bead_wire.MOST_OF_SPOT bead_wire.LAYER_ROOM bead_wire.LEVELLING bead_wire.MOST_LEVELLED
+        bead_wire.MOST_OF_STRETCH bead_wire.AT_LIMIT""",
+}
+"""Constants of rooms of checks that need no two cases, by the reason."""
+
+NOT_JUDGED_HERE = {
+    "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm",  # of slicers: test_comparison.py, test_doubt.py
+    "curves.largest_lift_mm", "curves.largest_bulge_mm",  # of curves: test_curve_evidence.py
+    "process.melting_efficiency", "process.dilution",  # data of the process: test_interpass.py
+}  # fmt: skip
+"""Settings that other gates, or other checks, rest on."""
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_figure_inside_of_its_limit_passes_and_one_outside_fails(case):
+    inside, outside = case.verdict(case.inside), case.verdict(case.outside)
+    assert inside.name == outside.name == case.check
+    assert inside.passed, inside.text
+    assert not outside.passed, outside.text
+
+
+@pytest.mark.parametrize("name", FAULTY)
+def test_what_is_right_or_wrong_passes_where_it_is_right_and_fails_where_it_is_wrong(name):
+    plant, needs = FAULTY[name]
+    faulty = plant()
+    sound = preheated() if name.startswith("preheat") else cube()
+    needs_of_sound = tuple(need for need in needs if need in ("curves", "plan", "layers", "beads"))
+    assert all(check.passed for check in sound.checks(*needs_of_sound).values() if check.name == name)
+    assert not faulty.checks(*needs)[name].passed
+
+
+# -- no limit and no check is left out -----------------------------------------------------------------
+
+
+def planted_checks():
+    return {case.check for case in CASES} | set(FAULTY) | {check for _, check in FAULTS.values()} | ELSEWHERE
+
+
+def test_every_check_that_has_a_remedy_is_planted():
+    assert set(REMEDIES) - planted_checks() == set(), (
+        "give each a row in limits_of_*.py, or a fault in limits_of_faults.py"
+    )
+
+
+@pytest.mark.slow
+def test_every_check_that_a_sound_run_reports_is_planted(tmp_path_factory):
+    run, part = certified_plate(tmp_path_factory)
+    names = {check["name"] for check in RunFolder(run).manifest()["program"]["checks"]}
+    names |= {check.name for check in verify_run(run, part)}
+    assert {name for name in names - planted_checks() if not name.startswith("gate ")} == set()
+
+
+def constants(folder):
+    """Names of the constants of modules that hold a number, as ``module.NAME``."""
+    for path in sorted((Path(ebamcheck.__file__).parent / folder).glob("*.py")):
+        for node in ast.parse(path.read_text()).body:
+            target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+            value = getattr(node, "value", None)
+            if target is None or value is None:
+                continue
+            numbers = [
+                x.value
+                for x in ast.walk(value)
+                if isinstance(x, ast.Constant) and type(x.value) in (int, float)
+            ]
+            for name in target.elts if isinstance(target, ast.Tuple) else [target]:
+                if (
+                    isinstance(name, ast.Name)
+                    and name.id.isupper()
+                    and not name.id.startswith("_")
+                    and numbers
+                ):
+                    yield f"{path.stem}.{name.id}"
+
+
+def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
+    known = {*constants("program/checking"), *constants("pipeline")}
+    listed = {name for names in NO_LIMITS.values() for name in names.split()}
+    cased = {name for case in CASES for name in case.limits}
+    assert known - listed - cased == set(), (
+        "give each a row in limits_of_*.py, or tell in NO_LIMITS why it is none"
+    )
+    assert listed - known == set(), "no constant of that name"
+    assert listed & cased == set(), "is a limit"
+
+
+def test_every_setting_that_makes_a_check_looser_has_its_two_cases():
+    limits = {
+        *loose_limits.WIDER_IF_GREATER,
+        *loose_limits.WIDER_IF_LESS,
+        *loose_limits.WINDOWS,
+        *loose_limits.OF_PREHEATING,
+    }
+    cased = {name for case in CASES for name in case.limits}
+    assert limits - cased - NOT_JUDGED_HERE == set()
+
+
+def test_the_checks_of_plugins_are_among_those_of_a_program(monkeypatch):
+    check = Check("mine", False, 12.0, 10.0, "motions", "MAIN.MPF", "12 motions")
+    monkeypatch.setattr(plugged.registry, "names", lambda group: ["mine"] if group == registry.CHECKS else [])
+    monkeypatch.setattr(plugged.registry, "plugin", lambda group, name: lambda program, config: check)
+    assert not cube().checks()["mine"].passed
