@@ -371,7 +371,7 @@ class LayerMaker:
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
         warm, passes = preheated(heat.part, [section], 0, wanted.base_mm, config, under)
-        power_of = power_by_wire([section], config, surface)
+        power_of = power_by_wire([section], config, surface, wanted.layer)
         done, part, last = ordered_on(
             warm, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid, power_of
         )

@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.curves import LIFTED, Curves, fit
+from ebamcheck.curves.turned import turned_over
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
@@ -37,7 +38,7 @@ def plan_program(layers: Layers, config: Config, progress: Progress | None = Non
 
 
 def power_by_wire(
-    sections: Sequence[BaseGeometry], config: Config, stands: Surface | None = None
+    sections: Sequence[BaseGeometry], config: Config, stands: Surface | None = None, first_layer: int = 0
 ) -> PowerOf | None:
     """Power along beads by their wire, layer by layer from below; None where every layer has the full power.
 
@@ -47,28 +48,31 @@ def power_by_wire(
         (L,) of all layers.
     stands
         What the lowest of them lies on; None: the plate.
+    first_layer
+        Index in the build of the lowest of them.
     """
     process = config.process
     if isinstance(process.power_schedule, str) and process.interpass in ("off", "dwell"):
         return None
     surface = stands.copy() if stands is not None else None
-    seams = NO_SEAMS
+    seams, number = NO_SEAMS, first_layer
 
     def power_of(layer: OrderedLayer, thickness_mm: float) -> BeadPower:
-        nonlocal surface, seams
+        nonlocal surface, seams, number
         if surface is None:
             surface = bare_surface(sections, config)
         plan, machine = _OneLayer.of(layer), config.machine
         decimals = machine.printed_decimals
         lines = from_polygons(plan.heights, [[layer.laid.regions.contour]])
         path = toolpath(
-            bead_curves(lines, config),
+            bead_curves(lines, config, number),
             plan,
             config,
             decimals,
             written_form(machine),
             machine.line_tolerance_mm,
         )
+        number += 1
         path = replace(path, z=np.array([config.base_mm + thickness_mm]))
         below, seams = seams, uppermost_seams(path, process, seams)
         path = with_bead_ends(path, process, decimals, below)
@@ -81,13 +85,16 @@ def power_by_wire(
     return power_of
 
 
-def bead_curves(lines: Layers, config: Config) -> Curves:
-    """Curves along the centre lines of contour beads."""
+def bead_curves(lines: Layers, config: Config, first_layer: int = 0) -> Curves:
+    """Curves along the centre lines of contour beads, in the direction in which they are driven; `first_layer` as above."""
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
     method = "bounded" if config.curves.method in LIFTED else config.curves.method
     # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
     bulge_mm = min(config.curves.largest_bulge_mm, 2.0 * config.curves.tolerance_mm)
-    return fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
+    curves = fit(lines, method, config.curves, largest_bulge_mm=bulge_mm)
+    if config.process.contour_direction == "same":
+        return curves
+    return turned_over(curves, curves.closed & ((curves.ring_layer + first_layer) % 2 == 1))
 
 
 class _Lines(NamedTuple):

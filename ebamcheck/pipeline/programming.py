@@ -14,7 +14,6 @@ import pandas as pd
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.curves.per_part import surface_kept
-from ebamcheck.curves.turned import turned_over
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layers.stack import Layers, from_polygons
@@ -183,10 +182,7 @@ def bead_paths(layers: Layers, plan: ScanPlan, config: Config, first_layer: int 
         backend=layers.backend,
         settings=layers.settings,
     )
-    curves = bead_curves(lines, config)
-    if config.process.contour_direction == "same":
-        return curves
-    return turned_over(curves, curves.closed & ((curves.ring_layer + first_layer) % 2 == 1))
+    return bead_curves(lines, config, first_layer)
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
