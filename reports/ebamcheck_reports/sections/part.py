@@ -69,7 +69,7 @@ def _verdict(found: dict[str, object]) -> Markup:
     return element("div", said, class_=f"note {'good' if found['passed'] else 'bad'}")
 
 
-def _unit(part: dict[str, str]) -> str:
+def _unit(part: Mapping[str, Any]) -> str:
     """Unit, and where it comes from; runs of earlier versions do not tell that."""
     return f"{part['units']} ({part['units_from']})" if "units_from" in part else part["units"]
 
