@@ -174,7 +174,7 @@ FORGED = {
     "another wait before a layer": (lambda f: f.edit(2, "layer.json", r'"wait_s": [-+.e\d]+', '"wait_s": 4321.0'), 2, "wait before it"),
     "another hash is released": (lambda f: f.current(sha256="0"), LAST, "current.json"),
     "a current that is not there": (lambda f: f.current(program=""), LAST, "current.json"),
-    "power that the main program alone sets": (lambda f: f.sub(2, r"N\d+ H2=.*\n", ""), 2, "layer by itself"),
+    "power that the main program alone sets": (lambda f: f.sub(2, r"N\d+ H2=.*\n((?:.*\n)*?)N\d+ H2=.*\n", r"\1"), 2, "layer by itself"),
     "voltage that the main program alone sets": (lambda f: f.sub(2, r"N\d+ H1=.*\n", ""), 2, "layer by itself"),
     "a layer that ends low": (lambda f: f.sub(2, r"N\d+ G0 Z[\d.]+\n(N\d+ M17)", r"\1"), 2, "layer by itself"),
     "a layer that does not begin with a rise": (lambda f: f.sub(2, r"(N\d+ G0) (Z[\d.]+)\n(; RING 0\n)", r"\1 X0 Y0 \2\n\3"), 2, "layer by itself"),

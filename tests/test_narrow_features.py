@@ -84,7 +84,8 @@ def test_a_narrow_feature_is_found_with_place_and_size(name, turn):
     if kind == "wall":
         assert section.distance(place) < 1e-9
     else:
-        assert section.boundary.distance(place) <= 0.51 * found.widest_mm
+        # The middle of a way across, or in a triangle, whose sides do not face one another, any place in it.
+        assert section.boundary.distance(place) <= 0.6 * found.widest_mm
         assert section.buffer(-1e-6).distance(place) > 0.0
 
 

@@ -315,7 +315,8 @@ def test_the_sampled_program_is_the_sampled_curve(tmp_path):
     nc = read_program(write_program(curves, plan, Config(), tmp_path / "program").main)
     driven, fitted = nc.contours(0.25), curves.sample(0.25)
     assert np.array_equal(driven.ring_counts(), fitted.ring_counts())
-    assert driven.areas() == pytest.approx(fitted.areas(), rel=1e-3)
+    # The reader turns contours by their nesting; these curves of chance run either way.
+    assert np.abs(driven.areas()) == pytest.approx(np.abs(fitted.areas()), rel=1e-3)
     assert driven.perimeters() == pytest.approx(fitted.perimeters(), rel=1e-3)
 
 

@@ -121,11 +121,11 @@ def test_inside_out_is_named_and_turned_over_when_asked(tmp_path):
 @pytest.mark.parametrize(
     ("part", "layers", "areas", "shut"),
     [
-        (box((0, 0, 0), (30, 2, 8)), {"layer_height_mm": 6.0}, [60.0], {"deposit"}),  # thinner than a bead
+        (box((0, 0, 0), (30, 2, 8)), {"layer_height_mm": 6.0}, [60.0], {"deposit", "program"}),  # thinner than a bead, whose wire is at its least
         (box((0, 0, 0), (30, 30, 1)), {"layer_height_mm": 6.0}, [900.0], {"deposit"}),  # one layer, six times as high
         (box((0, 0, 0), (30, 30, 9)), {"heights_mm": (1.0, 2.5, 8.9)}, [900.0] * 3, {"deposit"}),  # listed heights, the last one too high
         (moved(frame(), shift=(1e6, 1e6, 0)), {"layer_height_mm": 6.0}, [1376.0] * 2, set()),  # far away
-        (moved(frame(), np.eye(3) * 0.05 / 40), {"layer_height_mm": 0.0075}, [1376.0 * 0.05**2 / 1600] * 2, {"deposit", "program"}),  # tiny
+        (moved(frame(), np.eye(3) * 0.05 / 40), {"layer_height_mm": 0.0075}, [1376.0 * 0.05**2 / 1600] * 2, {"deposit", "heat", "program"}),  # tiny
         (join(box((0, 0, 0), (20, 20, 5)), box((0, 0, 13), (20, 20, 18))), {"layer_height_mm": 6.0}, [400, 0, 400], {"program", "deposit"}),  # in the air
     ],
     ids=["thin", "one-layer", "listed", "far", "tiny", "gap"],

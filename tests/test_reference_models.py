@@ -200,7 +200,8 @@ def test_the_lens_of_two_discs():
 
 def test_the_two_spheres_overlap_and_their_union_is_less_than_their_meshes():
     part = TWO_SPHERES.tessellate(0.05)
-    assert part.volume == pytest.approx(TWO_SPHERES.mesh_volume, rel=1e-2)
+    assert part.signed_volume == pytest.approx(TWO_SPHERES.mesh_volume, rel=1e-2)
+    assert part.volume == pytest.approx(TWO_SPHERES.volume, rel=1e-2)
     assert TWO_SPHERES.volume < 0.95 * TWO_SPHERES.mesh_volume
     # The area is smooth but where a sphere, or the lens, begins and ends: midpoints on a fine grid do.
     low, high = TWO_SPHERES.bounds[:, 2]

@@ -70,8 +70,7 @@ def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
 
 def of_set_aside(pairs: pd.DataFrame) -> Iterator[Finding]:
     """Rings and holes that one slicer of a pair has and the other lacks, where both agree without what is thin."""
-    rows = pairs[pairs["set_aside"] > 0]
-    if not len(rows):
+    if not len(pairs) or not len(rows := pairs[pairs["set_aside"] > 0]):
         return
     first, most = rows.sort_values("layer", kind="stable").iloc[0], int(rows["set_aside"].max())
     names = sorted({f"{a} and {b}" for a, b in zip(rows["a"], rows["b"], strict=True)})

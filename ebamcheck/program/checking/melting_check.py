@@ -36,7 +36,7 @@ def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
     Written anew here: a fault of the writer would else confirm itself.
     """
-    process, spread = config.process, np.nan_to_num(spread_mm(nc, rows, config))
+    process, spread = config.process, np.nan_to_num(spread_mm(nc, rows, config), posinf=0.0)
     full_w = process.voltage_kv * process.current_ma
     metal_mm3_s = spread * process.bead_width_mm * process.bead_spacing * process.travel_speed_mm_s
     need_w = np.maximum(melting_power_w(config, spread), process.metal_energy_j_mm3[0] * metal_mm3_s)

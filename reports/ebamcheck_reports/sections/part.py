@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import counted, shown
 from ebamcheck_reports.markup import Markup, element, facts, figure, join, paragraph, section, table
