@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import stat
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -29,6 +28,7 @@ from ebamcheck.mesh.stl import read_triangles
 from ebamcheck.mesh.three_mf import read_3mf
 from ebamcheck.mesh.unread_formats import how_to_read
 from ebamcheck.mesh.welding import weld
+from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.units import UNITS_MM, unit_named
 
 OWN_READERS = {".obj": read_obj, ".ply": read_ply}
@@ -148,18 +148,9 @@ def _bytes_of(path: Path) -> bytes | memoryview:
 def told_if_unreadable(path: Path) -> Iterator[None]:
     """Turn the system's errors on reading a mesh file into an :class:`InputError`; what is no file is not opened."""
     try:
-        mode = path.stat().st_mode
-        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            # A pipe may never end, and neither do some devices.
-            raise InputError(
-                f"{path}: is a pipe or a device, not a mesh file: write its content into a file first"
-            )
-        if stat.S_ISDIR(mode):
-            raise IsADirectoryError
+        regular_file(path)
         yield
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except IsADirectoryError:
-        raise InputError(f"{path}: is a folder, not a mesh file") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None

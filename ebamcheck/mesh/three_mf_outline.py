@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 from xml.parsers import expat
 
 from ebamcheck.errors import InputError
+from ebamcheck.printable import printable
 from ebamcheck.settings.units import known_as
 
 MOST_ENTRIES = 10_000
@@ -134,7 +135,7 @@ def outline_of(data: bytes | memoryview, name: str) -> Outline:
 
 def _short(told: object) -> str:
     """Words of a file, or of an error that may hold some, in one line of usual length."""
-    return " ".join(ascii(str(told))[1:-1].split())[:160].lstrip("/")
+    return printable(" ".join(str(told).split()), 160).lstrip("/")
 
 
 def _check_sizes(archive: zipfile.ZipFile, packed: int, name: str) -> None:
