@@ -265,7 +265,8 @@ class PartOfRun(Form):
     name: str
     source: Annotated[str, AfterValidator(part_file)]
     sha256: Sha256
-    mesh_sha256: Sha256
+    mesh_sha256: Sha256 | Literal[""]
+    """Empty in a check in slabs, in which the mesh is never whole."""
     units: str
     units_from: str = ""
     direction: Annotated[list[float], Field(min_length=3, max_length=3)]
