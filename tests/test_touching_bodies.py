@@ -86,6 +86,33 @@ def test_a_gap_is_kept_from_the_bound_on(share, rings):
     assert ebamcheck.slice(part, HEIGHTS, "planecut").ring_counts().tolist() == [rings] * 3
 
 
+def grooved():
+    """A block with a V-groove along x, 5 mm deep: its ground lies at y = 20, z = 10."""
+    outline = shapely.Polygon([(0, 0), (40, 0), (40, 15), (30, 15), (20, 10), (10, 15), (0, 15)])
+    return mapped(prism(outline, 0.0, 40.0), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_groove_of_one_body_is_kept_however_narrow(beside):
+    """Bodies touch within the bound; the sides of one body do not, even beside another one."""
+    part = grooved()
+    if beside:
+        part = join(part, box((0, 40, 0), (40, 60, 20)))
+    heights = [np.nextafter(10.0, 0.0), np.nextafter(10.0, 20.0), 12.0]
+    assert ebamcheck.slice(part, heights, "planecut").ring_counts().tolist() == [1, 2, 2]
+
+
+@pytest.mark.parametrize(
+    "name", ["part of a face", "a whole face", "two halves of a pipe", "a face and an overlap"]
+)
+@pytest.mark.parametrize("angle_deg", [17.0, 59.0, 211.0])
+def test_welded_bodies_that_touch_are_one_region_when_turned(name, angle_deg):
+    part, rings, area = CASES[name]
+    layers = ebamcheck.slice(mapped(part, turn(angle_deg), (7.0, -3.0, 0.0)), HEIGHTS, "planecut")
+    assert layers.ring_counts().tolist() == [rings] * 3
+    assert layers.areas() == pytest.approx([area] * 3, rel=1e-9)
+
+
 def test_a_seam_that_rounding_opens_does_not_hide_what_is_solid():
     """The place within the united face at which its winding is found lies on the seam."""
     part = mapped(join(BLOCK, box((40, 0, 0), (80, 40, 20))), turn(59.0), (7.0, -3.0, 0.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from threading import Lock
 from types import TracebackType
 from typing import Any, Self
@@ -17,8 +18,11 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck_planecut import PlaneCut, overlaps
 from ebamcheck_planecut.crossed_facets import crossed_mesh
+from ebamcheck_planecut.sheets import sheets_of_vertices
 from ebamcheck_planecut.sorted_mesh import SortedMesh, sorted_mesh, turned_mesh, vertices_under
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
+
+Sheets = Callable[[], NDArray[np.int32]]
 
 SMALLEST_BLOCK = 16
 """Fewest layers worth a thread."""
@@ -37,10 +41,19 @@ class PreparedCut:
     before
         Sorted mesh with the same `faces` and other vertex coordinates, whose neighbours are valid here, too. If given, this
         mesh is sorted only after more than :data:`LONE_LAYERS` layers were requested.
+    sheets
+        Gives the sheet of each vertex, if another part with the same `faces` has been prepared.
     """
 
-    def __init__(self, part: Part, settings: BackendSettings, before: SortedMesh | None = None) -> None:
+    def __init__(
+        self,
+        part: Part,
+        settings: BackendSettings,
+        before: SortedMesh | None = None,
+        sheets: Sheets | None = None,
+    ) -> None:
         self._part = part
+        self._sheets = sheets or cache(lambda: sheets_of_vertices(part.faces, len(part.vertices)))
         self._settings = settings
         self._before = before
         self._lone_layers = 0
@@ -67,7 +80,9 @@ class PreparedCut:
         part
             A part with the same `faces` and other vertex coordinates.
         """
-        return PreparedCut(part, self._settings, self._before if self._mesh is None else self._mesh)
+        return PreparedCut(
+            part, self._settings, self._before if self._mesh is None else self._mesh, self._sheets
+        )
 
     def _mesh_across(self, heights: NDArray[np.float64]) -> SortedMesh:
         """Sorted mesh with all facets that the planes cross: the whole one or, for a few planes, only these facets."""
@@ -102,7 +117,7 @@ class PreparedCut:
         blocks = run_blocks(block, heights.size, SMALLEST_BLOCK) if heights.size else []
         layers = self._joined(heights, columns, blocks)
         kinds = np.concatenate([np.zeros(0, np.int8), *(cut.kinds for cut in blocks)])
-        return _united(layers, kinds, reach_mm)
+        return _united(layers, kinds, reach_mm, self._sheets)
 
     def _joined(self, heights: NDArray[np.float64], columns: Columns, blocks: list[Block]) -> Layers:
         """Join blocks that were written to shared columns into one stack, in their order."""
@@ -153,14 +168,17 @@ def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
     return mesh
 
 
-def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float) -> Layers:
+def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float, sheets: Sheets) -> Layers:
     """Unite the shells of layers on which they overlap or touch; other layers stay as they are."""
     doubtful = np.flatnonzero(kinds != overlaps.CLEAN).tolist()
     if not doubtful:
         return layers
+    sheet = sheets() if (kinds == overlaps.TOUCHING).any() else np.zeros(0, np.int32)
 
     def resolve(start: int, stop: int) -> list[Layers | None]:
-        return [_resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm) for k in doubtful[start:stop]]
+        return [
+            _resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm, sheet) for k in doubtful[start:stop]
+        ]
 
     found = [one for block in run_blocks(resolve, len(doubtful)) for one in block]
     blocks: list[Layers] = []
@@ -172,9 +190,9 @@ def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float) -> Layers:
     return concatenate([*blocks, layers.block(done, len(layers))]) if blocks else layers
 
 
-def _resolved(one: Layers, kind: int, reach_mm: float) -> Layers | None:
+def _resolved(one: Layers, kind: int, reach_mm: float, sheet: NDArray[np.int32]) -> Layers | None:
     """Unite the shells of a single layer; None where nothing changes."""
-    resolved = overlaps.unite(one, kind, reach_mm)
+    resolved = overlaps.unite(one, kind, reach_mm, sheet)
     if resolved is None:
         return None
     points, ring_starts, closed, edge, edge_t = resolved

@@ -1,7 +1,8 @@
 """Layers with winding numbers other than 0 and 1, and the union of their shells.
 
 For a layer whose rings neither touch nor cross, as nearly all layers of nearly all parts, the nesting of the rings decides.
-Where rings touch or cross, the arrangement of the layer is built. Rings that touch in single points stay as they are.
+Where rings touch or cross, the arrangement of the layer is built. Rings that touch in single points, and those of one
+body that touch, stay as they are.
 """
 
 from __future__ import annotations
@@ -138,16 +139,18 @@ def kept_rings(points: Floats, ring_starts: Ints, closed: Bools) -> Bools:
 
 
 def unite(
-    layer: Layers, kind: int, reach_mm: float
+    layer: Layers, kind: int, reach_mm: float, sheets: NDArray[np.int32]
 ) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
-    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; shells that touch along a line are one.
+    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; bodies that touch along a line are one.
 
     Parameters
     ----------
     layer, kind
         The layer, and its class by :func:`classify_layer`.
     reach_mm
-        What rounding may move a point by: shells this near to each other touch.
+        What rounding may move a point by: bodies this near to each other touch.
+    sheets
+        (V,) sheet of each vertex of the mesh; read only where rings touch or cross.
 
     Returns
     -------
@@ -167,7 +170,7 @@ def unite(
 
     from ebamcheck_planecut.arrangement import arrangement
 
-    found = arrangement(layer, reach_mm)
+    found = arrangement(layer, reach_mm, sheets)
     if not found.seams and np.isin(found.winding, (0, 1)).all():
         return None
     united = shapely.orient_polygons(shapely.union_all(found.faces[found.winding > 0]))
