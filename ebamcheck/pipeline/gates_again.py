@@ -65,7 +65,6 @@ SMOOTH_MM = 0.002
 SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
 
-
 SAME_POINT_MM = 1e-6
 """Points cut by one slicer twice, on another processor: far under what two slicers may differ by."""
 
