@@ -245,11 +245,14 @@ def comb(gap_mm: float) -> Subject:
     return program_of([[*lines, across(far, 0.0, high)]], shapely.box(-3, -3, far + 3, high + 3))
 
 
-def staggered(aside_mm: float) -> Subject:
-    """Thirty beads that end between others, which run on: these are 60 degrees aside of an end where they are 2 / sqrt(3) times as
-    far away."""
-    lines = [[(0.0, aside_mm * i), (60.0 if i % 2 == 0 else 20.0, aside_mm * i)] for i in range(61)]
-    return program_of([lines], shapely.box(-3, -3, 63, 60 * aside_mm + 3))
+def spots_aside(angle_deg: float) -> Subject:
+    """Thirty beads that end 8 mm before a line across them, and 3 mm from spots so far aside of their direction."""
+    ends = [(20.0, 8.64 * i) for i in range(30)]
+    lines = [[(0.0, y), (x, y)] for x, y in ends]
+    along, aside = 3.0 * math.cos(math.radians(angle_deg)), 3.0 * math.sin(math.radians(angle_deg))
+    spots = [[(x + along, y + aside), (x + along, y + aside + 1.0)] for x, y in ends]
+    high = 30 * 8.64
+    return program_of([[*lines, *spots, across(28.0, -3.0, high)]], shapely.box(-3, -6, 31, high + 3))
 
 
 # -- narrow features -----------------------------------------------------------------------------------
@@ -328,7 +331,7 @@ CASES = (
     upwards("ends of beads", "end_gaps.LEAST_BEADS", lambda f: ending_before(12.0, length_mm=f * 0.5 * 6.0), *ENDS),
     upwards("ends of beads", "end_gaps.STRAIGHT", lambda f: beside_a_line(f * 0.5 * 1.5 * 6.0), *ENDS),
     upwards("ends of beads", "end_gaps.MEAN_SPACINGS", lambda f: comb(f * (0.75 * 4.32 + 0.096)), *ENDS),
-    upwards("ends of beads", "end_gaps.AHEAD", lambda f: staggered(f * 0.5 * math.sqrt(3.0) * (0.75 * 4.32 + 0.192)), *ENDS),
+    upwards("ends of beads", "end_gaps.AHEAD", lambda f: spots_aside(f * 60.0), *ENDS),
     downwards("narrow features", "process.least_hole_mm", lambda f: slotted(f * 4.0), *NARROW),
     downwards("narrow features", "process.least_wall_mm", lambda f: finned(f * 4.0), *NARROW),
     downwards("narrow features", "process.machining_allowance_mm", lambda f: slotted(4.0 + f * 2.0, machining_allowance_mm=1.0), *NARROW),

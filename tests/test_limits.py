@@ -44,8 +44,6 @@ ELSEWHERE = {
     # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py, test_verified_runs.py.
     "settings unchanged", "file unchanged", "part unchanged", "certificate", "certificate seal", "signature", "record", "verdict", "handshake",
     "program", "worked out again", "part sound", "mounting",
-    # The wire that a place asks for: test_bead_wire.py.
-    "wire of beads",
 }  # fmt: skip
 """Checks with a sound and a faulty case in tests of their own."""
 
@@ -78,6 +76,7 @@ NO_LIMITS = {
         matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_region.ROUND_SHARE preheat_region.SLIVER_MM preheat_region.ALONG_MM
         ramp_check.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
         turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
+    "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
     "what a warning or a text tells, and no check": """
         loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM noticed_in_program.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",
