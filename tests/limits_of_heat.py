@@ -7,13 +7,13 @@ from functools import cache
 
 import numpy as np
 import shapely
-from limit_cases import HIGH_MM, Case, Subject, _folder, cube, downwards, upwards
+from limit_cases import HIGH_MM, Case, Subject, _folder, cube, downwards, program_of, upwards
 from prism_program import Made
 
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.program import Check
 from ebamcheck.program.checking.entry_check import entry_check
-from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.text_heat import PAUSE, sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.settings.config import Config
 
 HEAT = ("layers", "heat")
@@ -65,11 +65,46 @@ def with_room(f: float, mm: float, layer: int, share: float, least_k: float) -> 
 
 
 def melting(f: float) -> Subject:
-    """A layer that lacks so much of the power that melts its wire."""
-    from_text = cube().checks(*HEAT)["melting power"]
-    rows = cube().of_layer(1)
-    needed = 7200.0 / from_text.value
-    return cube().with_columns(rows, power_w=needed * (1.0 - f * 1e-3))
+    """The bead with the most wire lacks so much of the power that melts this, and what it remelts."""
+    needed = 7200.0 / cube().checks(*HEAT)["melting power"].value
+    row = cube().metal[np.argmax(cube().nc.wire_mm_s[cube().metal])]
+    return cube().with_columns(row, power_w=needed * (1.0 - f * 1e-3))
+
+
+def hot_behind_the_first(f: float) -> Subject:
+    """One layer on the cold plate: only beads behind its first one are entered warm, the last 317 K over the chamber."""
+    lines = [[(0.0, 4.32 * i), (60.0, 4.32 * i)] for i in range(6)]
+    subject = program_of([lines], shapely.box(-50.0, -50.0, 110.0, 75.0))
+    return subject.by(process={"interpass_limit_k": AMBIENT_K + 317.0 / f})
+
+
+@cache
+def cooled(wait_s: float, pause_s: float = 0.0) -> tuple[Subject, float]:
+    """A wait before the last layer, and how warm it leaves the metal over the chamber; before it, that is over 900 K."""
+    subject = wide(90.0).with_event(int(cube().of_layer(3)[0]) - 1, PAUSE, wait_s)
+    subject = subject.by(process={"layer_pause_s": pause_s})
+    found = subject.by(process={"layer_pause_s": 0.0}).checks(*HEAT)["least entry temperature"]
+    assert f"after a wait of {wait_s:g} s" in found.text
+    return subject, found.value - AMBIENT_K
+
+
+def cooled_under(f: float, wait_s: float, share: float, least_k: float) -> Subject:
+    """A limit so far over what a wait leaves: six tenths of its rise are to be left, or all but 60 K."""
+    subject, rise = cooled(wait_s)
+    limit = rise / (f * share) if share else rise + f * least_k
+    assert (limit > 150.0) == bool(share)
+    assert limit < 900.0
+    return subject.by(process={"interpass_limit_k": AMBIENT_K + limit})
+
+
+def waited(f: float) -> Subject:
+    """A wait that leaves the metal cold, and is so much longer than the pause that the settings ask for."""
+    return cooled(1800.0 + f * 1e-6, 1800.0)[0]
+
+
+def set_least(f: float) -> Subject:
+    """A least temperature that the first bead, on the plate at that of the chamber, is over by so much."""
+    return wide(90.0).by(process={"least_entry_temperature_k": AMBIENT_K / f})
 
 
 # -- preheating ----------------------------------------------------------------------------------------
@@ -188,7 +223,12 @@ CASES: tuple[Case, ...] = (
     upwards("balance of the heat", "heat_again.MODELS_K", lambda f: differing(f, 140.0, 0.0, 60.0), *HEAT),
     upwards("power", "interpass_checks.ROOM", lambda f: with_room(f, 90.0, 2, 0.85, 0.0), *HEAT),
     upwards("power", "interpass_checks.ROOM_K", lambda f: with_room(f, 140.0, 0, 0.0, 80.0), *HEAT),
-    upwards("melting power", "interpass_checks.SHARE_TOLERANCE", melting, *HEAT),
+    upwards("interpass temperature", "process.interpass_limit_k", hot_behind_the_first, *HEAT),
+    upwards("melting power", "melting_check.MELTING_TOLERANCE", melting, *HEAT),
+    downwards("least entry temperature", "cold_entries.WARM_SHARE", lambda f: cooled_under(f, 120.0, 0.6, 0.0), *HEAT),
+    upwards("least entry temperature", "heat_again.MODELS_K", lambda f: cooled_under(f, 3600.0, 0.0, 60.0), *HEAT),
+    upwards("least entry temperature", "cold_entries.WAITED_S", waited, *HEAT),
+    downwards("least entry temperature", "process.least_entry_temperature_k", set_least, *HEAT),
     upwards("preheat state", "preheat_checks.VALUE_SHARE preheat.current_ma", scan_current, "layers"),
     upwards("preheat path", "preheat_checks.VALUE_SHARE preheat.speed_mm_s", lambda f: scanning(feed_mm_min=lambda v: v * (1.0 + f * 1e-3)), "layers"),
     upwards("preheat path", "preheat_checks.PLACE_MM", scan_height, "layers"),

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import shapely
-from limit_cases import HIGH_MM, Subject, cube, program_of, upwards
+from limit_cases import HIGH_MM, Subject, cube, downwards, program_of, upwards
 
 from ebamcheck.layers.stack import from_polygons
 
@@ -152,6 +152,80 @@ def pile(f: float) -> Subject:
     return subject.with_columns(rows, wire_mm_s=wire * np.array([1.0, 3.0, 1.0]))
 
 
+# -- wire of single beads --------------------------------------------------------------------------------
+
+BEADS = ("layers", "beads")
+LONG = 0.35 * 0.43
+"""Wire that a very long contour may lack; a hatch bead may lack 1.2 times as much, and one of L mm (6 mm / L)^2 times that more."""
+
+
+def most_off(length_mm: float, room: float = 1.0) -> float:
+    return room * LONG * (1.0 + (6.0 / length_mm) ** 2)
+
+
+def laid(layers, section, rings=None, width_mm: float = 4.0) -> Subject:
+    """A program whose beads all have the wire that is so wide."""
+    subject = program_of(layers, section, rings)
+    return subject.with_columns(subject.metal, wire_mm_s=width_mm * 1.5 * 10.0 / WIRE_MM2)
+
+
+@cache
+def lined(
+    lines: int = 12, length_mm: float = 90.0, layers: int = 1, apart_mm: float = 4.0, share: float = 1.0
+) -> Subject:
+    """Lines whose wire fills that share of what lies between them: whole millimetres, so that each has the same cells."""
+    beads = [[(0.0, apart_mm * i), (length_mm, apart_mm * i)] for i in range(lines)]
+    section = shapely.box(0.0, -0.5 * apart_mm, length_mm, apart_mm * (lines - 0.5))
+    return laid([beads] * layers, section, width_mm=share * apart_mm)
+
+
+def of_a_line(times: float) -> Subject:
+    """One line in the middle with so many times its wire."""
+    row = lined().metal[6]
+    return lined().with_columns(row, wire_mm_s=times * lined().nc.wire_mm_s[row])
+
+
+@cache
+def two_contours() -> Subject:
+    """A plate of two contours of 320 and 288 mm, and lines."""
+    outer, inner = (np.array([(a, a), (b, a), (b, b), (a, b), (a, a)]) for a, b in ((0.0, 80.0), (4.0, 76.0)))
+    beads = [[(6.0, 8.0 + 4.0 * i), (74.0, 8.0 + 4.0 * i)] for i in range(17)]
+    return laid([beads], shapely.box(-2, -2, 82, 82), [[outer, inner]])
+
+
+def thin_contour(f: float) -> Subject:
+    """The inner contour lacks wire; least of it is excused along its sides."""
+    subject = two_contours()
+    rows = np.flatnonzero(subject.nc.deposit & (subject.nc.ring == 1))
+    return subject.with_columns(rows, wire_mm_s=(1.0 - f * most_off(68.0)) * subject.nc.wire_mm_s[rows])
+
+
+def at_least_wire(f: float) -> Subject:
+    """A line with far too much wire, which is so much over the least that the machine feeds."""
+    subject = of_a_line(1.3)
+    wire = subject.nc.wire_mm_s[subject.metal[6]]
+    return subject.by(process={"wire_speed_min_mm_s": wire / (1.0 + f * 0.01)})
+
+
+def heaped(f: float) -> Subject:
+    """Lines 9 mm apart, whose metal is 1.442 times as high along them: they lack wire, and metal is too high over their width."""
+    share = (1.0 + f * 0.2 - most_off(60.0, 1.2)) / 1.4424
+    assert share < 1.0 - most_off(60.0, 1.2)
+    return lined(8, 60.0, 1, 9.0, share)
+
+
+def on_a_heap(layers: int, asked: float, length_mm: float = 40.0) -> Subject:
+    """Lines with so much less wire than allowed without a heap, on layers of which one half is 0.15 too high and the other too low."""
+    subject = lined(30, length_mm, layers)
+    wire = subject.nc.wire_mm_s.copy()
+    for k in range(layers - 1):
+        rows = subject.of_layer(k)
+        wire[rows[:15]] *= 1.15
+        wire[rows[15:]] *= 0.85
+    wire[subject.of_layer(layers - 1)[:11]] *= (1.0 - asked) * (1.0 - most_off(length_mm, 1.2))
+    return subject.with_columns(subject.metal, wire_mm_s=wire[subject.metal])
+
+
 CASES = (
     upwards("coverage", "scan.least_coverage", bare, "layers", "beads"),
     upwards("gaps", "bead_checks.GAP_MARGIN scan.gap_width", lambda f: gap(f * (0.2 + 0.05) * 6.0, 0.2), "layers", "beads"),
@@ -175,4 +249,10 @@ CASES = (
     upwards("surface", "process.surface_tolerance_mm", lambda f: uneven_by(f, 0.5, 1.43), *METAL),
     upwards("metal laid once", "overfill.MOST_METAL", twice, "layers"),
     upwards("metal laid once", "overfill.STRETCH_BEADS", pile, "layers"),
+    upwards("wire of beads", "bead_wire.HIGHEST bead_wire.LEVELLED", thin_contour, *BEADS),
+    upwards("wire of beads", "bead_wire.HATCH_ROOM", lambda f: of_a_line(1.0 - f * most_off(90.0, 1.2)), *BEADS),
+    upwards("wire of beads", "bead_wire.AT_LIMIT process.wire_speed_min_mm_s", at_least_wire, *BEADS),
+    downwards("wire of beads", "bead_wire.HEAPED", heaped, *BEADS),
+    upwards("wire of beads", "bead_wire.TO_LEVEL", lambda f: on_a_heap(5, f * 0.118), *BEADS),
+    upwards("wire of beads", "bead_wire.MOST_TO_LEVEL", lambda f: on_a_heap(12, f * 0.193), *BEADS),
 )  # fmt: skip

@@ -9,6 +9,8 @@ import numpy as np
 import shapely
 from limit_cases import HIGH_MM, Subject, cube, downwards, program_of, upwards
 
+from ebamcheck.layers.stack import from_polygons
+
 PLANNED = ("curves", "plan")
 
 
@@ -209,6 +211,83 @@ def polygon(f: float) -> Subject:
     return program_of([[]], section, rings=[[ring]]).given(contour_offset_mm=inset)
 
 
+# -- ends of beads -------------------------------------------------------------------------------------
+
+ENDS = ("layers", "beads")
+
+
+def across(x_mm: float, low_mm: float = -20.0, high_mm: float = 20.0) -> list[tuple[float, float]]:
+    """A line across the ends of others."""
+    return [(x_mm, low_mm), (x_mm, high_mm)]
+
+
+def ending_before(gap_mm: float, starts: bool = False, length_mm: float = 30.0) -> Subject:
+    """A bead that ends, or starts, so far before the line across it."""
+    bead = [(0.0, 0.0), (length_mm, 0.0)]
+    far = length_mm + gap_mm
+    return program_of([[bead[::-1] if starts else bead, across(far)]], shapely.box(-3, -23, far + 3, 23))
+
+
+def before_the_border(gap_mm: float) -> Subject:
+    return program_of([[[(0.0, 0.0), (30.0, 0.0)]]], shapely.box(-3, -20, 30 + gap_mm, 20))
+
+
+def beside_a_line(aside_mm: float) -> Subject:
+    """A bead that ends next to another, which runs on: it is 30 degrees aside of the end where it is twice as far away."""
+    beads = [[(0.0, 0.0), (30.0, 0.0)], [(0.0, aside_mm), (80.0, aside_mm)]]
+    return program_of([beads], shapely.box(-3, -20, 83, aside_mm + 3))
+
+
+def comb(gap_mm: float) -> Subject:
+    """Sixty beads that end before a line across them: three quarters of a spacing, and 0.1 mm since they are only sixty."""
+    lines = [[(0.0, 4.32 * i), (20.0, 4.32 * i)] for i in range(60)]
+    far, high = 20.0 + gap_mm, 59 * 4.32
+    return program_of([[*lines, across(far, 0.0, high)]], shapely.box(-3, -3, far + 3, high + 3))
+
+
+def spots_aside(angle_deg: float) -> Subject:
+    """Thirty beads that end 8 mm before a line across them, and 3 mm from spots so far aside of their direction."""
+    ends = [(20.0, 8.64 * i) for i in range(30)]
+    lines = [[(0.0, y), (x, y)] for x, y in ends]
+    along, aside = 3.0 * math.cos(math.radians(angle_deg)), 3.0 * math.sin(math.radians(angle_deg))
+    spots = [[(x + along, y + aside), (x + along, y + aside + 1.0)] for x, y in ends]
+    high = 30 * 8.64
+    return program_of([[*lines, *spots, across(28.0, -3.0, high)]], shapely.box(-3, -6, 31, high + 3))
+
+
+# -- narrow features -----------------------------------------------------------------------------------
+
+NARROW = ("layers", "metal")
+
+
+def narrow(section: shapely.Geometry, **process) -> Subject:
+    """The program of the cube, held against the sections of a part with narrow features."""
+    heights = cube().known["plan"].heights
+    parts = [shapely.get_parts(section).tolist()] * len(heights)
+    return cube().given(layers=from_polygons(heights, parts)).by(process=process)
+
+
+WIDE = shapely.box(0, 0, 60, 30)
+
+
+def slotted(width_mm: float, **process) -> Subject:
+    return narrow(WIDE - shapely.box(20, 12, 50, 12 + width_mm), least_hole_mm=4.0, **process)
+
+
+def finned(width_mm: float, **process) -> Subject:
+    return narrow(WIDE | shapely.box(20, 30, 20 + width_mm, 60), least_wall_mm=4.0, **process)
+
+
+def notched(angle_deg: float) -> Subject:
+    """A notch between sides that enclose an angle."""
+    half = 20.0 * math.tan(math.radians(0.5 * angle_deg))
+    return narrow(WIDE - shapely.Polygon([(30 - half, 30), (30, 10), (30 + half, 30)]), least_hole_mm=4.0)
+
+
+def shallow(depth_mm: float) -> Subject:
+    return narrow(WIDE - shapely.box(30, 30 - depth_mm, 32, 40), least_hole_mm=4.0, outside_reach_mm=1.0)
+
+
 CASES = (
     upwards("contours close", "verification.PATH_TOLERANCE_MM", open_ring, *PLANNED),
     upwards("contour path", "verification.PATH_TOLERANCE_MM", lambda f: moved_ring(f * 1e-3), *PLANNED),
@@ -246,4 +325,16 @@ CASES = (
     downwards("collision", "machine.head_radius_mm machine.head_above_tip_mm", head),
     upwards("clearance", "standing.TOUCH_MM machine.clearance_mm", lambda f: travelling(1.5 + 5.0 - f * 1e-3, (0.0, 2.0))),
     upwards("clearance", "clearance.HOP_SPACINGS", lambda f: travelling(1.5, (30.0, f * 2.0 * 4.32))),
+    upwards("ends of beads", "end_gaps.SINGLE_BEADS", lambda f: ending_before(f * 1.5 * 6.0), *ENDS),
+    upwards("ends of beads", "end_gaps.SINGLE_BEADS", lambda f: ending_before(f * 1.5 * 6.0, starts=True), *ENDS),
+    upwards("ends of beads", "end_gaps.BORDER_BEADS", lambda f: before_the_border(f * 0.8 * 6.0), *ENDS),
+    upwards("ends of beads", "end_gaps.LEAST_BEADS", lambda f: ending_before(12.0, length_mm=f * 0.5 * 6.0), *ENDS),
+    upwards("ends of beads", "end_gaps.STRAIGHT", lambda f: beside_a_line(f * 0.5 * 1.5 * 6.0), *ENDS),
+    upwards("ends of beads", "end_gaps.MEAN_SPACINGS", lambda f: comb(f * (0.75 * 4.32 + 0.096)), *ENDS),
+    upwards("ends of beads", "end_gaps.AHEAD", lambda f: spots_aside(f * 60.0), *ENDS),
+    downwards("narrow features", "process.least_hole_mm", lambda f: slotted(f * 4.0), *NARROW),
+    downwards("narrow features", "process.least_wall_mm", lambda f: finned(f * 4.0), *NARROW),
+    downwards("narrow features", "process.machining_allowance_mm", lambda f: slotted(4.0 + f * 2.0, machining_allowance_mm=1.0), *NARROW),
+    downwards("narrow features", "narrow_features.FACING", lambda f: notched(f * 40.0), *NARROW),
+    upwards("narrow features", "process.outside_reach_mm", lambda f: shallow(f * 1.0), *NARROW),
 )  # fmt: skip

@@ -42,10 +42,8 @@ ELSEWHERE = {
     # Scans of a plate that heat more, or less, than the model says: test_preheat_made_wrong.py.
     "preheat balance",
     # Hashes, signatures and records, equal or not: test_certificate.py, test_forgeries.py, test_verified_runs.py.
-    "settings unchanged", "file unchanged", "part unchanged", "certificate", "signature", "record", "verdict", "handshake",
+    "settings unchanged", "file unchanged", "part unchanged", "certificate", "certificate seal", "signature", "record", "verdict", "handshake",
     "program", "worked out again", "part sound", "mounting",
-    # The wire that a place asks for: test_bead_wire.py.
-    "wire of beads",
 }  # fmt: skip
 """Checks with a sound and a faulty case in tests of their own."""
 
@@ -59,7 +57,8 @@ NO_LIMITS = {
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
         standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
         tilt_checks.STEP_DEG near_sides.SIDES_A_LEAF near_sides.MOST_LEVELS near_sides.ROUNDING_MM preheat_way.LONGEST_S
-        bead_wire.LEAST_STRETCH bead_wire.LEAST_BEADS
+        bead_wire.SPANS bead_wire.POINTS bead_wire.SUBCELLS bead_wire.LEAST_BEADS end_gaps.REACH_BEADS
+        narrow_features.NO_WIDTH_MM narrow_features.STEPS narrow_features.ON_SIDE
         mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
         solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE programming.SAMPLING_MM gates_again.SMOOTH_MM turned.STEP_MM
         turned.MOST_PLACES""",
@@ -67,20 +66,20 @@ NO_LIMITS = {
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING
         deposit_checks.SMALL_KG header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
         metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
-        matching.APART_MM certificate.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
+        matching.APART_MM certificate_form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
         noticed_in_program.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT report_writers.TIME_S
-        report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES run_folder.FORMAT_VERSION
+        report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES record_form.FORMAT_VERSION record_values.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_region.ROUND_SHARE preheat_region.SLIVER_MM preheat_region.ALONG_MM
         ramp_check.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
-        turned.SAME_MM interpass_checks.PERCENT""",
-    "what a warning tells, and no check": "loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM",
-    "the wire of beads: test_bead_wire.py": """
-        bead_wire.MOST_OF_SHORT bead_wire.MOST_OF_SPOT bead_wire.LAYER_ROOM bead_wire.LEVELLING bead_wire.MOST_LEVELLED
-        bead_wire.MOST_OF_STRETCH bead_wire.AT_LIMIT""",
+        turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
+    "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
+    "what a warning or a text tells, and no check": """
+        loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM noticed_in_program.MOST_NARROW
+        narrow_features.LONG narrow_features.TAPERS""",
 }
 """Constants of rooms of checks that need no two cases, by the reason."""
 

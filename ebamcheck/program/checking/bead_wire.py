@@ -11,6 +11,7 @@ error that is not much longer than the bead is wide, and hardly any of a long on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import shapely
@@ -68,6 +69,10 @@ LEAST_BEADS = 0.1
 
 LEAST_OWN = 0.3
 """Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours."""
+
+POINTS = 3
+"""Points across a cell that are given to the nearest place each: a bead has few cells across, and in a hatch along the grid as many
+too many, or too few, all along."""
 
 SUBCELLS = 20
 """Points across a cell by which the strip is laid on cells: its weights err by less than a thousandth."""
@@ -301,10 +306,12 @@ def _wanted(target: Target, over: Floats) -> tuple[Floats, Floats]:
 def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]) -> Floats:
     """Sums of fields over the cells that are nearest to each place, mm2, (2, n)."""
     row, column = np.nonzero(target.share)
-    cells = target.origin + (np.column_stack([column, row]) + 0.5) * target.step_mm
-    _, near = cKDTree(places).query(cells)
-    areas = [np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
-    return np.asarray(np.stack(areas) * target.step_mm**2, np.float64)
+    tree, part = cKDTree(places), (np.arange(POINTS) + 0.5) / POINTS
+    areas = np.zeros((2, len(places)))
+    for down, right in product(part, part):
+        _, near = tree.query(target.origin + np.column_stack([column + right, row + down]) * target.step_mm)
+        areas += [np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
+    return np.asarray(areas * (target.step_mm / POINTS) ** 2, np.float64)
 
 
 def _around(target: Target, places: Floats, values: Floats, pool: Floats) -> Floats:
