@@ -11,7 +11,6 @@ error that is not much longer than the bead is wide, and hardly any of a long on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import shapely
@@ -70,9 +69,9 @@ LEAST_BEADS = 0.1
 LEAST_OWN = 0.3
 """Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours."""
 
-POINTS = 3
-"""Points across a cell that are given to the nearest place each: a bead has few cells across, and in a hatch along the grid as many
-too many, or too few, all along."""
+IN_CELL = (0.7548776662466927, 0.5698402909980532)
+"""Steps, in cells, by which the two points that stand for a cell move from cell to cell: the sequence R2 (Roberts 2018), which fills the
+square evenly."""
 
 SUBCELLS = 20
 """Points across a cell by which the strip is laid on cells: its weights err by less than a thousandth."""
@@ -306,12 +305,15 @@ def _wanted(target: Target, over: Floats) -> tuple[Floats, Floats]:
 def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]) -> Floats:
     """Sums of fields over the cells that are nearest to each place, mm2, (2, n)."""
     row, column = np.nonzero(target.share)
-    tree, part = cKDTree(places), (np.arange(POINTS) + 0.5) / POINTS
-    areas = np.zeros((2, len(places)))
-    for down, right in product(part, part):
-        _, near = tree.query(target.origin + np.column_stack([column + right, row + down]) * target.step_mm)
-        areas += [np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
-    return np.asarray(areas * (target.step_mm / POINTS) ** 2, np.float64)
+    # In the middle of its cell each, the points of a row would all fall to the same side of a line that runs along the grid.
+    right = column * IN_CELL[0] + row * IN_CELL[1]
+    down = column * IN_CELL[1] + row * IN_CELL[0]
+    tree, areas = cKDTree(places), np.zeros((2, len(places)))
+    for across in (0.0, 0.5):
+        x, y = column + (right + across) % 1.0, row + (down + across) % 1.0
+        _, near = tree.query(target.origin + np.column_stack([x, y]) * target.step_mm)
+        areas += [0.5 * np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
+    return np.asarray(areas * target.step_mm**2, np.float64)
 
 
 def _around(target: Target, places: Floats, values: Floats, pool: Floats) -> Floats:
