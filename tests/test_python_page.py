@@ -14,7 +14,7 @@ from ebamcheck_models import CUBE
 
 PAGE = Path(__file__).parents[1] / "docs" / "python.md"
 
-NEEDS = {"pyplot": "matplotlib", "plot(": "matplotlib", ".3mf": "lib3mf"}
+NEEDS = {"pyplot": "matplotlib", "plot(": "matplotlib"}
 """What in a block asks for a package that is an extra."""
 
 
