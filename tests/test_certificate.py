@@ -298,7 +298,7 @@ FAULTS = {
     "carriage returns": (carriage_returns, "line ends"),
     "wrong encoding": (wrong_encoding, "readable"),
     "wrong power": (
-        lambda p: (p.replace(r"H2=\S+", "H2=60", name="MAIN_L0001.SPF"), "MAIN_L0001.SPF:")[1],
+        lambda p: (p.replace(r"H2=\S+", "H2=20", 1, "MAIN_L0001.SPF"), "MAIN_L0001.SPF:")[1],
         "power",
     ),
 }

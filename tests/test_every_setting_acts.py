@@ -40,6 +40,7 @@ POST_BESIDE = {"outline_mm": ((95.0, 0.0), (100.0, 0.0), (100.0, 50.0)), "z_mm":
 """A clamp that a wide head meets, if it hangs low."""
 
 CHANGED: dict[str, Any] = {
+    "process.least_entry_temperature_k": 860.0,
     "process.current_max_ma": 100.0,
     "process.layer_over_bead": (1.5, 2.0),
     "process.line_energy_j_mm": (1000.0, 3000.0),
