@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.mesh.topology import edge_groups
 
@@ -31,6 +29,10 @@ def sheets_of_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.int32
     NDArray[np.int32]
         (V,) number of the sheet of all facets at a vertex; :data:`SEVERAL` where they belong to different ones, or there are none.
     """
+    # Few meshes need them, and loading them takes longer than slicing a small part.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     groups = edge_groups(faces, count)
     two = groups.starts[:-1][np.diff(groups.starts) == 2]
     a, b = groups.half_edges[two] // 3, groups.half_edges[two + 1] // 3
