@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.program.checking.near_sides import side_distances, sides_of
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 
 
 @pytest.mark.parametrize("far_mm", [0.0, 250.0])

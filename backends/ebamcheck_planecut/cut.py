@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import run_blocks, run_each
 from ebamcheck_planecut import PlaneCut, overlaps
 from ebamcheck_planecut.crossed_facets import crossed_mesh
 from ebamcheck_planecut.sheets import sheets_of_vertices
@@ -175,12 +175,7 @@ def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float, sheets: Sh
         return layers
     sheet = sheets() if (kinds == overlaps.TOUCHING).any() else np.zeros(0, np.int32)
 
-    def resolve(start: int, stop: int) -> list[Layers | None]:
-        return [
-            _resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm, sheet) for k in doubtful[start:stop]
-        ]
-
-    found = [one for block in run_blocks(resolve, len(doubtful)) for one in block]
+    found = run_each(lambda k: _resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm, sheet), doubtful)
     blocks: list[Layers] = []
     done = 0
     for k, one in zip(doubtful, found, strict=True):

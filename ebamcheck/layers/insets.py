@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ebamcheck.errors import GeometryError
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Floats
 
 if TYPE_CHECKING:
@@ -112,8 +113,8 @@ def is_inset(found: BaseGeometry, region: BaseGeometry, distance_mm: float, quad
     if not found.is_empty:
         first = np.array([shapely.get_coordinates(part)[0] for part in shapely.get_parts(found)])
         inside = shapely.contains_xy(region, first[:, 0], first[:, 1]).all()
-        nearest = float(shapely.distance(border, found))
-        if not inside or nearest < distance_mm * (1.0 - off) - rounding_mm:
+        least_mm = distance_mm * (1.0 - off) - rounding_mm
+        if not inside or shapely.dwithin(border, found, least_mm):
             return False
     holes = int(shapely.get_num_interior_rings(shapely.get_parts(region)).sum())
     circles = math.pi * distance_mm**2 * max(holes - 1, 0)
@@ -124,7 +125,7 @@ def is_inset(found: BaseGeometry, region: BaseGeometry, distance_mm: float, quad
     places = _places_at(region, depth_mm, distance_mm / SAMPLES)
     lacking = places[~shapely.intersects_xy(found, places[:, 0], places[:, 1])]
     # A place as far from the border as from the side that it was found from lies on the same side of it.
-    deep = shapely.distance(border, shapely.points(lacking)) >= depth_mm - rounding_mm
+    deep = side_distances(lacking, sides_of(border)) >= depth_mm - rounding_mm
     return not bool(deep.any())
 
 

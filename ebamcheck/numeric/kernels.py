@@ -7,7 +7,7 @@ interpreter lock, so that :func:`run_blocks` spreads them over threads.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
 
@@ -21,6 +21,7 @@ from ebamcheck.numeric.kernel_entries import KernelEntries
 number_functions()
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 
@@ -67,6 +68,13 @@ def run_blocks(
     as long as a block's result does not depend on where its borders lie.
     """
     return list(run_in_order(work, block_edges(count, smallest, a_thread)))
+
+
+def run_each(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_Result]:
+    """Run ``work`` on every item, in blocks on all threads; results come in the order of the items."""
+    every = list(items)
+    blocks = run_blocks(lambda start, stop: [work(item) for item in every[start:stop]], len(every))
+    return [result for block in blocks for result in block]
 
 
 def block_edges(count: int, smallest: int = 1, a_thread: int = 4, largest: int | None = None) -> list[int]:

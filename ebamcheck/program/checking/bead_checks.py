@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
@@ -204,7 +204,10 @@ def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
 
 def _words_of(line: bytes) -> list[bytes]:
     """Words of a line without its number and its comment."""
-    return _NUMBERED.sub(b"", line.split(b";")[0]).split()
+    words = line.split(b";")[0].split()
+    if words and words[0][:1] == b"N" and words[0][1:].isdigit():
+        return words[1:]
+    return _NUMBERED.sub(b"", b" ".join(words)).split()
 
 
 # -- coverage ----------------------------------------------------------------------------------------
@@ -219,12 +222,7 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
     sections = [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
 
-    def work(start: int, stop: int) -> list[float]:
-        return [
-            covered_fraction(sections[k], _segments(nc, rows[index == k]), width) for k in solid[start:stop]
-        ]
-
-    covered = [share for block in run_blocks(work, len(solid)) for share in block]
+    covered = run_each(lambda k: covered_fraction(sections[k], _segments(nc, rows[index == k]), width), solid)
     laid = width * float(np.nansum(nc.lengths[rows[np.isin(index, solid)]]))
     area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
     worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
@@ -258,21 +256,19 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
     index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
     known = [0.0]
 
-    def work(start: int, stop: int) -> list[tuple[float, int, BaseGeometry]]:
-        found: list[tuple[float, int, BaseGeometry]] = []
-        for k in range(start, stop):
-            inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
-            mine = rows[index == k]
-            if inner.is_empty or not mine.size:
-                continue
-            # A gap as wide as the widest so far is found, too: whichever thread comes first, the lowest one is told.
-            across, bare = widest_part(inner, _segments(nc, mine), width, math.nextafter(known[0], 0.0))
-            if bare is not None:
-                known[0] = max(known[0], across)
-                found.append((across, -k, bare))
-        return found
+    def widest(k: int) -> tuple[float, int, BaseGeometry] | None:
+        inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
+        mine = rows[index == k]
+        if inner.is_empty or not mine.size:
+            return None
+        # A gap as wide as the widest so far is found, too: whichever thread comes first, the lowest one is told.
+        across, bare = widest_part(inner, _segments(nc, mine), width, math.nextafter(known[0], 0.0))
+        if bare is None:
+            return None
+        known[0] = max(known[0], across)
+        return across, -k, bare
 
-    gaps = [gap for block in run_blocks(work, len(layers)) for gap in block]
+    gaps = [gap for gap in run_each(widest, range(len(layers))) if gap is not None]
     worst, where, place = 0.0, "", ""
     if gaps:
         worst, layer, bare = max(gaps, key=lambda gap: gap[:2])

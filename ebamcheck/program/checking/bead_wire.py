@@ -11,6 +11,7 @@ error that is not much longer than the bead is wide, and hardly any of a long on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -19,6 +20,7 @@ from scipy.spatial import cKDTree
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, target_of
+from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.checks import Check
@@ -72,6 +74,9 @@ LEAST_OWN = 0.3
 IN_CELL = (0.7548776662466927, 0.5698402909980532)
 """Steps, in cells, by which the two points that stand for a cell move from cell to cell: the sequence R2 (Roberts 2018), which fills the
 square evenly."""
+
+AT_ONCE = 32
+"""Layers whose metal is held at a time; they are compared on all threads."""
 
 SUBCELLS = 20
 """Points across a cell by which the strip is laid on cells: its weights err by less than a thousandth."""
@@ -256,42 +261,54 @@ def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> _Aske
     step, bead_mm = surface.step_mm, process.bead_width_mm
     pool, strip = pool_of(bead_mm, step), strip_of(bead_mm, step)
     thickness = np.diff(z_of, prepend=config.base_mm)
-    found = [
-        _Asked(
-            np.zeros(0, np.int64),
-            np.zeros(0),
-            np.zeros((3, 0)),
-            np.zeros((3, 0)),
-            np.zeros((3, 0)),
-            np.zeros(0),
-            np.zeros(0),
-        )
-    ]
-    for k, section in enumerate(sections):
-        height = float(thickness[k])
-        mine = rows[nc.layer[rows] == k]
-        target = target_of(section, step, 2.0 * bead_mm)
+
+    def laid_on(k: int) -> _Laid | None:
+        """Lay the metal of a layer on the surface."""
+        height, mine = float(thickness[k]), rows[nc.layer[rows] == k]
+        target = target_of(sections[k], step, 2.0 * bead_mm)
         if not (target.share.size and mine.size and height > 0.0):
             surface.add(target, target.share, height)
-            continue
+            return None
         places, volume, row = metal_places(nc, mine, mm2, bead_mm * STEP_SHARE)
-        along = nc.lengths[row] / np.bincount(row, minlength=len(nc))[row]
         laid = ndimage.convolve(spread(target, places, volume / height) / step**2, pool, mode="constant")
         wanted = _wanted(target, surface.over_mm(target) / height)
         surface.add(target, laid * height, height)
-        near = _nearest_areas(target, places, wanted)
-        by_area = np.vstack([volume / height, near])
+        return _Laid(target, height, places, volume, row, laid, wanted)
+
+    def asked_by(layer: _Laid) -> _Asked:
+        """Compare the metal of a layer with what its places ask for."""
+        target, places, row, height = layer.target, layer.places, layer.row, layer.height_mm
+        along = nc.lengths[row] / np.bincount(row, minlength=len(nc))[row]
+        by_area = np.vstack([layer.volume / height, _nearest_areas(target, places, layer.wanted)])
         by_pool = np.stack([_around(target, places, column, pool) for column in by_area]) * along
         share = np.maximum(_read(target, target.share, places, strip), LEAST_OWN)
-        by_strip = np.stack([_read(target, f, places, strip) for f in (laid, *wanted)]) / share * along
-        least, most = width_limits_mm(config, height)
+        by_strip = np.stack([_read(target, f, places, strip) for f in (layer.laid, *layer.wanted)])
         width = mm2[row] / height
+        least, most = width_limits_mm(config, height)
         limit = 1.0 * (width >= most * (1.0 - AT_LIMIT)) - 1.0 * (width <= least * (1.0 + AT_LIMIT))
-        ways = np.stack([by_area, by_pool, by_strip], axis=1)
-        found.append(_Asked(row, along, ways[0], ways[1], ways[2], width / bead_mm, limit))
+        ways = np.stack([by_area, by_pool, by_strip / share * along], axis=1)
+        return _Asked(row, along, ways[0], ways[1], ways[2], width / bead_mm, limit)
+
+    nothing, no_ways = np.zeros(0), np.zeros((3, 0))
+    found = [_Asked(np.zeros(0, np.int64), nothing, no_ways, no_ways, no_ways, nothing, nothing)]
+    for first in range(0, len(layers), AT_ONCE):
+        laid = [laid_on(k) for k in range(first, min(first + AT_ONCE, len(layers)))]
+        found += run_each(asked_by, [layer for layer in laid if layer is not None])
     return _Asked(
         *(np.concatenate([getattr(f, name) for f in found], axis=-1) for name in _Asked.__dataclass_fields__)
     )
+
+
+class _Laid(NamedTuple):
+    """Metal of a layer on its cells, of the places (n,) along its beads, and what the cells ask for (least, most), layers high."""
+
+    target: Target
+    height_mm: float
+    places: Floats
+    volume: Floats
+    row: Ints
+    laid: Floats
+    wanted: tuple[Floats, Floats]
 
 
 def _wanted(target: Target, over: Floats) -> tuple[Floats, Floats]:

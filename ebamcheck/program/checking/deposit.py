@@ -23,12 +23,12 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
 from ebamcheck.program.checking.narrow_features import NarrowFeature, narrow_features
-from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
 from ebamcheck.scan.islands.regions import layer_section

@@ -15,6 +15,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from ebamcheck.layers.stack import Layers
+from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import wanted_region
 from ebamcheck.program.checking.checks import Check
@@ -121,11 +122,11 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
     first = np.flatnonzero(np.diff(bead, prepend=-1))
     last = np.append(first[1:], bead.size)[: first.size] - 1
     hatch = (nc.ring[row[first]] < 0) & (along[last] - along[first] >= LEAST_BEADS * bead_mm)
-    found = []
-    for k in range(len(layers)):
+
+    def of_layer(k: int) -> pd.DataFrame | None:
         mine, ends = np.flatnonzero(nc.layer[row] == k), np.flatnonzero(hatch & (nc.layer[row[first]] == k))
         if not ends.size:
-            continue
+            return None
         # A quarter of a bead tells the direction of an end, and not the rounding of its decimals.
         back = int(0.25 / STEP_SHARE)
         a, b = first[ends], last[ends]
@@ -142,11 +143,13 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         straight = _ahead(at, way, end, others, STRAIGHT)
         section = wanted_region(layer_section(layers.polygons(k)), config)
         border = _border_ahead(at, way, section, REACH_BEADS * bead_mm)
-        found.append({
+        return pd.DataFrame({
             "gap_mm": gap, "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
             "row": row[owner], "layer": np.full(owner.size, k), "x_mm": at[:, 0], "y_mm": at[:, 1],
         })  # fmt: skip
-    return pd.concat([pd.DataFrame(f) for f in found], ignore_index=True) if found else pd.DataFrame()
+
+    found = [layer for layer in run_each(of_layer, range(len(layers))) if layer is not None]
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
 
 def _near(places: Floats, at: Floats, reach_mm: float) -> tuple[Ints, Ints]:

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from shapely.ops import substring
 
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
@@ -254,13 +254,9 @@ def _crossings(nc: NCProgram, pool_mm: float) -> Check:
     beads = beads_of(nc)
     bead = beads.spread(np.arange(len(beads)), len(nc))
 
-    def work(start: int, stop: int) -> list[int]:
-        return [
-            row for k in range(start, stop) for row in _crossed(nc, rows[nc.layer[rows] == k], bead, pool_mm)
-        ]
-
-    blocks = run_blocks(work, len(nc.layer_files)) if rows.size else []
-    found = sorted({row for block in blocks for row in block})
+    layers = range(len(nc.layer_files)) if rows.size else ()
+    crossed = run_each(lambda k: _crossed(nc, rows[nc.layer[rows] == k], bead, pool_mm), layers)
+    found = sorted({row for layer in crossed for row in layer})
     faults = [(nc.where(row), "runs across a bead of its own layer") for row in found]
     return count_check(CROSSINGS, faults, "no bead runs across another of its layer")
 

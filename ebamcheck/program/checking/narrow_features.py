@@ -19,8 +19,9 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.numeric.kernels import run_each
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS, equivalent_rectangles_mm, inset
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm
@@ -159,11 +160,10 @@ def _places(
     sections: Sequence[BaseGeometry], walls: bool, least_mm: float, shallow_mm: float
 ) -> list[list[Place]]:
     """Narrow places of every layer (L,); layers that are alike are looked at once."""
-    found: list[list[Place]] = []
-    for k, section in enumerate(sections):
-        alike = k > 0 and shapely.equals_exact(section, sections[k - 1])
-        found.append(found[-1] if alike else narrow_places(section, walls, least_mm, shallow_mm))
-    return found
+    new = [k == 0 or not shapely.equals_exact(sections[k], sections[k - 1]) for k in range(len(sections))]
+    looked_at = [section for section, is_new in zip(sections, new, strict=True) if is_new]
+    found = run_each(lambda section: narrow_places(section, walls, least_mm, shallow_mm), looked_at)
+    return [found[k] for k in np.cumsum(new) - 1]
 
 
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:

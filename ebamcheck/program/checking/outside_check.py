@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.bead_metal import wanted_region
 from ebamcheck.program.checking.checks import Check
@@ -36,23 +36,20 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
     )
     layer = nearest_layer(nc.end[rows, 2], z_of)
 
-    def work(start: int, stop: int) -> list[tuple[float, int, int, float, float]]:
-        found = []
-        for k in range(start, stop):
-            owner, at = nc.samples(rows[layer == k], STEP_MM)
-            region = wanted_region(layer_section(layers.polygons(k)), config)
-            if region.is_empty:
-                found += [(math.inf, int(owner[0]), k, *at[0])] if owner.size else []
-                continue
-            shapely.prepare(region)
-            out = np.flatnonzero(~shapely.intersects_xy(region, at[:, 0], at[:, 1]))
-            if out.size:
-                away = np.asarray(shapely.distance(shapely.points(at[out]), region))
-                first = int(np.argmax(away > limit_mm)) if (away > limit_mm).any() else int(np.argmax(away))
-                found.append((float(away.max()), int(owner[out[first]]), k, *at[out[first]]))
-        return found
+    def farthest(k: int) -> tuple[float, int, int, float, float] | None:
+        owner, at = nc.samples(rows[layer == k], STEP_MM)
+        region = wanted_region(layer_section(layers.polygons(k)), config)
+        if region.is_empty:
+            return (math.inf, int(owner[0]), k, *at[0]) if owner.size else None
+        shapely.prepare(region)
+        out = np.flatnonzero(~shapely.intersects_xy(region, at[:, 0], at[:, 1]))
+        if not out.size:
+            return None
+        away = np.asarray(shapely.distance(shapely.points(at[out]), region))
+        first = int(np.argmax(away > limit_mm)) if (away > limit_mm).any() else int(np.argmax(away))
+        return float(away.max()), int(owner[out[first]]), k, *at[out[first]]
 
-    every = [place for block in run_blocks(work, len(layers)) for place in block] if len(layers) else []
+    every = [place for place in run_each(farthest, range(len(layers))) if place is not None]
     if not every:
         return Check(NAME, True, 0.0, limit_mm, "mm", "", "every bead lies within the part and its allowance")
     wrong = [place for place in every if place[0] > limit_mm]

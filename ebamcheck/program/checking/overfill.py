@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2
 from ebamcheck.program.checking.checks import Check
@@ -65,15 +65,13 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
     rows = beads.rows[known]
     thickness = np.diff(z_of, prepend=config.base_mm)
 
-    def work(start: int, stop: int) -> list[_Spot]:
-        found = []
-        for k in range(start, stop):
-            mine = rows[nc.layer[rows] == k]
-            if mine.size and thickness[k] > 0.0:
-                found.append(_fullest(nc, beads, mine, mm2, k, float(thickness[k]), layers, config))
-        return found
+    def fullest(k: int) -> _Spot | None:
+        mine = rows[nc.layer[rows] == k]
+        if not (mine.size and thickness[k] > 0.0):
+            return None
+        return _fullest(nc, beads, mine, mm2, k, float(thickness[k]), layers, config)
 
-    found = [spot for block in run_blocks(work, z_of.size) for spot in block] if z_of.size else []
+    found = [spot for spot in run_each(fullest, range(z_of.size)) if spot is not None]
     if not found:
         return Check(NAME, True, 0.0, MOST_METAL, "of the layer", "", "no layer lays metal")
     worst = max(found, key=lambda spot: spot.metal)

@@ -10,9 +10,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.settings.config import Config
 

@@ -10,10 +10,10 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import run_each
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.near_sides import side_distances, sides_of
 from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.islands.regions import layer_section
@@ -93,12 +93,9 @@ def section_check(
     index = np.searchsorted(between, nc.end[rows, 2])
     known = evidence or Evidence(limit_mm, limit_mm)
 
-    def work(start: int, stop: int) -> list[_Worst]:
-        return [
-            _layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known) for k in range(start, stop)
-        ]
-
-    found = [layer for block in run_blocks(work, len(layers)) for layer in block] if len(layers) else []
+    found = run_each(
+        lambda k: _layer(nc, rows[index == k], layers, k, offset_mm, limit_mm, known), range(len(layers))
+    )
     text = f"contour path against the {name} inset by {offset_mm:g} mm"
     if not found:
         return Check(name, True, 0.0, limit_mm, "mm", "", f"{text}: nothing to check")

@@ -10,6 +10,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Floats, Ints
 
 STEP_MM = 0.5
@@ -41,12 +42,12 @@ def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))
-    border = shapely.boundary(section)
-    shapely.prepare([border, section])
+    sides = sides_of(shapely.boundary(section))
+    shapely.prepare(section)
 
     def holds(places: Floats) -> np.ndarray:
         inside = shapely.contains_xy(section, places[:, 0], places[:, 1])
-        inside[inside] = shapely.distance(border, shapely.points(places[inside])) >= depth_mm - OFF_MM
+        inside[inside] = side_distances(places[inside], sides) >= depth_mm - OFF_MM
         return np.asarray(inside)
 
     places, line = _tried(section, depth_mm)

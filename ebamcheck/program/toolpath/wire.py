@@ -20,7 +20,7 @@ from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footpr
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.pools import pooled
 from ebamcheck.metal.surface import HALF
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.toolpath.bead_parts import (
     ROUNDING_MM,
@@ -126,13 +126,12 @@ def wired(
     sections: Sequence[BaseGeometry] = () if plan.sections is None else list(plan.sections)
     regions = [metal_region(section, config) for section in sections]
 
-    def some(first: int, last: int) -> list[_LayerBeads]:
-        return [
-            _layer_beads(path, k, points, lengths, tracks, division, regions[k], surface.step_mm, config)
-            for k in range(first, last)
-        ]
-
-    found = [layer for block in run_blocks(some, len(path.z)) for layer in block]
+    found = run_each(
+        lambda k: _layer_beads(
+            path, k, points, lengths, tracks, division, regions[k], surface.step_mm, config
+        ),
+        range(len(path.z)),
+    )
     made = [
         _flat(beads, surface, division, tracks, float(h), config, float(share))
         for beads, h, share in zip(found, path.thickness, interpass_of(plan, config).power_share, strict=True)

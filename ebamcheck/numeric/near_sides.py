@@ -6,12 +6,16 @@ tree, which asks for an object for every place and side.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import shapely
-from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
+
+if TYPE_CHECKING:
+    # Loaded only where there are geometries; most commands make none.
+    from shapely.geometry.base import BaseGeometry
 
 SIDES_A_LEAF = 4
 """Sides in one leaf of the tree."""
@@ -25,6 +29,8 @@ ROUNDING_MM = 1e-9
 
 def sides_of(lines: BaseGeometry) -> Floats:
     """Sides (m, 4) of lines: x0, y0, x1, y1 of every two points that follow one another."""
+    import shapely
+
     points, line = shapely.get_coordinates(shapely.get_parts(lines), return_index=True)
     joined = np.flatnonzero(line[1:] == line[:-1])
     return np.hstack([points[joined], points[joined + 1]])
