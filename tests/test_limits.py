@@ -56,7 +56,7 @@ NO_LIMITS = {
         path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
         standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
-        tilt_checks.STEP_DEG near_sides.SIDES_A_LEAF near_sides.MOST_LEVELS near_sides.ROUNDING_MM preheat_way.LONGEST_S
+        tilt_checks.STEP_DEG preheat_way.LONGEST_S
         bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS end_gaps.REACH_BEADS
         narrow_features.NO_WIDTH_MM narrow_features.STEPS narrow_features.ON_SIDE
         mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
