@@ -26,8 +26,8 @@ SIMPLIFIED = 0.01
 SAMPLES = 4.0
 """Places at which an inset must have its border, on every stretch of a side as long as the distance."""
 
-MOST_SAMPLES = 1024
-"""Places tried along one side at most."""
+MOST_SAMPLES = 4096
+"""Places tried at most, beside one for each side: where the distance is so small, hardly any area may be lacking."""
 
 ROUNDING = 1e-12
 """Share of the coordinates that rounding may take."""
@@ -133,7 +133,7 @@ def _places_at(region: BaseGeometry, depth_mm: float, step_mm: float) -> Floats:
     """Places (n, 2) straight in from the sides of a region, by a depth that they may not have: another side may be nearer."""
     start, end, inwards = _sides(region)
     length = np.hypot(*(end - start).T)
-    count = np.minimum(np.ceil(length / step_mm), MOST_SAMPLES).astype(np.int64)
+    count = np.ceil(length / max(step_mm, float(length.sum()) / MOST_SAMPLES)).astype(np.int64)
     side = np.repeat(np.arange(count.size), count)
     share = (np.arange(side.size) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[side]
     return np.asarray(start[side] + share[:, None] * (end - start)[side] + depth_mm * inwards[side])
