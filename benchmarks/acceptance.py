@@ -1,6 +1,7 @@
 """Reference parts from mesh to program, judged by one table: ``python -m benchmarks.acceptance``; reports/metal/acceptance.md.
 
-Every part goes through the pipeline as by ``ebamcheck run`` at the default settings. Then the run folder is read as
+Every part goes through the pipeline as by ``ebamcheck run`` at the default settings, and where these refuse it, with its
+remedy, too. Then the run folder is read as
 anybody could: what the plan says of each layer (``process.csv``, the sums of its events) beside what the text says
 (``program.csv``, the sums of its motions, and its wire starts); the metal of the text over the part's own sections and
 over the exact volume of the solid; the greatest temperature at which a bead is entered, by the plan and by a balance
@@ -12,7 +13,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,43 @@ PARTS = (
     "helical-channel",
     "bulkhead",
 )
-"""The nine reference parts: five that the default bead can build, one with an overhang of 15 mm, three with walls thinner than the bead."""
+"""The nine reference parts: five that the default bead can build, and four that need a remedy."""
+
+DEFAULTS = "defaults"
+
+
+@dataclass(frozen=True)
+class Remedy:
+    """Settings with which a part that is refused at the default ones can be built, and why it needs them."""
+
+    changes: dict[str, dict[str, Any]]
+    why: str
+
+    def __str__(self) -> str:
+        """Say the settings as one writes them in a file."""
+        return "; ".join(
+            f"{table}.{key} = {v}" for table, keys in self.changes.items() for key, v in keys.items()
+        )
+
+
+ALLOWANCE = {"process": {"machining_allowance_mm": 3.0}}
+"""Half a bead of metal on every side, to be machined off: no wall is then narrower than a bead."""
+
+REMEDIES = {
+    "bracket": Remedy(
+        ALLOWANCE,
+        "the brace between its legs is 0.8 mm thick, and no bead is narrower than 3.2 mm",
+    ),
+    "thin-walls": Remedy(
+        ALLOWANCE,
+        "its rungs are walls of 0.01 to 1 mm, and no bead is narrower than 3.2 mm",
+    ),
+    "impeller": Remedy(ALLOWANCE, "the tips of its blades are thinner than 3.2 mm, and no bead is narrower"),
+    "two-spheres": Remedy(
+        {"part": {"direction": [-0.370623, -0.1076, 0.92253]}},
+        "the smaller sphere begins 15 mm beside the larger one, in the air; along this direction both stand on the plate",
+    ),
+}
 
 PAIRS = {
     "contour_mm": ("contour_mm",),
@@ -66,12 +103,13 @@ TABLE = "acceptance.csv"
 
 TEXT = """# Reference parts from mesh to program
 
-By `python -m benchmarks.acceptance`, default settings, backends {backends}, on {cpu}.
+By `python -m benchmarks.acceptance`, backends {backends}, on {cpu}: every part at the default settings, and where they refuse it, with the remedy named below.
 
 *plan and program*: the greatest difference of a layer's sums by the plan's events and by the text (lengths of contours, hatch and travel; times; waits; wire), over the greatest layer; and wire starts by both. *metal over sections*: what the text lays over the part's sections times the layer height, within {share:.0f} % asked for; *over solid*: over the exact volume of the solid, which layers of whole height cannot always meet. *entry*: the greatest temperature of the surface when a bead is entered, by the plan and by a balance of the text. *verify*: `ebamcheck verify` of the run folder, which has to pass if, and only if, the run is validated.
 
 {table}
-{causes}"""
+{causes}
+{remedies}"""
 """Text of the report."""
 
 
@@ -121,14 +159,14 @@ def apart(plan: pd.DataFrame, text: pd.DataFrame) -> float:
     return worst
 
 
-def row(name: str, model: Model, config: Config) -> dict[str, Any]:
+def row(name: str, model: Model, config: Config, settings: str) -> dict[str, Any]:
     """Run one part in a folder that goes."""
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{name}.stl"
         write_stl(model.tessellate(MODEL_TOLERANCE_MM), file)
         found = measured(run_job(file, Path(folder) / "run", config, force=True), model, config)
-    return {"part": name, **found, "seconds": time.perf_counter() - began}
+    return {"part": name, "settings": settings, **found, "seconds": time.perf_counter() - began}
 
 
 def rendered(table: pd.DataFrame) -> str:
@@ -136,6 +174,7 @@ def rendered(table: pd.DataFrame) -> str:
     rows = [
         {
             "part": part["part"],
+            "settings": part["settings"],
             "layers": f"{part['layers']:.0f}",
             "plan and program": f"{part['apart']:.0e}; {part['starts_plan']:.0f}, {part['starts_text']:.0f} starts",
             "metal over sections": f"{part['over_sections']:.3f}, "
@@ -150,12 +189,16 @@ def rendered(table: pd.DataFrame) -> str:
     ]
     shut = table[table["verdict"] != "VALIDATED"]
     causes = [f"- {part}: {cause}" for part, cause in zip(shut["part"], shut["cause"], strict=True)]
+    remedies = [
+        f"- {part}: `{REMEDIES[part]}`: {REMEDIES[part].why}." for part in shut["part"] if part in REMEDIES
+    ]
     return TEXT.format(
         backends=" and ".join(BACKENDS),
         cpu=machine()["cpu"],
         share=100.0 * MASS_SHARE,
         table=markdown(pd.DataFrame(rows)),
         causes="\n".join(["What shut the gates:", "", *causes]) + "\n" if causes else "",
+        remedies="\n".join(["The remedies, and why:", "", *remedies]) + "\n" if remedies else "",
     )
 
 
@@ -169,18 +212,26 @@ def main() -> None:
     config = Config().changed(slicing={"backends": BACKENDS})
     options.output.mkdir(parents=True, exist_ok=True)
     file = options.output / TABLE
-    known = pd.read_csv(file).to_dict("records") if file.is_file() else []
-    rows: dict[str, dict[str, Any]] = {
-        str(found["part"]): {str(k): v for k, v in found.items()} for found in known
+    known = [] if options.again or not file.is_file() else pd.read_csv(file).to_dict("records")
+    rows: dict[tuple[str, str], dict[str, Any]] = {
+        (str(found["part"]), str(found["settings"])): {str(k): v for k, v in found.items()} for found in known
     }
-    runs = {name: partial(row, name, model, config) for name, model in models(tuple(options.parts)).items()}
-    for name, run in runs.items():
-        if name in rows and not options.again:
-            continue
-        rows[name] = run()
-        print(f"{name}: {rows[name]['verdict']}, {rows[name]['seconds']:.0f} s", flush=True)
-        pd.DataFrame(list(rows.values())).to_csv(file, index=False)
-    table = pd.DataFrame([rows[name] for name in (*PARTS, *sorted(set(rows) - set(PARTS))) if name in rows])
+
+    def run(name: str, model: Model, changed: Config, settings: str) -> bool:
+        """Run a part that the table lacks; whether it is validated."""
+        if (name, settings) not in rows:
+            rows[name, settings] = row(name, model, changed, settings)
+            seconds = rows[name, settings]["seconds"]
+            print(f"{name}, {settings}: {rows[name, settings]['verdict']}, {seconds:.0f} s", flush=True)
+            pd.DataFrame(list(rows.values())).to_csv(file, index=False)
+        return bool(rows[name, settings]["verdict"] == "VALIDATED")
+
+    for name, model in models(tuple(options.parts)).items():
+        remedy = REMEDIES.get(name)
+        if not run(name, model, config, DEFAULTS) and remedy is not None:
+            run(name, model, config.changed(**remedy.changes), str(remedy))
+    order = [*PARTS, *sorted({part for part, _ in rows} - set(PARTS))]
+    table = pd.DataFrame([rows[key] for key in sorted(rows, key=lambda key: order.index(key[0]))])
     (options.output / "acceptance.md").write_text(rendered(table), encoding="utf-8")
 
 

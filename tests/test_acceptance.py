@@ -5,10 +5,12 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from benchmarks.acceptance import PAIRS, apart, rendered, row
+from benchmarks.acceptance import DEFAULTS, PAIRS, REMEDIES, apart, rendered, row
 from benchmarks.deposit import BACKENDS
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.config import Config
+
+CONFIG = Config().changed(slicing={"backends": BACKENDS})
 
 
 def sums(value: float) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -32,13 +34,25 @@ def test_whatever_one_layer_has_more_in_the_text_is_seen(column):
 
 @pytest.mark.slow
 def test_a_cube_is_built_as_planned_and_told_so():
-    found = row("cube", models(("cube",))["cube"], Config().changed(slicing={"backends": BACKENDS}))
+    found = row("cube", models(("cube",))["cube"], CONFIG, DEFAULTS)
     assert found["verdict"] == "VALIDATED"
     assert found["apart"] < 1e-6
     assert found["starts_plan"] == found["starts_text"] > 0
     assert found["over_sections"] == pytest.approx(1.0, abs=0.02)
     assert max(found["plan_k"], found["text_k"]) <= found["limit_k"]
     text = rendered(pd.DataFrame([found]))
-    assert "| cube | 12 |" in text
+    assert "| cube | defaults | 12 |" in text
     assert "met" in text
     assert "What shut the gates" not in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["bracket", "thin-walls", "two-spheres"])
+def test_a_part_that_is_refused_is_built_with_its_remedy(part):
+    model, remedy = models((part,))[part], REMEDIES[part]
+    before = row(part, model, CONFIG, DEFAULTS)
+    after = row(part, model, CONFIG.changed(**remedy.changes), str(remedy))
+    assert (before["verdict"], after["verdict"]) == ("NOT VALIDATED", "VALIDATED")
+    text = rendered(pd.DataFrame([before, after]))
+    assert f"- {part}: `{before['gates'].split()[0]}`" in text
+    assert f"- {part}: `{remedy}`: {remedy.why}." in text
