@@ -5,9 +5,11 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
+import ebamcheck
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.end_gaps import NAME, end_gaps_check, most_on_average_mm
 from ebamcheck.program.reading.roles import beads_of, by_height, by_section
+from ebamcheck_models import MODELS
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +65,16 @@ def test_two_millimetres_at_every_bead_are_found_and_half_a_millimetre_is_not(pl
     assert "on average" in found.text
     assert ("start" if end == "late_mm" else "end") in found.text
     assert moved(plate, tmp_path, **{end: 0.3}).passed
+
+
+def test_an_end_beyond_the_border_of_the_part_faces_it(tmp_path):
+    """The tips of an impeller's blades are narrower than a bead: no border lies ahead of what ends within them."""
+    part = MODELS["impeller"].tessellate(0.05)
+    tips = shapely.union_all(ebamcheck.slice(part, [9.215], backend="planecut").polygons(0))
+    made = Made(tmp_path, tips, layers=1)
+    found = end_gaps_check(read(made), made.config, made.layers)
+    assert found.passed
+    assert np.isfinite(found.value)
 
 
 def test_the_mean_of_many_ends_is_held_to_less_than_one_end():

@@ -94,10 +94,7 @@ def most_on_average_mm(count: Floats, config: Config) -> Floats:
 
 def _means(ends: pd.DataFrame, config: Config) -> pd.DataFrame:
     """Mean gaps of the starts and of the ends that face metal, of each layer and of all: count, limit, and the widest one's motion."""
-    facing = ends[~ends["free"]].assign(
-        gap_mm=lambda t: t["gap_mm"].clip(upper=REACH_BEADS * config.process.bead_width_mm)
-    )
-    facing = facing.sort_values("gap_mm", ascending=False, kind="stable")
+    facing = ends[~ends["free"]].sort_values("gap_mm", ascending=False, kind="stable")
     every = pd.concat([facing, facing.assign(layer=-1)])
     found = every.groupby(["layer", "start"]).agg(
         gap_mm=("gap_mm", "mean"), count=("row", "size"), row=("row", "first")
@@ -114,6 +111,7 @@ def _means(ends: pd.DataFrame, config: Config) -> pd.DataFrame:
 def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
     """Starts and ends of all hatch beads: `gap_mm`, whether the border of the part is what they face (`free`), place and motion."""
     bead_mm = config.process.bead_width_mm
+    reach_mm = REACH_BEADS * bead_mm
     beads = beads_of(nc)
     rows = beads.rows[np.isfinite(nc.start[beads.rows]).all(axis=1) & (nc.lengths[beads.rows] > 0.0)]
     row, place = nc.samples(rows, STEP_SHARE * bead_mm)
@@ -135,16 +133,16 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         owner = np.concatenate([a, b])
         way = at - inner
         way /= np.maximum(np.hypot(way[:, 0], way[:, 1]), np.finfo(float).tiny)[:, None]
-        near = _near(place[mine], at, REACH_BEADS * bead_mm)
+        near = _near(place[mine], at, reach_mm)
         other = mine[near[1]]
         own = (bead[other] == bead[owner[near[0]]]) & (np.abs(along[other] - along[owner[near[0]]]) < bead_mm)
         end, others = near[0][~own], place[other[~own]]
         gap = _ahead(at, way, end, others, AHEAD)
         straight = _ahead(at, way, end, others, STRAIGHT)
         section = wanted_region(layer_section(layers.polygons(k)), config)
-        border = _border_ahead(at, way, section, REACH_BEADS * bead_mm)
+        border = _border_ahead(at, way, section, reach_mm)
         return pd.DataFrame({
-            "gap_mm": gap, "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
+            "gap_mm": np.minimum(gap, reach_mm), "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
             "row": row[owner], "layer": np.full(owner.size, k), "x_mm": at[:, 0], "y_mm": at[:, 1],
         })  # fmt: skip
 
@@ -170,8 +168,9 @@ def _ahead(at: Floats, way: Floats, end: Ints, place: Floats, slope: float) -> F
 
 
 def _border_ahead(at: Floats, way: Floats, section: shapely.Geometry, reach_mm: float) -> Floats:
-    """Distance (n,) from ends straight ahead to the border of a section; endless where it is out of reach."""
+    """Distance (n,) from ends straight ahead to the border of a section: none beyond it, the reach where it is farther."""
     rays = np.asarray(shapely.linestrings(np.stack([at, at + reach_mm * way], axis=1)))
     met = shapely.intersection(rays, shapely.boundary(section))
     away = np.asarray(shapely.distance(shapely.points(at), met), np.float64)
-    return np.where(np.isnan(away), np.inf, away)
+    away = np.where(np.isnan(away), reach_mm, away)
+    return np.where(shapely.intersects_xy(section, at[:, 0], at[:, 1]), away, 0.0)
