@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -159,20 +160,26 @@ def verify_program(
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
     shares = _power_shares(nc, config, known, sections, heat) if plan is None else _planned_shares(plan)
-    checks = [
-        *text_checks(nc, config, sha256),
-        *header_checks(nc, config, truth or Truth(), known),
-        *state_checks(nc, config, TURN_SPACINGS * config.process.hatch_spacing_mm),
-        wire_check(nc, config, path),
-        *bead_end_checks(nc, config, shares),
-        closure_check(nc, curves, tolerance_mm),
-        *_block_checks(nc, config),
-        wait_check(nc, config, planned),
-        wait_height_check(nc, config),
-        *consumables_checks(nc, config),
-    ]
-    if heat:
-        checks += heat_checks(nc, config, sections, before, known_sections(None, layers))
+    with ThreadPoolExecutor(1) as beside:
+        # The balances of the heat are arithmetic that does not hold the interpreter's lock.
+        hot = (
+            beside.submit(heat_checks, nc, config, sections, before, known_sections(None, layers))
+            if heat
+            else None
+        )
+        checks = [
+            *text_checks(nc, config, sha256),
+            *header_checks(nc, config, truth or Truth(), known),
+            *state_checks(nc, config, TURN_SPACINGS * config.process.hatch_spacing_mm),
+            wire_check(nc, config, path),
+            *bead_end_checks(nc, config, shares),
+            closure_check(nc, curves, tolerance_mm),
+            *_block_checks(nc, config),
+            wait_check(nc, config, planned),
+            wait_height_check(nc, config),
+            *consumables_checks(nc, config),
+        ]
+    checks += hot.result() if hot else []
     checks += preheat_checks(nc, config, sections, before, under)
     checks += [*tilt_checks(nc, config), *released_checks(nc, config)]
     checks += clearance_checks(nc, z_of, config, layers)
