@@ -44,6 +44,9 @@ later layer, since where beads of one layout leave metal uneven, those of anothe
 MAKING = ".making."
 """Begin of the names of folders in which layers are made."""
 
+JOURNAL_FORMAT = "ebamcheck journal 2"
+"""Format of a journal: its entries count layers from 1, those of a journal without a format counted them from 0."""
+
 Answer = dict[str, Any]
 
 
@@ -154,7 +157,7 @@ class Building:
                 return self._refused(
                     Refusal(
                         "repeated",
-                        f"layer {reading.done} was measured before, at {self._last.height_mm:g} mm: the first reading counts",
+                        f"the top of {reading.done} layers was measured before, at {self._last.height_mm:g} mm: the first reading counts",
                     )
                 )
         expected = self.expected_done
@@ -315,6 +318,7 @@ class Building:
     def _of(self) -> dict[str, Any]:
         """What a journal is of."""
         return {
+            "format": JOURNAL_FORMAT,
             "part_sha256": self.maker.part.sha256,
             "settings_sha256": program_settings_sha256(self.maker.config),
             "annealing_steps": self.maker.annealing_steps,
@@ -328,6 +332,11 @@ class Building:
         first = next(entries, None)
         if first is None:
             return
+        if first.get("format") != JOURNAL_FORMAT:
+            raise InputError(
+                f"{self.folder / JOURNAL}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, "
+                "or give another folder with -o"
+            )
         mine = {"kind": "begin", **self._of()}
         for key, value in mine.items():
             if first.get(key) != value:
@@ -350,7 +359,7 @@ class Building:
         if made is None:
             if answer["answer"] != entry["kind"]:
                 raise InputError(
-                    f"{self.folder / JOURNAL}: layer {reading.done} does not come out again: {answer.get('reason')}"
+                    f"{self.folder / JOURNAL}: layer {reading.done + 1} does not come out again: {answer.get('reason')}"
                 )
             self._take(reading, answer, None)
             return
@@ -361,7 +370,7 @@ class Building:
             for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
                 if certificate[key] != told.get(key):
                     raise InputError(
-                        f"{self.folder / JOURNAL}: layer {reading.done} comes out as {what} than was published: "
+                        f"{self.folder / JOURNAL}: layer {reading.done + 1} comes out as {what} than was published: "
                         "the software or a slicer is another one"
                     )
             # Between the journal's line and the current file a kill may have come; the layer itself is there.
