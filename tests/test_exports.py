@@ -58,7 +58,7 @@ def test_vtp_of_layers_has_every_ring(layers: Layers, tmp_path: Path, closed_onl
     stack = layers if closed_only else OPEN_STACK
     arrays = vtp_arrays(ebamcheck.save(stack, tmp_path / "a.vtp"))
     np.testing.assert_array_equal(arrays["Points"][:, :2], stack.points)
-    np.testing.assert_array_equal(arrays["layer"], stack.ring_layer)
+    np.testing.assert_array_equal(arrays["layer"], stack.ring_layer + 1)
     np.testing.assert_array_equal(arrays["area_mm2"], stack.ring_areas)
     rings = lines_of(arrays)
     assert len(rings) == stack.closed.size

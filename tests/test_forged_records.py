@@ -80,7 +80,7 @@ RECORDS = {
     "a code of a finding": (("findings", 0, "code"), "all-is-well", "no code of a finding"),
     "totals without wire": (("program", "totals"), {}, "program.totals"),
     "a time of no length": (("program", "totals", "pause_s"), "NaN", "program.totals.pause_s"),
-    "another format": (("format",), 2, "format"),
+    "another format": (("format",), 1, "not a run of format 2: make it again"),
 }
 
 

@@ -20,7 +20,8 @@ from ebamcheck.live.playing import Played, play
 from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, read_certificate, read_current
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify
-from ebamcheck.settings.config import load_config
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.text import values_as_toml
 
 SIZE, COUNT = (30, 24, 12), 7
 
@@ -78,29 +79,21 @@ def test_a_fault_in_a_layer_is_told_by_the_number_of_its_file(place, tmp_path, n
     program = shutil.copytree(place / "box.run" / "program", tmp_path / "program")
     file = program / f"MAIN_L{number:04d}.SPF"
     lines = file.read_text().split("\n")
-    k = [i for i, line in enumerate(lines) if " X" in line and " Y" in line][-4]
-    lines[k] = re.sub(r"X(-?[\d.]+)", lambda x: f"X{float(x[1]) + 3.0:.6f}", lines[k])
+    k = [i for i, line in enumerate(lines) if re.search(r" G1 .*X", line)][3]
+    lines[k] = re.sub(r"([XY])(-?[\d.]+)", lambda word: f"{word[1]}{float(word[2]) + 3.0:.6f}", lines[k])
     file.write_text("\n".join(lines))
-    write_json(RunFolder(place / "box.run").manifest()["settings"], tmp_path / "settings.json")
-    config = load_config(tmp_path / "settings.json")
-    failed = [c for c in verify(program, place / "box.stl", config) if c.where.startswith(file.name)]
-    failed = [check for check in failed if not check.passed]
-    assert failed
-    for check in failed:
-        assert check.layer == number - 1
-        assert re.match(rf"layer {number}, cut at z = [\d.]+ mm, Z [\d.]+ mm$", check.place)
-    told = ebamcheck(
-        "verify",
-        program,
-        "--part",
-        place / "box.stl",
-        "-c",
-        tmp_path / "settings.json",
-        "--json",
-        cwd=tmp_path,
-    )
-    found = {check["name"]: check["layer"] for check in json.loads(told.stdout)}
-    assert {found[check.name] for check in failed} == {number}
+    config = Config.model_validate(RunFolder(place / "box.run").manifest()["settings"])
+    (tmp_path / "settings.toml").write_text(values_as_toml(config))
+    at = f"{file.name}:{k + 1}"
+    failed = {c.name: c for c in verify(program, place / "box.stl", config) if not c.passed and c.where == at}
+    assert "section" in failed
+    assert f", in layer {number} at (" in failed["section"].text
+    assert {check.layer for check in failed.values()} <= {None, number - 1}
+    settings = ("-c", tmp_path / "settings.toml")
+    told = ebamcheck("verify", program, "--part", place / "box.stl", *settings, "--json", cwd=tmp_path)
+    numbers = {check["name"]: check["layer"] for check in json.loads(told.stdout)}
+    assert numbers["section"] == number
+    assert {numbers[name] for name in failed} <= {None, number}
 
 
 def test_the_report_draws_the_layer_that_a_check_names(place, tmp_path):
