@@ -9,9 +9,6 @@ from ebamcheck.errors import SettingsError
 if TYPE_CHECKING:
     import pandas as pd
 
-COLUMN = "layer"
-"""Column of tables that names the layer of a row."""
-
 
 def numbered(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table as a person opens it: its column `layer`, an index, counts from 1; one without layers stays as it is.
@@ -22,12 +19,12 @@ def numbered(table: pd.DataFrame) -> pd.DataFrame:
     >>> numbered(pd.DataFrame({"layer": [0, 1]}))["layer"].tolist()
     [1, 2]
     """
-    return table.assign(**{COLUMN: table[COLUMN] + 1}) if COLUMN in table else table
+    return table.assign(layer=table["layer"] + 1) if "layer" in table else table
 
 
 def indexed(table: pd.DataFrame) -> pd.DataFrame:
     """Take back :func:`numbered`, for a table that was read: its column `layer` is an index from 0."""
-    return table.assign(**{COLUMN: table[COLUMN] - 1}) if COLUMN in table else table
+    return table.assign(layer=table["layer"] - 1) if "layer" in table else table
 
 
 def index_of_number(number: int, layers: int, option: str = "--layer") -> int:
