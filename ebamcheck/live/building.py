@@ -19,7 +19,7 @@ from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
-from ebamcheck.live.journal import Journal, read_journal
+from ebamcheck.live.journal import FORMAT, Journal, check_format, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
 from ebamcheck.live.map_reading import map_reading
 from ebamcheck.live.metal_so_far import MetalSoFar
@@ -43,9 +43,6 @@ later layer, since where beads of one layout leave metal uneven, those of anothe
 
 MAKING = ".making."
 """Begin of the names of folders in which layers are made."""
-
-JOURNAL_FORMAT = "ebamcheck journal 2"
-"""Format of a journal: its entries count layers from 1, those of a journal without a format counted them from 0."""
 
 Answer = dict[str, Any]
 
@@ -318,7 +315,7 @@ class Building:
     def _of(self) -> dict[str, Any]:
         """What a journal is of."""
         return {
-            "format": JOURNAL_FORMAT,
+            "format": FORMAT,
             "part_sha256": self.maker.part.sha256,
             "settings_sha256": program_settings_sha256(self.maker.config),
             "annealing_steps": self.maker.annealing_steps,
@@ -332,11 +329,7 @@ class Building:
         first = next(entries, None)
         if first is None:
             return
-        if first.get("format") != JOURNAL_FORMAT:
-            raise InputError(
-                f"{self.folder / JOURNAL}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, "
-                "or give another folder with -o"
-            )
+        check_format(first, self.folder / JOURNAL)
         mine = {"kind": "begin", **self._of()}
         for key, value in mine.items():
             if first.get(key) != value:
