@@ -128,7 +128,9 @@ class Difference:
 
 def _change_record(change: Change) -> dict[str, Any]:
     growth = change.growth
-    grown = None if growth is None else {**vars(growth), "places": [place.record() for place in growth.places]}
+    grown = (
+        None if growth is None else {**vars(growth), "places": [place.record() for place in growth.places]}
+    )
     return {**vars(change), "growth": grown}
 
 
