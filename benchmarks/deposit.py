@@ -27,6 +27,7 @@ from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.layer_numbers import indexed
 from ebamcheck.layers.insets import eroded
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
@@ -140,7 +141,7 @@ def measured(result: RunResult, config: Config) -> dict[str, Any]:
     if not table.is_file():
         return found
     found |= {
-        **figures_of(pd.read_csv(table)),
+        **figures_of(indexed(pd.read_csv(table))),
         "entry_k": gates["heat"].figure,
         "under two beads": under_two_beads(result.folder.read_layers(BACKENDS[0]), config),
     }

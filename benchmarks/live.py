@@ -53,8 +53,8 @@ def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int |
             answer = answer_to(building, b'{"event": "start"}')
             while answer["answer"] == "published" and (most is None or len(rows) < most):
                 layer, thickness_mm = int(answer["layer"]), float(answer["thickness_mm"])
-                height_mm = answer["base_mm"] + growth.grown_mm(layer, thickness_mm)
-                line = json.dumps({"event": "height", "done": layer + 1, "height_mm": height_mm}).encode()
+                height_mm = answer["base_mm"] + growth.grown_mm(layer - 1, thickness_mm)
+                line = json.dumps({"event": "height", "done": layer, "height_mm": height_mm}).encode()
                 wall, processor = time.perf_counter(), time.process_time()
                 answer = answer_to(building, line)
                 seconds = time.perf_counter() - wall

@@ -137,21 +137,24 @@ def at_layer(
     y_mm: float = math.nan,
     program_z_mm: float = math.nan,
 ) -> str:
-    """Name a place, or a whole layer where X and Y are not known; with its Z in the program, as that names it, too.
+    """Name a place, or a whole layer where X and Y are not known, by the index of the layer; with its Z in the program, too.
+
+    Layers are named by numbers from 1, as the program's files are.
 
     Examples
     --------
     >>> at_layer(12, 20.1, 3, 4.25)
-    'layer 12, z = 20.100 mm, (3.000, 4.250)'
+    'layer 13, z = 20.100 mm, (3.000, 4.250)'
     >>> at_layer(12, 20.1)
-    'layer 12, z = 20.100 mm'
+    'layer 13, z = 20.100 mm'
     >>> at_layer(12, 20.1, program_z_mm=21.0)
-    'layer 12, z = 20.100 mm; layer 13 of the program, Z 21.000 mm'
+    'layer 13, cut at z = 20.100 mm, Z 21.000 mm'
     """
-    place = f"layer {layer}, z = {height_mm:.3f} mm"
-    place += f", ({x_mm:.3f}, {y_mm:.3f})" if math.isfinite(x_mm) and math.isfinite(y_mm) else ""
-    in_program = f"; layer {layer + 1} of the program, Z {program_z_mm:.3f} mm"
-    return place + (in_program if math.isfinite(program_z_mm) else "")
+    heights = f"z = {height_mm:.3f} mm"
+    if math.isfinite(program_z_mm):
+        heights = f"cut at {heights}, Z {program_z_mm:.3f} mm"
+    where = f", ({x_mm:.3f}, {y_mm:.3f})" if math.isfinite(x_mm) and math.isfinite(y_mm) else ""
+    return f"layer {layer + 1}, {heights}{where}"
 
 
 def in_words(record: Mapping[str, Any]) -> str:

@@ -86,7 +86,7 @@ def bound(value):
 
 SLICERS = {
     "fewer": (enemy("fewer", lambda layers: layers.take(np.arange(1, len(layers)))), "39 for 40 heights"),
-    "higher": (enemy("higher", lambda la: replace(la, heights=la.heights + 0.01)), "layer 0 of the block is at z"),
+    "higher": (enemy("higher", lambda la: replace(la, heights=la.heights + 0.01)), "layer 1 of the block is at z"),
     "nan": (enemy("nan", moved_point(np.nan)), "point 0, x is nan"),
     "huge": (enemy("huge", moved_point(1e300)), "point 0, x is 1e"),
     "single": (enemy("single", lambda la: replace(la, points=la.points.astype(np.float32))), "points is of float32"),

@@ -54,8 +54,8 @@ def test_failed_backend_and_gate_show_everywhere(copy: RunFolder) -> None:
     pairs = [p for p in record["comparison"]["pairs"] if "stencil" not in (p["a"], p["b"])]
     pairs[0] |= {"agree": pairs[0]["gated"] - 1, "max_depth_mm": 0.5, "max_hausdorff_mm": "Infinity"}
     finding = {
-        "layer": 1, "height_mm": 12.0, "backend": pairs[0]["a"], "against": pairs[0]["b"], "metric": "depth", "value": 0.5,
-        "limit": 0.001, "x_mm": 7.25, "y_mm": "NaN", "cause": "thin feature", "program_layer": 2, "program_z_mm": 16.0,
+        "layer": 2, "height_mm": 12.0, "backend": pairs[0]["a"], "against": pairs[0]["b"], "metric": "depth", "value": 0.5,
+        "limit": 0.001, "x_mm": 7.25, "y_mm": "NaN", "cause": "thin feature", "program_z_mm": 16.0,
     }  # fmt: skip
     comparison = record["comparison"] | {"pairs": pairs, "findings": [finding] * 25}
     changed(

@@ -294,7 +294,7 @@ def test_missing_files_and_wrong_arguments(tmp_path):
     with pytest.raises(InputError, match=r"none\.cli"):
         read_cli(tmp_path / "none.cli")
     layers = from_rings([1.0, 1.0], [[], []])
-    with pytest.raises(SettingsError, match="layer 1"):
+    with pytest.raises(SettingsError, match="layer 2"):
         write_cli(layers, tmp_path / "a.cli")
     near = from_rings([1000.0, np.nextafter(1000.0, 2000.0)], [[], []])
     write_cli(near, tmp_path / "a.cli")

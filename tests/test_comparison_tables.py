@@ -59,7 +59,7 @@ def test_bounds_add_up_to_the_limit():
 
 def test_heights_and_parts_must_be_the_same():
     a = stack(SQUARE, SQUARE, SQUARE, part="aa")
-    with pytest.raises(SettingsError, match=r"layer 1 is at z = 2.0 mm .* 2.5"):
+    with pytest.raises(SettingsError, match=r"layer 2 is at z = 2.0 mm .* 2.5"):
         compare(a, stack(SQUARE, SQUARE, SQUARE, heights=[1.0, 2.5, 3.5]))
     with pytest.raises(SettingsError, match=r"3 layers.*2"):
         compare(a, stack(SQUARE, SQUARE, heights=[1.0, 2.0]))

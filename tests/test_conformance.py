@@ -167,7 +167,7 @@ def test_winding_rules(count):
 def test_a_figure_that_is_no_number_is_a_violation():
     assert Figure("a", "b", 0, float("nan"), 1.0).violated
     assert not Figure("a", "b", 0, 1.0, 1.0).violated
-    assert "layer 3" in str(Figure("a", "b", 3, 2.0, 1.0, "c"))
+    assert "layer 4" in str(Figure("a", "b", 3, 2.0, 1.0, "c"))
 
 
 def test_a_slicer_that_raises_is_told_and_stops_nothing():

@@ -286,7 +286,7 @@ def test_a_ring_that_nothing_speaks_for_shuts_the_gate_and_is_named() -> None:
     lost = replace(curves.evidence, accepted=np.array([True, False]), cause=np.array([0, CROSSING], np.uint8))
     gate = fit_gate(FitVerdict(curves, lost, None, None))
     assert not gate.passed
-    assert "layer 1, z = 10.000 mm" in gate.text
+    assert "layer 2, z = 10.000 mm" in gate.text
     assert "crosses" in gate.text
 
 
@@ -302,7 +302,7 @@ def test_what_fell_back_is_told_with_place_cause_and_remedy() -> None:
     )
     (told,) = findings(FitVerdict(curves, fallen, None, None))
     assert told.code == "curve-fell-back"
-    assert told.place == "layer 1, z = 10.000 mm, (3.000, 4.000)"
+    assert told.place == "layer 2, z = 10.000 mm, (3.000, 4.000)"
     assert told.remedy
 
 

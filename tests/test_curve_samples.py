@@ -158,7 +158,7 @@ def test_wrong_requests_say_what_is_wrong() -> None:
     with pytest.raises(SettingsError, match="not fitted to these"):
         fit_deviation(paper_fit(layers), stack())
     bad = raw(np.array([(0.0, 0.0), (1.0, np.nan), (1.0, 1.0)]))
-    with pytest.raises(GeometryError, match="layer 0"):
+    with pytest.raises(GeometryError, match="layer 1"):
         paper_fit(bad)
 
 

@@ -58,7 +58,7 @@ def test_vtp_of_layers_has_every_ring(layers: Layers, tmp_path: Path, closed_onl
     stack = layers if closed_only else OPEN_STACK
     arrays = vtp_arrays(ebamcheck.save(stack, tmp_path / "a.vtp"))
     np.testing.assert_array_equal(arrays["Points"][:, :2], stack.points)
-    np.testing.assert_array_equal(arrays["layer"], stack.ring_layer)
+    np.testing.assert_array_equal(arrays["layer"], stack.ring_layer + 1)
     np.testing.assert_array_equal(arrays["area_mm2"], stack.ring_areas)
     rings = lines_of(arrays)
     assert len(rings) == stack.closed.size
@@ -109,7 +109,7 @@ def test_dxf_is_what_ezdxf_reads(stack: str, layers: Layers, tmp_path: Path) -> 
         layer = int(chosen.ring_layer[r])
         points = np.array([tuple(p) for p in line.points()])
         assert line.is_closed == chosen.closed[r]
-        assert line.dxf.layer == f"LAYER_{layer:04d}"
+        assert line.dxf.layer == f"LAYER_{layer + 1:04d}"
         np.testing.assert_allclose(points[:, :2], chosen.ring(r), atol=1e-6)
         np.testing.assert_allclose(points[:, 2], chosen.heights[layer], atol=1e-6)
     if stack == "open":
@@ -201,7 +201,7 @@ def test_what_is_saved_is_read_back(layers: Layers, tmp_path: Path) -> None:
 def test_curves_as_polylines_stay_near(layers: Layers, tmp_path: Path) -> None:
     curves = ebamcheck.fit(layers)
     arrays = vtp_arrays(ebamcheck.save(curves, tmp_path / "c.vtp"))
-    areas = np.bincount(arrays["layer"], arrays["area_mm2"], minlength=len(layers))
+    areas = np.bincount(arrays["layer"] - 1, arrays["area_mm2"], minlength=len(layers))
     # A line that is nowhere farther off than the tolerance is off by its length times that at most.
     exact = curves.sample_tolerance(EXACT_MM)
     assert (np.abs(areas - exact.areas()) <= (CURVE_TOLERANCE_MM + EXACT_MM) * exact.perimeters()).all()

@@ -40,10 +40,10 @@ def test_both_failed_checks_are_named_with_layer_heights_and_remedy():
     )
     text = program_gate(checks).text
     assert text.startswith(
-        "3 of 3 checks failed: section at MAIN_L0002.SPF:18, layer 2 of the program, Z 3.000 mm, "
+        "3 of 3 checks failed: section at MAIN_L0002.SPF:18, layer 2, cut at z = 7.000 mm, Z 3.000 mm: "
     )
-    assert "cut at z = 7.000 mm of the part: at most 0.2 mm; " + REMEDIES["section"] in text
-    assert "travel at MAIN_L0001.SPF:25, layer 1 of the program, Z 1.500 mm" in text
+    assert "Z 3.000 mm: at most 0.2 mm; " + REMEDIES["section"] in text
+    assert "travel at MAIN_L0001.SPF:25, layer 1, cut at z = 5.500 mm, Z 1.500 mm" in text
     assert text.endswith("and feed")
     assert checks[2].layer is None
     assert checks[2].place == ""
@@ -64,11 +64,11 @@ def test_every_check_of_the_metal_has_a_remedy_and_a_passed_one_tells_none():
 
 def manifest(**changes):
     finding = {
-        "layer": 3, "height_mm": 5.5, "backend": "pixels", "against": "planecut", "metric": "depth", "value": 0.3,
-        "limit": 0.1, "x_mm": 1.0, "y_mm": 2.0, "cause": "translation", "program_layer": 4, "program_z_mm": 6.0,
+        "layer": 4, "height_mm": 5.5, "backend": "pixels", "against": "planecut", "metric": "depth", "value": 0.3,
+        "limit": 0.1, "x_mm": 1.0, "y_mm": 2.0, "cause": "translation", "program_z_mm": 6.0,
         "cause_text": "translation by (0.3, 0) mm (explains 98 % of the difference)", "remedy": "look",
     }  # fmt: skip
-    worse = {**finding, "layer": 9, "value": 0.9, "cause_text": "wrong height: cut 1 mm too high"}
+    worse = {**finding, "layer": 10, "value": 0.9, "cause_text": "wrong height: cut 1 mm too high"}
     return {
         "exit_code": 1,
         "gates": [
@@ -86,7 +86,7 @@ def test_the_first_line_is_the_worst_finding_with_cause_size_and_place():
     assert line.startswith(
         "WORST: pixels against planecut: wrong height: cut 1 mm too high; depth 0.9 over 0.1 at (1.000, "
     )
-    assert "layer 10 of the program, Z 6.000 mm, cut at z = 5.500 mm of the part" in line
+    assert ") of layer 10, cut at z = 5.500 mm, Z 6.000 mm" in line
     assert line.endswith("; look")
     assert worst_line(manifest(exit_code=0)) == ""
     shut = [{"name": "program", "passed": False, "text": "2 of 37 checks failed"}]

@@ -84,7 +84,7 @@ def test_post_of_a_control_or_folder_that_is_not_there(stl: Path, tmp_path: Path
 def test_post_writes_one_layer_for_a_simulator_alone(stl: Path, tmp_path: Path) -> None:
     (tmp_path / "wide.toml").write_text(WIDE_TOML)
     thick = ("-c", tmp_path / "wide.toml", "--layer-height", 20)
-    arguments = ("post", stl, *thick, "--layer", 1, "-o", tmp_path / "p", "--control")
+    arguments = ("post", stl, *thick, "--layer", 2, "-o", tmp_path / "p", "--control")
     code, text = run(*arguments, "3dthesis")
     assert code == ExitCode.PASS, text
     assert f"{tmp_path / 'p' / 'run.sh'} runs it" in text

@@ -40,7 +40,7 @@ def test_a_disagreement_names_the_height_over_the_plate():
     gate = agreement_gate(found, outcomes, 3, 1.0, BASE_MM)
     assert not gate.passed
     # Three layers of 0.6 mm on what stands.
-    assert f"layer 3 of the program, Z {BASE_MM + 1.8:.3f} mm" in gate.text
+    assert f"of layer 3, cut at z = 1.700 mm, Z {BASE_MM + 1.8:.3f} mm" in gate.text
     recorded = _disagreements(found, CONFIG)
     assert [entry["program_z_mm"] for entry in recorded] == pytest.approx([BASE_MM + 1.8] * len(recorded))
 

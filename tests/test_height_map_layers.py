@@ -100,7 +100,7 @@ def test_a_level_map_changes_nothing_but_the_height(maker, metal, tmp_path):
 def test_relayer_takes_a_map_for_the_height_and_the_layer_verifies_from_its_text(place, tmp_path):
     write_csv(tmp_path / "m.csv", surface_of(3.45, 0.5))
     done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 2, "--height-map", "m.csv", "-o", "o", "--json", cwd=tmp_path
+        "relayer", place / "box.run", "--layer", 3, "--height-map", "m.csv", "-o", "o", "--json", cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -115,13 +115,13 @@ def test_relayer_takes_a_map_for_the_height_and_the_layer_verifies_from_its_text
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--layer", 2), "give --measured-z or --height-map"),
-        (("--layer", 2, "--measured-z", 3.4, "--height-map", "m.csv"), "give --measured-z or --height-map"),
-        (("--layer", 0, "--height-map", "m.csv"), "on the plate give --measured-z"),
-        (("--layer", 2, "--height-map", "m.csv", "--direction", "0,0,1"), "does not go with --direction"),
-        (("--layer", 2, "--height-map", "no.csv"), "cannot be read"),
-        (("--layer", 2, "--height-map", "m.csv"), "over its mean of"),
-        (("--layer", 2, "--height-map", "far.csv"), "knows 0 % of the layer"),
+        (("--layer", 3), "give --measured-z or --height-map"),
+        (("--layer", 3, "--measured-z", 3.4, "--height-map", "m.csv"), "give --measured-z or --height-map"),
+        (("--layer", 1, "--height-map", "m.csv"), "on the plate give --measured-z"),
+        (("--layer", 3, "--height-map", "m.csv", "--direction", "0,0,1"), "does not go with --direction"),
+        (("--layer", 3, "--height-map", "no.csv"), "cannot be read"),
+        (("--layer", 3, "--height-map", "m.csv"), "over its mean of"),
+        (("--layer", 3, "--height-map", "far.csv"), "knows 0 % of the layer"),
     ],
 )
 def test_relayer_says_what_is_wrong_with_a_map(arguments, said, place, tmp_path):

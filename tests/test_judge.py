@@ -119,7 +119,7 @@ def test_beads_of_contours_heat_when_they_are_asked_for():
 
 def test_a_layer_without_islands_is_not_judged():
     plan = make_plan([0.8, 2.4], [(0, [(0, 0, 10, 0)])])
-    with pytest.raises(NothingCompared, match="layer 1 has no islands"):
+    with pytest.raises(NothingCompared, match="layer 2 has no islands"):
         LayerCase.of(plan, 1, SECTION, Config())
 
 
@@ -151,7 +151,7 @@ RESULTS = "os.mkdir('Data'); open('Data/ebamcheck.Snapshot.00.csv', 'w').write({
 )
 def test_a_failing_program_is_one_line(plate_run, tmp_path, monkeypatch, text, message):
     stand_in(tmp_path, monkeypatch, text)
-    code, output = judge(plate_run, "--layer", 1, "-o", tmp_path / "out")
+    code, output = judge(plate_run, "--layer", 2, "-o", tmp_path / "out")
     assert code == ExitCode.OUT_OF_TOLERANCE
     told = [line for line in output.splitlines() if line]
     assert len(told) == 1
@@ -187,7 +187,7 @@ def test_where_it_is_missing_the_case_is_written_and_one_line_says_how_to_get_it
     plate_run, tmp_path, monkeypatch
 ):
     monkeypatch.setenv(THESIS.variable, str(tmp_path / "nothing"))
-    code, output = judge(plate_run, "--layer", 1, "-o", tmp_path / "out")
+    code, output = judge(plate_run, "--layer", 2, "-o", tmp_path / "out")
     assert code == ExitCode.BACKEND_MISSING == 4
     assert output.splitlines() == [f"ebamcheck: error: 3DThesis is not installed; {THESIS.hint}"]
     assert "github.com/ORNL-MDF/3DThesis" in output
@@ -205,8 +205,8 @@ def test_where_it_is_missing_the_case_is_written_and_one_line_says_how_to_get_it
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("--layer", 4), ExitCode.USAGE, "--layer 4: the run has the layers 0 to 3"),
-        (("--layer", -1), ExitCode.USAGE, "--layer -1: the run has the layers 0 to 3"),
+        (("--layer", 5), ExitCode.USAGE, "--layer 5: the run has the layers 1 to 4"),
+        (("--layer", 0), ExitCode.USAGE, "--layer 0: layers are counted from 1"),
         (("--layer", 1, "--beads", "walls"), ExitCode.USAGE, "--beads 'walls': choose from islands, all"),
         (("--layer", 1, "--body", "ball"), ExitCode.USAGE, "--body 'ball': choose from half-space, box"),
     ],
@@ -330,13 +330,13 @@ def test_mirrors_stand_around_the_section():
 
 @needs_thesis
 def test_a_layer_of_a_run_is_judged(plate_run, tmp_path):
-    code, output = judge(plate_run, "--layer", 2, "-o", tmp_path / "out")
+    code, output = judge(plate_run, "--layer", 3, "-o", tmp_path / "out")
     assert code == ExitCode.PASS, output
     table = pd.read_csv(tmp_path / "out" / "judged.csv")
     assert list(table) == list(COLUMNS)
     assert f"rise of its {len(table)} islands" in output
     assert "Spearman" in output
-    code, output = judge(plate_run, "--layer", 2, "-o", tmp_path / "out", "--beads", "all", "--json")
+    code, output = judge(plate_run, "--layer", 3, "-o", tmp_path / "out", "--beads", "all", "--json")
     assert code == ExitCode.PASS, output
     warmer = pd.read_csv(tmp_path / "out" / "judged.csv")
     assert json.loads(output)["thesis_max_k"] == pytest.approx(warmer["thesis_k"].max(), abs=1e-3)
@@ -346,7 +346,7 @@ def test_a_layer_of_a_run_is_judged(plate_run, tmp_path):
 
 @needs_thesis
 def test_the_case_runs_as_it_is(plate_run, tmp_path):
-    judge(plate_run, "--layer", 1, "-o", tmp_path / "out")
+    judge(plate_run, "--layer", 2, "-o", tmp_path / "out")
     case = tmp_path / "out" / "case"
     subprocess.run([case / "run.sh"], check=True, capture_output=True)
     judged = pd.read_csv(tmp_path / "out" / "judged.csv")

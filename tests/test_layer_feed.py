@@ -180,7 +180,7 @@ def test_a_build_that_drifts_lays_its_last_layer_by_feed(maker, tmp_path):
         answer, speeds = building.start(), []
         while answer["answer"] == "published":
             speeds.append(answer["travel_speed_mm_s"])
-            done = answer["layer"] + 1
+            done = answer["layer"]
             # The layers before the last come out so that a rest stays for which the wire alone has no speed.
             grown = {1: 1.9, 2: 3.8, 3: 5.75}.get(done, answer["base_mm"] + answer["thickness_mm"])
             answer = building.height({"event": "height", "done": done, "height_mm": grown})

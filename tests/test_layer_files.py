@@ -164,7 +164,7 @@ CASES = {
     "'closed' is missing": lambda b: b.drop_columns(["closed"]),
     "'edge_t' is missing": lambda b: b.drop_columns(["edge_t"]),
     "'height_mm' is string": lambda b: with_column(b, "height_mm", pa.array(list("abcde"))),
-    "height of layer 2 is nan": with_nan,
+    "height of layer 3 is nan": with_nan,
     "column 'y' does not have the rings": lambda b: with_column(b, "y", pa.array([[]] * 5, b["y"].type)),
     "empty cells": lambda b: with_column(b, "x", pa.array([None] * 5, b["x"].type)),
     "'closed' does not have one entry": lambda b: with_column(
@@ -203,7 +203,7 @@ def test_blocks_that_do_not_fit_and_no_blocks_are_refused_and_leave_nothing(tmp_
         layer_files.write_blocks([], tmp_path / "s")
     whole = random_layers(1, 3)
     for other in (random_layers(1, 3, edges=False), whole.labelled(backend="another")):
-        with pytest.raises(SettingsError, match="layer 3 differs"):
+        with pytest.raises(SettingsError, match="layer 4 differs"):
             layer_files.write_blocks([whole, other], tmp_path / "s")
     assert list(tmp_path.iterdir()) == []
 
@@ -290,10 +290,11 @@ def test_a_drawing_of_a_cad_system_is_read_in_its_units(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("0,0.25,0,1,0.125,0.125", "0,0.25,0,1,,0.125"), "lacks a number"),
-        (("0,0.25,0,1,0.125,0.125", "0,0.25,0,1,inf,0.125"), "not finite"),
-        (("0,0.25,0,1,0.125,0.125", "0,0.3,0,1,0.125,0.125"), "several heights"),
-        (("0,0.25,0,1,0.125,0.125", "0,0.25,0,1,x,0.125"), "no table"),
+        (("1,0.25,0,1,0.125,0.125", "1,0.25,0,1,,0.125"), "lacks a number"),
+        (("1,0.25,0,1,0.125,0.125", "1,0.25,0,1,inf,0.125"), "not finite"),
+        (("1,0.25,0,1,0.125,0.125", "1,0.3,0,1,0.125,0.125"), "several heights"),
+        (("1,0.25,0,1,0.125,0.125", "1,0.25,0,1,x,0.125"), "no table"),
+        (("1,0.25,0,1,0.125,0.125", "0,0.25,0,1,0.125,0.125"), "not numbered 1, 2, 3"),
     ],
 )
 def test_a_table_of_contours_with_a_wrong_row_is_refused(tmp_path, change, said):

@@ -50,7 +50,7 @@ def test_region_holes_open_paths_and_title_are_there():
     assert [len(r) for r in rings_of(region.get("d"))] == [4, 4]
     assert len(paths(root, "open")) == 1
     title = root.find(NAMESPACE + "title").text
-    assert title == "layer 0, z = 1.000 mm: 1 outer, 1 holes, 1 open"
+    assert title == "layer 1, z = 1.000 mm: 1 outer, 1 holes, 1 open"
 
 
 def test_y_runs_up_and_one_scale_serves_both_axes():
@@ -138,8 +138,8 @@ def test_a_sheet_shows_layers_from_the_first_to_the_last():
     root = parsed(sheet_svg(many))
     labels = [t.text for t in root.iter(NAMESPACE + "text") if t.text.startswith("layer ")]
     assert len(labels) == 16
-    assert labels[0].startswith("layer 0,")
-    assert labels[-1].startswith("layer 99,")
+    assert labels[0].startswith("layer 1,")
+    assert labels[-1].startswith("layer 100,")
     height = float(root.get("height"))
     for path in paths(root, "region"):
         assert all((ring >= 0).all() and (ring[:, 1] <= height).all() for ring in rings_of(path.get("d")))

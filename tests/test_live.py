@@ -52,7 +52,7 @@ def test_relayer_publishes_a_layer_at_the_measured_height_that_verifies_from_its
     out = tmp_path / "out"
     before = {p: p.read_bytes() for p in (place / "box.run").rglob("*") if p.is_file()}
     done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 3, "--measured-z", 5.3, "-o", out, "--json", cwd=tmp_path
+        "relayer", place / "box.run", "--layer", 4, "--measured-z", 5.3, "-o", out, "--json", cwd=tmp_path
     )
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
@@ -71,7 +71,7 @@ def test_relayer_publishes_a_layer_at_the_measured_height_that_verifies_from_its
     }  # fmt: skip
     assert {p: p.read_bytes() for p in (place / "box.run").rglob("*") if p.is_file()} == before
     again = ebamcheck(
-        "relayer", place / "box.run", "--layer", 3, "--measured-z", 5.4, "-o", out, cwd=tmp_path
+        "relayer", place / "box.run", "--layer", 4, "--measured-z", 5.4, "-o", out, cwd=tmp_path
     )
     assert again.returncode == 0, again.stderr
     assert (out / LAYERS / "MAIN_K0004R2").is_dir()
@@ -123,7 +123,7 @@ def test_a_shut_gate_keeps_the_old_layer_and_says_why(place, tmp_path):
     manifest["settings"]["process"]["line_energy_j_mm"] = [150.0, 151.0]
     (run / "run.json").write_text(json.dumps(manifest))
     done = ebamcheck(
-        "relayer", run, "--layer", 5, "--measured-z", 8.5, "-o", tmp_path / "o", "--part", place / "box.stl", cwd=tmp_path
+        "relayer", run, "--layer", 6, "--measured-z", 8.5, "-o", tmp_path / "o", "--part", place / "box.stl", cwd=tmp_path
     )  # fmt: skip
     assert done.returncode == 1, done.stdout + done.stderr
     assert "process window" in done.stdout
@@ -159,10 +159,10 @@ def test_a_single_layer_takes_the_heights_that_a_build_takes(height, said, place
 def test_a_layer_that_was_made_again_is_the_one_below_of_the_next(place, tmp_path):
     made = ("relayer", place / "box.run", "-o", tmp_path / "o")
     # 1.1 mm too low, and the next one once more: each is within 0.75 of a layer of the one below, not of the run.
-    assert ebamcheck(*made, "--layer", 2, "--measured-z", 2.4, cwd=tmp_path).returncode == 0
-    done = ebamcheck(*made, "--layer", 3, "--measured-z", 2.9, cwd=tmp_path)
+    assert ebamcheck(*made, "--layer", 3, "--measured-z", 2.4, cwd=tmp_path).returncode == 0
+    done = ebamcheck(*made, "--layer", 4, "--measured-z", 2.9, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    done = ebamcheck(*made, "--layer", 4, "--measured-z", 0.33, cwd=tmp_path)
+    done = ebamcheck(*made, "--layer", 5, "--measured-z", 0.33, cwd=tmp_path)
     assert done.returncode == 2
     assert "by MAIN_K0004R1" in done.stderr
     assert done.stderr.count("\n") == 1
@@ -171,11 +171,12 @@ def test_a_layer_that_was_made_again_is_the_one_below_of_the_next(place, tmp_pat
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("--layer", 7, "--measured-z", 5.0), "0 to 6"),
-        (("--layer", 1, "--measured-z", "nan"), "height over the base plate"),
-        (("--layer", 1, "--measured-z", -1), "height over the base plate"),
-        (("--layer", 1, "--measured-z", 2, "--direction", "1,2"), "three numbers"),
-        (("--layer", 1, "--measured-z", 2, "--direction", "0,0,0"), "direction"),
+        (("--layer", 8, "--measured-z", 5.0), "the run has the layers 1 to 7"),
+        (("--layer", 0, "--measured-z", 0.0), "--layer 0: layers are counted from 1"),
+        (("--layer", 2, "--measured-z", "nan"), "height over the base plate"),
+        (("--layer", 2, "--measured-z", -1), "height over the base plate"),
+        (("--layer", 2, "--measured-z", 2, "--direction", "1,2"), "three numbers"),
+        (("--layer", 2, "--measured-z", 2, "--direction", "0,0,0"), "direction"),
     ],
 )
 def test_bad_arguments_are_one_line(place, tmp_path, arguments, said):
@@ -187,7 +188,7 @@ def test_bad_arguments_are_one_line(place, tmp_path, arguments, said):
 
 
 def test_another_direction_needs_axes_that_turn_the_part(place, tmp_path):
-    arguments = ("--layer", 1, "--measured-z", 1.7, "-o", tmp_path / "o")
+    arguments = ("--layer", 2, "--measured-z", 1.7, "-o", tmp_path / "o")
     done = ebamcheck("relayer", place / "box.run", *arguments, "--direction", "1,0,0", cwd=tmp_path)
     assert done.returncode == 2
     assert "no axes that turn the part between layers (machine.tilt_axes)" in done.stderr
@@ -200,7 +201,7 @@ def test_another_direction_needs_axes_that_turn_the_part(place, tmp_path):
 
 def test_a_build_and_single_layers_do_not_share_a_folder(place, maker, building, tmp_path):
     """They would come to the same names, and the build would keep its own layer back without end."""
-    arguments = ("relayer", place / "box.run", "--layer", 1, "--measured-z", 1.7, "-o")
+    arguments = ("relayer", place / "box.run", "--layer", 2, "--measured-z", 1.7, "-o")
     done = ebamcheck(*arguments, building.folder, cwd=tmp_path)
     assert done.returncode == 2
     assert "is the folder of a build" in done.stderr
@@ -216,7 +217,7 @@ def test_another_direction_through_what_stands_is_refused(place, tmp_path):
     manifest["settings"]["machine"]["tilt_axes"] = True
     (run / "run.json").write_text(json.dumps(manifest))
     done = ebamcheck(
-        "relayer", run, "--layer", 1, "--measured-z", 1.7, "--direction", "1,0,0", "-o", tmp_path / "o",
+        "relayer", run, "--layer", 2, "--measured-z", 1.7, "--direction", "1,0,0", "-o", tmp_path / "o",
         "--part", place / "box.stl", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr + done.stdout

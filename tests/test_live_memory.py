@@ -47,8 +47,8 @@ class Heights(Lines):
             raise EOFError
         layer = answer["layer"]
         self.blocks[layer] = sys.getallocatedblocks()
-        height_mm = answer["base_mm"] + self._growth.grown_mm(layer, answer["thickness_mm"])
-        return json.dumps({"event": "height", "done": layer + 1, "height_mm": height_mm}).encode()
+        height_mm = answer["base_mm"] + self._growth.grown_mm(layer - 1, answer["thickness_mm"])
+        return json.dumps({"event": "height", "done": layer, "height_mm": height_mm}).encode()
 
 
 @pytest.mark.slow

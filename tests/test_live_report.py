@@ -34,7 +34,7 @@ def place(tmp_path_factory):
         answer_to(building, b'{"event": "height", "done": 1, "height_mm": 900}')
         while answer["answer"] == "published":
             height_mm = answer["base_mm"] + 1.1 * answer["thickness_mm"]
-            answer = building.height({"event": "height", "done": answer["layer"] + 1, "height_mm": height_mm})
+            answer = building.height({"event": "height", "done": answer["layer"], "height_mm": height_mm})
         building.close()
     assert answer["answer"] == "done"
     return folder

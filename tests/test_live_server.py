@@ -170,7 +170,7 @@ def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, m
     answer = again.height({"done": 1, "height_mm": 1.9})
     again.close()
     assert answer["answer"] == "published"
-    assert answer["layer"] == 1
+    assert answer["layer"] == 2
     untouched = Building(maker, tmp_path / "never")
     untouched.start()
     assert untouched.height({"done": 1, "height_mm": 1.9})["sha256"] == answer["sha256"]
@@ -232,7 +232,7 @@ def test_the_server_outlives_bad_input_and_ends_with_its_input(place, tmp_path):
         assert server.tell(event="status")["published"] is None
         assert server.ask(b"x" * 1_000_000)["code"] == "unreadable"
         assert server.tell(event="start")["answer"] == "published"
-        assert server.tell(event="reset")["published"]["layer"] == 0
+        assert server.tell(event="reset")["published"]["layer"] == 1
         assert server.tell(event="stop") == {"answer": "stopped"}
     finally:
         server.close()
@@ -279,7 +279,7 @@ def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
     start = command("live", place / "box.run", "-o", out)
     server = Server(start, cwd=tmp_path)
     answer = play(server, out, Growth(0.1), 1e6, most_layers=2)
-    assert answer["layer"] == 2
+    assert answer["layer"] == 3
     server.kill()
     again = Server(start, cwd=tmp_path)
     try:
@@ -321,7 +321,7 @@ def test_heights_of_a_build_are_tabled_and_drawn_and_come_out_the_same_again(mak
     building.close()
     table = read_heights(folder / TABLE)
     tops = [answer["base_mm"] + answer["thickness_mm"] for answer in answers[:3]]
-    assert table["layer"].tolist() == [0, 1, 2]
+    assert table["layer"].tolist() == [1, 2, 3]
     assert table["measured_top_mm"] == pytest.approx(measured, rel=1e-6)
     assert table["corrected_top_mm"] == pytest.approx(tops, rel=1e-6)
     assert table["deviation_mm"] == pytest.approx(np.subtract(measured, tops), rel=1e-5)

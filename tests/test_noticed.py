@@ -77,9 +77,9 @@ def test_placeholders_of_every_control_are_named_until_they_are_set(control):
 def test_no_temperature_over_the_boiling_point_is_a_figure(rise_k, figure):
     plan = replace(make_plan([0.75, 2.25], []), metrics=pd.DataFrame({"entry_max_k": [np.nan, rise_k]}))
     found = list(noticed_in_program.of_heat(plan, Config()))
-    assert [(f.figure, f.place) for f in found] == [
-        (figure, "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm")
-    ] * (figure is not None)
+    assert [(f.figure, f.place) for f in found] == [(figure, "layer 2, cut at z = 2.250 mm, Z 3.000 mm")] * (
+        figure is not None
+    )
     assert all(("over the boiling point" in f.text) == (figure == 3533.0) for f in found)
     assert all(f.text.startswith("1 of 2 layers") for f in found)
 
@@ -94,7 +94,7 @@ def test_waits_and_power_are_told_with_their_figures():
     assert (power.figure, power.limit, power.place) == (
         2880.0,
         7200.0,
-        "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm",
+        "layer 2, cut at z = 2.250 mm, Z 3.000 mm",
     )
     full = replace(plan, metrics=pd.DataFrame({"power_share": [1.0, 1.0]}))
     assert not list(noticed_in_program.of_interpass(summary.assign(pause_s=0.0), full, Config()))
@@ -117,7 +117,7 @@ def test_a_limit_that_the_plan_does_not_keep_is_a_fault(process, figure, remedy)
     plan = replace(make_plan([0.75, 2.25], []), metrics=metrics)
     found = list(noticed_in_program.of_limit([], plan, config))
     assert [(f.severity, f.code, f.place) for f in found] == [
-        ("fault", "interpass-limit", "layer 1, z = 2.250 mm; layer 2 of the program, Z 3.000 mm")
+        ("fault", "interpass-limit", "layer 2, cut at z = 2.250 mm, Z 3.000 mm")
     ] * (figure is not None)
     for fault in found:
         assert (fault.figure, fault.limit) == (pytest.approx(figure), entry_limit_k(config))
@@ -148,7 +148,7 @@ def test_seams_at_corners_are_found_with_their_place(tmp_path):
     row, turn_deg = seam_turns(nc)
     assert turn_deg == pytest.approx([0.0, 90.0], abs=1e-6)
     (found,) = noticed_in_program.of_seams(nc, np.array(heights), config)
-    assert found.place == "layer 1, z = 2.250 mm, (5.000, 5.000); layer 2 of the program, Z 3.000 mm"
+    assert found.place == "layer 2, cut at z = 2.250 mm, Z 3.000 mm, (5.000, 5.000)"
     assert found.text.startswith("1 of 2 closed contours")
     assert nc.layer[row].tolist() == [0, 1]
 

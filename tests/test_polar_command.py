@@ -53,7 +53,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_figures_are_those_of_a_polygon_in_its_circle(run: Path, tmp_path: Path) -> None:
-    code, text = polar(run, "--layer", 2, "--json", "-o", tmp_path / "polar.html")
+    code, text = polar(run, "--layer", 3, "--json", "-o", tmp_path / "polar.html")
     assert code == ExitCode.PASS
     contour, curve = json.loads(text)
     sagitta = RADIUS_MM * (1.0 - math.cos(math.pi / SIDES))
@@ -65,12 +65,12 @@ def test_the_figures_are_those_of_a_polygon_in_its_circle(run: Path, tmp_path: P
     page = ElementTree.fromstring(
         (tmp_path / "polar.html").read_text(encoding="utf-8").removeprefix("<!DOCTYPE html>\n")
     )
-    assert page.findtext("head/title") == "run: layer 2, z = 7.500 mm"
+    assert page.findtext("head/title") == "run: layer 3, z = 7.500 mm"
     assert page.find("body/figure/svg") is not None
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"), [(["--layer", 3], "0 .. 2"), (["-o", "polar.png"], "polar.png")]
+    ("arguments", "message"), [(["--layer", 4], "1 to 3"), (["-o", "polar.png"], "polar.png")]
 )
 def test_bad_arguments_get_one_line(run: Path, arguments: list[object], message: str) -> None:
     code, text = polar(run, *arguments)

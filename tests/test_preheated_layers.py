@@ -275,7 +275,7 @@ def test_a_layer_made_again_knows_the_preheated_plate(place, tmp_path):
     assert warm.surface_k > cold.surface_k + 10.0
     assert abs(warm.surface_k - leave_k) < abs(cold.surface_k - leave_k)
     done = ebamcheck(
-        "relayer", place / "box.run", "--layer", 0, "--measured-z", 0.0, "-o", tmp_path / "o", cwd=place
+        "relayer", place / "box.run", "--layer", 1, "--measured-z", 0.0, "-o", tmp_path / "o", cwd=place
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "in place of MAIN_L0001.SPF and of MAIN_P0001, the scan before it" in done.stdout

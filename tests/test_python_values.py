@@ -245,7 +245,7 @@ def test_plots_draw_every_line_on_the_axes_given(
     assert layers[0].plot(axes[0, 0]) is axes[0, 0]
     (x0, x1), (y0, y1) = axes[0, 0].get_xlim(), axes[0, 0].get_ylim()
     assert x0 <= 0 and x1 >= 40 and y0 <= 0 and y1 >= 30  # noqa: PT018
-    assert "curves of layer 2" in curves.plot(2, axes[0, 1]).get_title()
+    assert "curves of layer 3" in curves.plot(2, axes[0, 1]).get_title()
     drawn = plan.plot(1, axes[1, 0])
     assert len(drawn.collections[0].get_paths()) == len(plan[1])
     assert len(drawn.collections[1].get_paths()) == len(plan.vectors_of(1))

@@ -150,7 +150,7 @@ def test_a_loss_of_a_hundredth_of_the_bound_over_the_tolerance_is_found_and_expl
         "rough-beyond",
         "depth_max_mm 0.05 -> 0.05106",
         "layers worse, at most by 0.00106",
-        "layer 0, z = 0 mm",
+        "layer 1, z = 0 mm",
     ):
         assert part in text
 

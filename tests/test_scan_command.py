@@ -265,6 +265,7 @@ def test_a_whole_part_is_a_row_a_layer(plate, tmp_path):
     assert len(lines) == 4
     assert lines[0].startswith("layer,height_mm,islands,body_mean_k")
     rows = list(csv.DictReader(lines))
+    assert [row["layer"] for row in rows] == ["1", "2", "3"]
     waited = ebamcheck("scan", plate, "--all", "--layer-height", 10, "--pause", 100, "--json", cwd=tmp_path)
     paused = json.loads(waited.stdout)
     for found, pause in ((rows, 0.0), (paused, 100.0)):

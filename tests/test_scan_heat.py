@@ -260,7 +260,7 @@ def test_an_installed_order_plans(tmp_path, monkeypatch):
     assert {"backwards", "thermal"} <= set(compared_orders())
     plan = plan_scan(PLATE, PROFILE, order="backwards")
     assert plan.order.tolist() == list(range(len(plan.islands)))[::-1]
-    with pytest.raises(SettingsError, match="'half' did not return every island of layer 0 once"):
+    with pytest.raises(SettingsError, match="'half' did not return every island of layer 1 once"):
         plan_scan(PLATE, PROFILE, order="half")
     with pytest.raises(SettingsError, match=r"choose one of backwards, farthest, half.*thermal"):
         plan_scan(PLATE, PROFILE, order="spiral")

@@ -293,7 +293,7 @@ def test_one_layer_begins_where_its_first_bead_does(tmp_path, control):
 
 
 def test_a_layer_that_is_not_there_is_refused(tmp_path, control):
-    with pytest.raises(SettingsError, match=r"--layer 3: the path has no bead there; its layers are 0 to 2"):
+    with pytest.raises(SettingsError, match=r"--layer 4: the path has no bead there; its layers are 1 to 3"):
         wrote(tmp_path, control, 3)
     assert not (tmp_path / control).exists()
     with pytest.raises(SettingsError, match="linuxcnc takes a whole program"):

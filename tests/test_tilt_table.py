@@ -54,7 +54,7 @@ def place(tmp_path_factory):
     return folder
 
 
-def relayer(place, out, direction="1,0,0", layer=20, height=21.7, run="angle.run"):
+def relayer(place, out, direction="1,0,0", layer=21, height=21.7, run="angle.run"):
     return ebamcheck(
         "relayer", place / run, "--layer", layer, "--measured-z", height, "--direction", direction, "-o", out, "--json",
         "--part", place / "angle.stl", cwd=place,
@@ -136,7 +136,7 @@ def test_a_direction_up_gives_the_same_bytes(place, tmp_path):
             "relayer",
             place / "angle.run",
             "--layer",
-            3,
+            4,
             "--measured-z",
             5.1,
             *direction,

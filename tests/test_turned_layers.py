@@ -52,7 +52,7 @@ def relayer(place, out, layer, height, direction="1,0,0"):
 
 def test_an_arm_is_built_beside_what_stands(place, tmp_path):
     """Twenty layers of the upright stand, 34 mm; turned, the arm lies 11 mm and more off them, and the plate farther than the head."""
-    done = relayer(place, tmp_path / "o", 20, 21.7)
+    done = relayer(place, tmp_path / "o", 21, 21.7)
     told = json.loads(done.stdout)
     assert done.returncode == 0, [gate for gate in told["gates"] if not gate["passed"]]
     assert told["direction"] == [1.0, 0.0, 0.0]
@@ -61,7 +61,7 @@ def test_an_arm_is_built_beside_what_stands(place, tmp_path):
 
 def test_a_layer_through_what_stands_is_refused_with_the_place(place, tmp_path):
     """Twelve millimetres up the turned part the section is the whole upright, of which 34 mm stand."""
-    done = relayer(place, tmp_path / "o", 20, 10.0)
+    done = relayer(place, tmp_path / "o", 21, 10.0)
     assert done.returncode == 1
     shut = " ".join(gate["text"] for gate in json.loads(done.stdout)["gates"] if not gate["passed"])
     assert "standing metal" in shut
@@ -73,7 +73,7 @@ def test_a_head_that_would_meet_what_stands_is_refused(place, tmp_path):
     """All but the last layers stand: turned the other way, the upright rises beside the arm's foot, nearer than the head."""
     run = shutil.copytree(place / "angle.run", tmp_path / "angle.run")
     done = ebamcheck(
-        "relayer", run, "--layer", 20, "--measured-z", 21.7, "--direction", "1,0,-0.6", "-o", tmp_path / "o", "--json",
+        "relayer", run, "--layer", 21, "--measured-z", 21.7, "--direction", "1,0,-0.6", "-o", tmp_path / "o", "--json",
         "--part", place / "angle.stl", cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 1
@@ -82,7 +82,7 @@ def test_a_head_that_would_meet_what_stands_is_refused(place, tmp_path):
 
 
 def test_the_direction_of_the_run_itself_asks_nothing(place, tmp_path):
-    done = relayer(place, tmp_path / "o", 3, 5.1, "0,0,2")
+    done = relayer(place, tmp_path / "o", 4, 5.1, "0,0,2")
     assert done.returncode == 0, done.stdout
     assert "standing" not in done.stdout
 

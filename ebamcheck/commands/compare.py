@@ -37,6 +37,7 @@ def compare(
     from ebamcheck.comparison import compare as compare_layers
     from ebamcheck.comparison.pairwise import check_comparable
     from ebamcheck.drawing.tables import text_table
+    from ebamcheck.layer_numbers import numbered
     from ebamcheck.layers.files import read_layers
 
     if not tolerance >= 0.0:
@@ -47,7 +48,7 @@ def compare(
     if one.part and other.part and one.part != other.part and not any_part:
         raise SettingsError(f"{a} and {b} are of different parts: give slices of one part, or --any-part")
     check_comparable({str(a): one, str(b): other}, check_part=False)
-    table = compare_layers(one, other, tolerance_mm=tolerance, check_part=False)
+    table = numbered(compare_layers(one, other, tolerance_mm=tolerance, check_part=False))
     if not len(table):
         raise NothingCompared(f"{a} and {b} hold no layers: nothing was compared")
     if output is not None:

@@ -32,6 +32,7 @@ from ebamcheck.curves import (
 )
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
@@ -124,7 +125,7 @@ def post_command(
         str, typer.Option(help="Post-processor; default: machine.control of the settings.")
     ] = "",
     layer: Annotated[
-        int | None, typer.Option(help="Case of one layer, counted from 0, for a heat simulator.")
+        int | None, typer.Option(help="Case of one layer, counted from 1, for a heat simulator.")
     ] = None,
     from_layer: Annotated[
         int,
@@ -175,7 +176,7 @@ def post_command(
             files = begin_at_layer(files, from_layer)
     else:
         post = case_post(config.machine.control)
-        files = post(beads, plan, config, output, header=header, layer=layer)
+        files = post(beads, plan, config, output, header=header, layer=index_of_number(layer, len(plan)))
     blocks = sum(files.blocks.values())
     typer.echo(
         f"{files.main}: {counted(len(files.names), 'file')}, {counted(blocks, 'block')} for {config.machine.control}"

@@ -13,8 +13,9 @@ from ebamcheck.commands.options import ConfigOption, JsonOption, print_json
 from ebamcheck.commands.progress import watched
 from ebamcheck.commands.run_stack import stack_of_run
 from ebamcheck.drawing.tables import text_table
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.errors import ExitCode
 from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
+from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
@@ -41,7 +42,7 @@ FIGURES = {
 
 def judge_command(
     run: Annotated[Path, typer.Argument(help="A finished run folder.")],
-    layer: Annotated[int, typer.Option(help="Layer, counted from 0.")],
+    layer: Annotated[int, typer.Option(help="Layer, counted from 1.")],
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge."),
@@ -60,12 +61,11 @@ def judge_command(
     Example: ebamcheck judge blade.run --layer 4
     """
     config, curves, plan, _ = stack_of_run(run, config_file)
-    if not 0 <= layer < len(plan):
-        raise SettingsError(f"--layer {layer}: the run has the layers 0 to {len(plan) - 1}")
+    index = index_of_number(layer, len(plan))
     folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
     layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
-    section = layer_section(layers.polygons(layer))
-    case = LayerCase.of(plan, layer, section, config, curves=curves, beads=beads, body=body)
+    section = layer_section(layers.polygons(index))
+    case = LayerCase.of(plan, index, section, config, curves=curves, beads=beads, body=body)
     case.write(folder / CASE, config)
     THESIS.path()
     with watched() as observer:

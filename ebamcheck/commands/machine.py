@@ -111,7 +111,7 @@ def machine_command(
         typer.echo(f"stopped at Z {answer['base_mm']:.3f} mm, as asked for")
         return ExitCode.PASS
     if answer["answer"] != "done":
-        typer.echo(f"the build stopped at layer {len(rows)}: {answer.get('reason', answer)}")
+        typer.echo(f"the build stopped at layer {rows[-1].layer + 1}: {answer.get('reason', answer)}")
         return ExitCode.OUT_OF_TOLERANCE
     tolerance_mm = 0.5 * limits.least_mm
     off_mm = float(answer["off_mm"])

@@ -12,6 +12,7 @@ import typer
 
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.live.heat_so_far import heat_under
 from ebamcheck.live.height_map import MapCells, figures_of, in_cells
 from ebamcheck.live.loading import FinishedRun, finished_run
@@ -29,7 +30,7 @@ from ebamcheck.settings.config import Config
 
 def relayer_command(
     run: Annotated[Path, typer.Argument(help="A finished run folder.")],
-    layer: Annotated[int, typer.Option(help="Layer that comes next, counted from 0.")],
+    layer: Annotated[int, typer.Option(help="Layer that comes next, counted from 1.")],
     measured_z: Annotated[
         float | None,
         typer.Option(help="Height of what stands, over the base plate, mm: the layer is laid on it."),
@@ -58,7 +59,7 @@ def relayer_command(
 ) -> ExitCode:
     """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one.
 
-    Example: ebamcheck relayer blade.run --layer 12 --measured-z 20.4
+    Example: ebamcheck relayer blade.run --layer 13 --measured-z 20.4
     """
     if (measured_z is None) == (height_map is None):
         raise SettingsError("give --measured-z or --height-map: the mean of a map is its height")
@@ -74,33 +75,31 @@ def relayer_command(
     found = finished_run(run, part, turned)
     if turned is not None and alike(turned, run):
         turned, found = None, finished_run(run, part)
-    layers = len(found.thickness_mm)
-    if not 0 <= layer < layers:
-        raise SettingsError(f"--layer {layer}: the run has the layers 0 to {layers - 1}")
+    index = index_of_number(layer, len(found.thickness_mm))
     before, built_mm = None, 0.0
     if turned is not None:
         before = finished_run(run, part)
-        built_mm = float(before.tops_mm[layer - 1]) if layer else 0.0
+        built_mm = float(before.tops_mm[index - 1]) if index else 0.0
         found = replace(found, config=_turning(before, found, direction, built_mm))
-    heat = heat_under(found.plan, layer, found.thickness_mm, found.busy_s(), found.config)
+    heat = heat_under(found.plan, index, found.thickness_mm, found.busy_s(), found.config)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
         if before is not None:
             maker.stands = stands_of(before.part, found.part, built_mm, before.config)
         # Along another direction other layers would have been laid than those that the run knows.
-        metal = None if turned else found.metal_under(layer)
+        metal = None if turned else found.metal_under(index)
         cells: MapCells | None = None
         if height_map is not None:
-            metal, cells, measured_z = mapped(found, maker, layer, metal, height_map)
+            metal, cells, measured_z = mapped(found, maker, index, metal, height_map)
         assert measured_z is not None
         if turned is None:
             program = found.config.machine.program_name
-            check_height(folder, program, layer, measured_z, found.tops_mm, found.thickness_mm)
-        done = relayer(maker, heat, layer, measured_z, folder, metal, cells)
+            check_height(folder, program, index, measured_z, found.tops_mm, found.thickness_mm)
+        done = relayer(maker, heat, index, measured_z, folder, metal, cells)
     if as_json:
         print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})
     else:
-        _tell(done, found, layer)
+        _tell(done, found, index)
     return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
 
 
@@ -148,7 +147,7 @@ def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
         was += f" and of {scan}, the scan before it"
     if done.place is None:
         stays = f", {old['name']}" if old else ""
-        typer.echo(f"layer {layer}: {done.made.why}; the old layer stays{stays}")
+        typer.echo(f"layer {layer + 1}: {done.made.why}; the old layer stays{stays}")
         return
     if of_map := done.certificate.get("height_map"):
         typer.echo(
@@ -158,7 +157,7 @@ def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
         )
     seconds = sum(done.made.seconds.values())
     typer.echo(
-        f"layer {layer}: Z {wanted.base_mm:.3f} to {wanted.top_mm:.3f} mm, cut at {done.made.cut_mm:.3f} mm, "
+        f"layer {layer + 1}: Z {wanted.base_mm:.3f} to {wanted.top_mm:.3f} mm, cut at {done.made.cut_mm:.3f} mm, "
         f"{done.made.islands} islands, {len(done.made.gates)} gates open, {seconds:.2f} s"
     )
     typer.echo(f"{done.place}: {done.certificate['called']}{was}; wait {done.made.wait_s:g} s before it")

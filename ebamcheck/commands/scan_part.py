@@ -58,6 +58,7 @@ def _rows(
         observer.stage("order and heat", len(sections))
         try:
             for row in found:
+                row["layer"] += 1
                 built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
                 row[BUILT] = built_s
                 table.writerow(row)

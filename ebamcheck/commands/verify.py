@@ -52,6 +52,7 @@ def verify(
     from ebamcheck.pipeline import verify as verification
     from ebamcheck.pipeline.certificate import find_record
     from ebamcheck.pipeline.run_folder import MANIFEST
+    from ebamcheck.program.checking.checks import check_record
 
     if holds_layers(target):
         return _build(target, part, as_json)
@@ -64,7 +65,7 @@ def verify(
     config = None if own or default else settings_of(config_file, units, "", layer_height)
     checks = verification.verify(target, part, config, quick=quick, trusted=trusted or (), whole=whole)
     if as_json:
-        print_json([vars(check) for check in checks])
+        print_json([check_record(check) for check in checks])
     else:
         rows = [
             ["pass" if c.passed else "FAIL", c.name, c.value, c.limit, c.unit, c.where, c.text]

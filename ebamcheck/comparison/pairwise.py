@@ -134,7 +134,7 @@ def check_comparable(stacks: Mapping[str, LayerSource], check_part: bool = True)
         if differ.size:
             k = int(differ[0])
             raise SettingsError(
-                f"layer {k} is at z = {first.heights[k]} mm in {names[0]!r} and at {other.heights[k]} mm "
+                f"layer {k + 1} is at z = {first.heights[k]} mm in {names[0]!r} and at {other.heights[k]} mm "
                 f"in {name!r}: compare the same heights"
             )
     known: dict[str, str] = {}

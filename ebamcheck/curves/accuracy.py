@@ -248,7 +248,7 @@ def _check(measured: Layers | Curves, reference: Layers | Curves, rays: int, sam
     if len(measured) and apart.max() > SAME_HEIGHT_MM:
         k = int(np.argmax(apart))
         raise SettingsError(
-            f"layer {k} lies at {measured.heights[k]:g} mm and its reference at {reference.heights[k]:g} mm: "
+            f"layer {k + 1} lies at {measured.heights[k]:g} mm and its reference at {reference.heights[k]:g} mm: "
             "cut both at the same heights"
         )
     for name, value in (("rays", rays), ("samples", samples)):

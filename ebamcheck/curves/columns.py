@@ -45,7 +45,7 @@ class Piece(NamedTuple):
     def __repr__(self) -> str:
         kind = {LINE: "line", ARC: "arc"}.get(self.kind, "spline")
         points = short_text.counted(len(self.control), "control point")
-        return short_text.line("Piece", kind, points, f"ring {self.ring}", f"layer {self.layer}")
+        return short_text.line("Piece", kind, points, f"ring {self.ring}", f"layer [{self.layer}]")
 
 
 class SampledRings(NamedTuple):

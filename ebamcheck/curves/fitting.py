@@ -313,7 +313,7 @@ def _check_finite(layers: Layers) -> None:
         ring = int(np.searchsorted(layers.ring_starts, bad[0], side="right")) - 1
         layer = int(np.searchsorted(layers.layer_starts, ring, side="right")) - 1
         raise GeometryError(
-            f"layer {layer} (z = {layers.heights[layer]:g} mm), ring {ring}: point {layers.points[bad[0]].tolist()} "
+            f"layer {layer + 1} (z = {layers.heights[layer]:g} mm), ring {ring}: point {layers.points[bad[0]].tolist()} "
             "is not finite; slice the part anew"
         )
 

@@ -46,12 +46,12 @@ class CurveLayer:
         """Draw the curves of the layer on matplotlib axes; `style` is of its lines."""
         block = self.curves.block(self.index, self.index + 1)
         ax = block.sample_tolerance(SAMPLE_TOLERANCE_MM)[0].plot(ax, **style)
-        ax.set_title(f"curves of layer {self.index}, z = {self.height_mm:.6g} mm")
+        ax.set_title(f"curves of layer {self.index + 1}, z = {self.height_mm:.6g} mm")
         return ax
 
     def __repr__(self) -> str:
         return short_text.line(
-            f"CurveLayer {self.index}",
+            f"CurveLayer [{self.index}]",
             f"z = {self.height_mm:.6g} mm",
             short_text.counted(len(self.curves.rings_of(self.index)), "ring"),
             short_text.counted(len(self), "piece"),

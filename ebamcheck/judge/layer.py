@@ -197,7 +197,7 @@ class LayerCase:
                 raise SettingsError(f"{option} {value!r}: choose from {', '.join(choices)}")
         whole = heat_path(_no_contours(plan) if curves is None else curves, plan, config)
         if not (whole.island[whole.layer == layer] >= 0).any():
-            raise NothingCompared(f"layer {layer} has no islands whose temperature could be judged")
+            raise NothingCompared(f"layer {layer + 1} has no islands whose temperature could be judged")
         path = whole.of_layer(layer)
         visits = IslandVisits.of(path)
         islands = plan.islands[visits.island]

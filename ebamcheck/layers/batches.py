@@ -239,7 +239,7 @@ def _matching(
 def _check_finite(heights: NDArray[np.float64], points: NDArray[np.float64], where: str) -> None:
     if not np.isfinite(heights).all():
         layer = int(np.flatnonzero(~np.isfinite(heights))[0])
-        raise InputError(f"{where}: height of layer {layer} is {heights[layer]}: it must be finite")
+        raise InputError(f"{where}: height of layer {layer + 1} is {heights[layer]}: it must be finite")
     if not np.isfinite(points).all():
         row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
         raise InputError(f"{where}: point {row} is {points[row].tolist()}: coordinates must be finite")

@@ -63,7 +63,7 @@ def write_cli(layers: Layers, path: str | Path, *, binary: bool = False, units_m
     if not np.isfinite(heights).all() or (np.diff(heights) <= 0.0).any():
         k = int(np.flatnonzero(~(np.diff(heights, prepend=-math.inf) > 0.0))[0])
         raise SettingsError(
-            f"{path}: layer {k} at {layers.heights[k]} mm is not above the one before it: a slice file "
+            f"{path}: layer {k + 1} at {layers.heights[k]} mm is not above the one before it: a slice file "
             "needs increasing heights" + (" (as 32-bit floats)" if binary else "")
         )
     records = _binary_records if binary else _text_records

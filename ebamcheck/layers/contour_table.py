@@ -1,6 +1,6 @@
 """Contours as a table of points: CSV, and the columns that other formats of points come to.
 
-The columns of the CSV are ``layer`` (from 0), ``height_mm``, ``ring`` (from 0 in each layer), ``closed`` (0 or 1), ``x_mm`` and
+The columns of the CSV are ``layer`` (from 1), ``height_mm``, ``ring`` (from 0 in each layer), ``closed`` (0 or 1), ``x_mm`` and
 ``y_mm``; a layer without a contour has one row, whose last four fields are empty. Numbers have the shortest digits that read back to
 the same bits. Outer rings run counter-clockwise, holes clockwise.
 """
@@ -64,7 +64,7 @@ def write_stack(layers: Layers, path: str | Path) -> None:
     where = np.concatenate([layer, empty])
     order = np.argsort(where, kind="stable")
     closed = np.repeat(layers.closed, sizes)
-    columns: dict[str, NDArray[Any]] = {"layer": where, "height_mm": layers.heights[where]}
+    columns: dict[str, NDArray[Any]] = {"layer": where + 1, "height_mm": layers.heights[where]}
     blank = np.zeros(len(empty))
     for name, values in (
         ("ring", ring),
@@ -109,10 +109,10 @@ def read_stack(path: str | Path) -> Layers:
         ) from None
     held = {name: table[name].to_numpy() for name in ("layer", "height_mm")}
     layer, first = np.unique(held["layer"], return_index=True)
-    if not np.array_equal(layer, np.arange(len(layer))):
-        raise InputError(f"{path}: the layers are not numbered 0, 1, 2, ...: number all of them")
+    if not np.array_equal(layer, np.arange(1, len(layer) + 1)):
+        raise InputError(f"{path}: the layers are not numbered 1, 2, 3, ...: number all of them")
     heights = held["height_mm"][first]
-    if not np.array_equal(heights[held["layer"]], held["height_mm"]):
+    if not np.array_equal(heights[held["layer"] - 1], held["height_mm"]):
         raise InputError(f"{path}: the points of one layer have several heights: give each layer one")
     rows = table.filter(table["ring"].is_valid())
     if any(rows[name].null_count for name in TYPES):
@@ -122,7 +122,7 @@ def read_stack(path: str | Path) -> Layers:
     of_layer, ring, closed = (rows[name].to_numpy() for name in ("layer", "ring", "closed"))
     points = np.column_stack([rows["x_mm"].to_numpy(), rows["y_mm"].to_numpy()])
     begins = np.flatnonzero(
-        np.diff(of_layer, prepend=-1).astype(bool) | np.diff(ring, prepend=-1).astype(bool)
+        np.diff(of_layer, prepend=0).astype(bool) | np.diff(ring, prepend=-1).astype(bool)
     )
     sizes = np.diff(np.append(begins, len(ring)))
-    return stack_of_rings(heights, of_layer[begins], sizes, closed[begins] != 0, points)
+    return stack_of_rings(heights, of_layer[begins] - 1, sizes, closed[begins] != 0, points)

@@ -35,7 +35,7 @@ VERTEX = f"0\nVERTEX\n8\n%s\n10\n%.{DECIMALS}f\n20\n%.{DECIMALS}f\n30\n%.{DECIMA
 
 def write_stack(layers: Layers, path: str | Path) -> None:
     """Write the contours; the DXF layer of layer 7 is ``LAYER_0007``."""
-    names = [f"LAYER_{k:04d}" for k in range(len(layers))]
+    names = [f"LAYER_{k:04d}" for k in range(1, len(layers) + 1)]
     with replacing(path) as temporary, temporary.open("w", encoding="ascii", newline="\r\n") as file:
         file.write("".join(f"999\n{HEIGHT} {height:.{DECIMALS}f}\n" for height in layers.heights.tolist()))
         file.write(HEADER + _table(names) + "0\nSECTION\n2\nENTITIES\n")

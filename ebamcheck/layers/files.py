@@ -124,7 +124,7 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
                 aside = opened.enter_context(ThreadPoolExecutor(1))
             elif not batch.schema.equals(file.schema, check_metadata=True):
                 raise SettingsError(
-                    f"{path}: block at layer {count} differs from the first in labels or columns"
+                    f"{path}: block at layer {count + 1} differs from the first in labels or columns"
                 )
             if writing is not None:
                 writing.result()

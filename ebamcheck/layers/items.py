@@ -122,12 +122,12 @@ class Layer:
             Lines([_outline(ring) for ring in rings if ring.kind == kind], colour)
             for kind, colour in KIND_COLOURS.items()
         ]
-        return plot_lines(groups, f"layer {self.index}, z = {self.height_mm:.6g} mm", ax, **style)
+        return plot_lines(groups, f"layer {self.index + 1}, z = {self.height_mm:.6g} mm", ax, **style)
 
     def __repr__(self) -> str:
         kinds = [ring.kind for ring in self.rings] if len(self) <= 1000 else []
         return short_text.line(
-            f"Layer {self.index}",
+            f"Layer [{self.index}]",
             f"z = {self.height_mm:.6g} mm",
             *(f"{kinds.count(k)} {k}" for k in ("outer", "hole", "open path") if k in kinds),
             "" if kinds else short_text.counted(len(self), "ring"),
@@ -137,7 +137,7 @@ class Layer:
     def _repr_html_(self) -> str:
         """Show the layer in a notebook."""
         facts = {"z": f"{self.height_mm:.6g} mm", "rings": len(self), "area": f"{self.area_mm2:.6g} mm2"}
-        return short_text.html(f"Layer {self.index}", facts, _picture(self))
+        return short_text.html(f"Layer [{self.index}]", facts, _picture(self))
 
 
 def _picture(layer: Layer) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.layers.items import index_of
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.colours import COLOURS, DASHES
@@ -105,7 +106,7 @@ def layer_svg(
     SettingsError
         If there is no such layer or the width is too small.
     """
-    k = _index(layers, layer)
+    k = index_of(layer, len(layers))
     view = _view(box or _layer_box([(layers, k)]), width_px, MARGIN_PX, TITLE_PX)
     body = _region(layers, k, view)
     if points:
@@ -138,7 +139,7 @@ def overlay_svg(
     """
     if not stacks:
         raise SettingsError("no stacks to draw over each other: give at least one")
-    chosen = [(layers, _index(layers, layer)) for layers in stacks.values()]
+    chosen = [(layers, index_of(layer, len(layers))) for layers in stacks.values()]
     view = _view(box or _layer_box(chosen), width_px, MARGIN_PX, TITLE_PX + 18)
     body: list[Markup] = []
     for n, (name, (layers, k)) in enumerate(zip(stacks, chosen, strict=True)):
@@ -147,7 +148,7 @@ def overlay_svg(
         body.append(element("g", *lines, class_="slicer", data_name=name))
     body += _legend(list(stacks)) + _scale_bar(view)
     first, k = chosen[0]
-    heading = f"layer {k}, z = {first.heights[k]:.3f} mm" if title is None else title
+    heading = f"layer {k + 1}, z = {first.heights[k]:.3f} mm" if title is None else title
     return _document(body, view, width_px, heading)
 
 
@@ -330,18 +331,12 @@ def _document(body: list[Markup], view: _View, width_px: int, title: str) -> str
 # -- measures --------------------------------------------------------------------------------------
 
 
-def _index(layers: Layers, layer: int) -> int:
-    if not -len(layers) <= layer < len(layers):
-        raise SettingsError(f"no layer {layer}: the stack has {len(layers)} layers")
-    return layer % len(layers)
-
-
 def _title(layers: Layers, k: int) -> str:
     block = layers.block(k, k + 1)
     outer, holes, lines = (
         int(c[0]) for c in (block.outer_counts(), block.hole_counts(), block.open_counts())
     )
-    text = f"layer {k}, z = {layers.heights[k]:.3f} mm: {outer} outer, {holes} holes"
+    text = f"layer {k + 1}, z = {layers.heights[k]:.3f} mm: {outer} outer, {holes} holes"
     return text + (f", {lines} open" if lines else "")
 
 

@@ -42,14 +42,14 @@ def write_part(part: Part, path: str | Path) -> None:
 
 
 def write_stack(layers: Layers, path: str | Path) -> None:
-    """Write every contour as a polyline at its height, with ``layer``, ``area_mm2`` and ``closed`` of each."""
+    """Write every contour as a polyline at its height, with ``layer`` (from 1), ``area_mm2`` and ``closed`` of each."""
     sizes = np.diff(layers.ring_starts)
     heights = np.repeat(layers.heights[layers.ring_layer], sizes)
     # A closed line ends at the point where it starts.
     first, past = layers.ring_starts[:-1][layers.closed], layers.ring_starts[1:][layers.closed]
     rows = np.insert(np.arange(len(layers.points)), past, first)
     figures = {
-        "layer": layers.ring_layer.astype("<i8"),
+        "layer": (layers.ring_layer + 1).astype("<i8"),
         "area_mm2": layers.ring_areas,
         "closed": layers.closed.astype("u1"),
     }

@@ -19,7 +19,7 @@ from ebamcheck.live.ground import Ground
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
-from ebamcheck.live.journal import Journal, read_journal
+from ebamcheck.live.journal import FORMAT, Journal, check_format, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
 from ebamcheck.live.map_reading import map_reading
 from ebamcheck.live.metal_so_far import MetalSoFar
@@ -154,7 +154,7 @@ class Building:
                 return self._refused(
                     Refusal(
                         "repeated",
-                        f"layer {reading.done} was measured before, at {self._last.height_mm:g} mm: the first reading counts",
+                        f"the top of {reading.done} layers was measured before, at {self._last.height_mm:g} mm: the first reading counts",
                     )
                 )
         expected = self.expected_done
@@ -315,6 +315,7 @@ class Building:
     def _of(self) -> dict[str, Any]:
         """What a journal is of."""
         return {
+            "format": FORMAT,
             "part_sha256": self.maker.part.sha256,
             "settings_sha256": program_settings_sha256(self.maker.config),
             "annealing_steps": self.maker.annealing_steps,
@@ -328,6 +329,7 @@ class Building:
         first = next(entries, None)
         if first is None:
             return
+        check_format(first, self.folder / JOURNAL)
         mine = {"kind": "begin", **self._of()}
         for key, value in mine.items():
             if first.get(key) != value:
@@ -350,7 +352,7 @@ class Building:
         if made is None:
             if answer["answer"] != entry["kind"]:
                 raise InputError(
-                    f"{self.folder / JOURNAL}: layer {reading.done} does not come out again: {answer.get('reason')}"
+                    f"{self.folder / JOURNAL}: layer {reading.done + 1} does not come out again: {answer.get('reason')}"
                 )
             self._take(reading, answer, None)
             return
@@ -361,7 +363,7 @@ class Building:
             for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
                 if certificate[key] != told.get(key):
                     raise InputError(
-                        f"{self.folder / JOURNAL}: layer {reading.done} comes out as {what} than was published: "
+                        f"{self.folder / JOURNAL}: layer {reading.done + 1} comes out as {what} than was published: "
                         "the software or a slicer is another one"
                     )
             # Between the journal's line and the current file a kill may have come; the layer itself is there.

@@ -29,7 +29,7 @@ class LaidHeight:
     Parameters
     ----------
     layer
-        Index from 0.
+        Its number, from 1.
     planned_top_mm
         Its top as it was planned when the build began; NaN for one that was not planned then.
     base_mm, corrected_top_mm
@@ -54,10 +54,10 @@ class LaidHeight:
 def laid_height(
     layer: int, planned_tops_mm: Floats, base_mm: float, top_mm: float, measured_mm: float, cusp_mm: float
 ) -> LaidHeight:
-    """Put together the row of a layer."""
+    """Put together the row of the layer of that index."""
     planned = float(planned_tops_mm[layer]) if layer < len(planned_tops_mm) else float("nan")
     return LaidHeight(
-        layer, planned, base_mm, top_mm, measured_mm, measured_mm - top_mm, top_mm - base_mm, measured_mm - base_mm, cusp_mm
+        layer + 1, planned, base_mm, top_mm, measured_mm, measured_mm - top_mm, top_mm - base_mm, measured_mm - base_mm, cusp_mm
     )  # fmt: skip
 
 
@@ -155,10 +155,10 @@ def _panel(top_px: float, title: str, names: list[str], layer: Floats, columns: 
     values = np.concatenate([column[np.isfinite(column)] for column in columns] or [np.zeros(1)])
     low, most = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     low, most = (low, most) if most > low else (low - 0.5, low + 0.5)
-    wide, last = WIDTH_PX - LEFT_PX - RIGHT_PX, max(float(layer[-1]) if layer.size else 1.0, 1.0)
+    wide, last = WIDTH_PX - LEFT_PX - RIGHT_PX, max(float(layer[-1]) if layer.size else 2.0, 2.0)
 
     def x(value: float) -> float:
-        return LEFT_PX + wide * value / last
+        return LEFT_PX + wide * (value - 1.0) / (last - 1.0)
 
     def y(value: float) -> float:
         return top_px + PANEL_PX * (most - value) / (most - low)
@@ -172,8 +172,8 @@ def _panel(top_px: float, title: str, names: list[str], layer: Floats, columns: 
         for value in ticks(low, most)
     ]
     parts += [
-        f'<text x="{x(value - 1.0):.1f}" y="{top_px + PANEL_PX + 16:g}" text-anchor="middle">{value:g}</text>'
-        for value in sorted({1.0, *(t for t in ticks(1.0, last + 1.0) if t >= 1.0)})
+        f'<text x="{x(value):.1f}" y="{top_px + PANEL_PX + 16:g}" text-anchor="middle">{value:g}</text>'
+        for value in sorted({1.0, *(t for t in ticks(1.0, last) if t >= 1.0)})
     ]
     if low < 0.0 < most:
         parts.append(f'<path d="M{LEFT_PX:g} {y(0.0):.1f}h{wide:g}" stroke="#bbb"/>')

@@ -19,6 +19,9 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain
 from ebamcheck.regular_file import regular_file
 
+FORMAT = "ebamcheck journal 2"
+"""Of the first line: its entries count layers from 1; those of a journal without a format counted them from 0."""
+
 FIRST = "0" * 64
 """In place of a hash in the first line."""
 
@@ -84,6 +87,21 @@ def read_journal(path: Path) -> Iterator[dict[str, Any]]:
     """
     for _, entry in _lines(path):
         yield entry
+
+
+def check_format(first: Mapping[str, Any], path: Path) -> None:
+    """Refuse to go on with a journal of another format, by its first entry.
+
+    Raises
+    ------
+    InputError
+        If its entries count layers otherwise.
+    """
+    if first.get("format") != FORMAT:
+        raise InputError(
+            f"{path}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, or give another "
+            "folder with -o"
+        )
 
 
 def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:

@@ -321,7 +321,7 @@ class LayerMaker:
         cut_mm = config.layers.heights_mm[0]
         cuts = {name: slicing.at(cut_mm) for name, slicing in self._slicings.items()}
         if not any(len(cut.points) for cut in cuts.values()):
-            raise SettingsError(f"layer {wanted.layer}: the part has no section at {cut_mm:g} mm")
+            raise SettingsError(f"layer {wanted.layer + 1}: the part has no section at {cut_mm:g} mm")
         return cuts
 
     def _fitted(self, contours: Layers, config: Config) -> FitVerdict:

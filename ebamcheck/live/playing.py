@@ -121,11 +121,11 @@ def play(
         if hashlib.sha256(path.read_bytes()).hexdigest() != answer["sha256"]:
             raise BackendFailed(f"{path}: is not the file that was published for layer {layer}")
         time.sleep((answer["layer_s"] + answer["wait_s"]) / speed)
-        height_mm = base_mm + growth.grown_mm(layer, planned_mm)
+        height_mm = base_mm + growth.grown_mm(layer - 1, planned_mm)
         if faults:
-            _refused(server, layer + 1, base_mm, base_mm + planned_mm)
+            _refused(server, layer, base_mm, base_mm + planned_mm)
         begin = time.perf_counter()
-        after = server.tell(event="height", done=layer + 1, height_mm=height_mm)
+        after = server.tell(event="height", done=layer, height_mm=height_mm)
         told(
             Played(
                 layer, answer["name"], base_mm, planned_mm, height_mm - base_mm, time.perf_counter() - begin,

@@ -29,13 +29,15 @@ CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
 LAYERS, CURRENT, JOURNAL = "layers", "current.json", "journal.jsonl"
 """In the folder of a build: published layers, the one that is to be called next, and what happened."""
 
-FORMAT = "ebamcheck layer 1"
+FORMAT = "ebamcheck layer 2"
+"""Format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0."""
+
 STEM = 10
 """Characters of the program's name that a layer's name keeps: with layer and number it fits a control."""
 
 
 def layer_name(program: str, layer: int, number: int) -> str:
-    """Name of a layer's program: that of the run, the layer from 1, and how often it was made.
+    """Name of a layer's program: that of the run, the number of the layer of that index, from 1, and how often it was made.
 
     Examples
     --------
@@ -44,14 +46,16 @@ def layer_name(program: str, layer: int, number: int) -> str:
     """
     name = f"{program[:STEM]}_K{layer + 1:04d}R{number}"
     if len(name) > LONGEST_NAME - len("_L0001"):
-        raise SettingsError(f"layer {layer}, number {number}: the name {name!r} is too long for the control")
+        raise SettingsError(
+            f"layer {layer + 1}, number {number}: the name {name!r} is too long for the control"
+        )
     return name
 
 
 def called_name(made: MadeLayer) -> str:
     """File that the running program calls: the subprogram, or the one file of a control without subprograms."""
     if made.files is None:
-        raise InputError(f"layer {made.wanted.layer}: there is no program")
+        raise InputError(f"layer {made.wanted.layer + 1}: there is no program")
     suffix = control(made.config.machine.control).subprogram_suffix
     return made.files.names[1] if suffix and len(made.files.names) > 1 else made.files.names[0]
 
@@ -70,7 +74,7 @@ def certificate_of(
                 "format": FORMAT,
                 "software": __version__,
                 "name": wanted.name,
-                "layer": wanted.layer,
+                "layer": wanted.layer + 1,
                 "shifted": wanted.shifted,
                 "base_mm": wanted.base_mm,
                 "thickness_mm": wanted.thickness_mm,
@@ -106,6 +110,26 @@ def certificate_of(
     )
 
 
+def read_certificate(place: Path) -> dict[str, Any]:
+    """Return the certificate of a layer in its folder.
+
+    Raises
+    ------
+    InputError
+        If it is none, or of a format that counts layers otherwise.
+    """
+    try:
+        found: dict[str, Any] = json.loads((place / CERTIFICATE).read_text(encoding="utf-8"))
+        found["part"]["sha256"], found["base_mm"] + 0.0, found["layer"] + 0
+    except (OSError, ValueError, TypeError, KeyError):
+        raise InputError(f"{place / CERTIFICATE}: is no certificate of a layer") from None
+    if found.get("format") != FORMAT:
+        raise InputError(
+            f"{place / CERTIFICATE}: is of the format {found.get('format')!r:.40}, not {FORMAT!r}: make the layer again"
+        )
+    return found
+
+
 def publish(
     folder: Path, made: MadeLayer, certificate: Mapping[str, Any], before: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
@@ -131,7 +155,9 @@ def publish(
         If a layer of that name with other bytes is there.
     """
     if not made.passed or made.files is None:
-        raise InputError(f"layer {made.wanted.layer}: is not validated and cannot be published: {made.why}")
+        raise InputError(
+            f"layer {made.wanted.layer + 1}: is not validated and cannot be published: {made.why}"
+        )
     staged = made.files.folder.parent
     (staged / SETTINGS).write_text(values_as_toml(made.config), encoding="utf-8")
     (staged / CERTIFICATE).write_text(json_text(certificate), encoding="utf-8")
@@ -153,7 +179,9 @@ def publish(
     if wrong:
         if fresh:
             shutil.rmtree(target)
-        raise InputError(f"layer {made.wanted.layer}: the control would be told another {', '.join(wrong)}")
+        raise InputError(
+            f"layer {made.wanted.layer + 1}: the control would be told another {', '.join(wrong)}"
+        )
     before()
     write_synced(folder / CURRENT, json_text(current))
     return current

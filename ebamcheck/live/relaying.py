@@ -87,7 +87,7 @@ def check_height(
             base_mm, top_mm, by = float(paper["base_mm"]), float(paper["top_mm"]), made.name
     if fault := fault_of(Reading(layer, measured_mm), base_mm, top_mm):
         raise SettingsError(
-            f"layer {layer}: the measured height {measured_mm:g} mm cannot be: {fault.reason}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
+            f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault.reason}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
             "again; where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
         )
 

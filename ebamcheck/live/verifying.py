@@ -22,6 +22,7 @@ from ebamcheck.live.publishing import (
     PROGRAM,
     SETTINGS,
     current_of,
+    read_certificate,
     read_current,
     write_synced,
 )
@@ -48,7 +49,7 @@ SAME_MM = 1e-6
 
 @dataclass(frozen=True)
 class Due:
-    """What the journal asks of a layer: its number, from 0, the height that was measured below it, and the wait before it."""
+    """What the journal asks of a layer: its index, from 0, the height that was measured below it, and the wait before it."""
 
     layer: int
     base_mm: float
@@ -146,7 +147,7 @@ class _Together:
         """What is wrong with one more layer on those below; empty where nothing is."""
         if not (self._knows_heat or self._knows_metal):
             return ""
-        config, paper = load_config(place / SETTINGS), _certificate(place)
+        config, paper = load_config(place / SETTINGS), read_certificate(place)
         text = layer_text(place / PROGRAM, paper, config) if self._knows_heat else None
         self._knows_heat = text is not None
         warm, self._heat = ("", None) if text is None else heated(self._heat, text)
@@ -186,7 +187,7 @@ def _verified(
             return VerifiedLayer(name, 0, f"{path}: is not the file that {told_by} names", files), spent
     try:
         config = load_config(place / SETTINGS)
-        if why := _other_than(_certificate(place), name, files, due, config, part):
+        if why := _other_than(read_certificate(place), name, files, due, config, part):
             return VerifiedLayer(name, 0, why, files), spent
         checks = verify(place / PROGRAM, part, config)
         checks.append(_height(part, config))
@@ -209,16 +210,6 @@ def _height(file: Path, config: Config) -> Check:
     )
 
 
-def _certificate(place: Path) -> dict[str, Any]:
-    """Certificate of a layer."""
-    try:
-        found: dict[str, Any] = json.loads((place / CERTIFICATE).read_text(encoding="utf-8"))
-        found["part"]["sha256"], found["base_mm"] + 0.0, found["layer"] + 0
-    except (OSError, ValueError, TypeError, KeyError):
-        raise InputError(f"{place / CERTIFICATE}: is no certificate of a layer") from None
-    return found
-
-
 def _other_than(
     paper: dict[str, Any], name: str, files: dict[str, str], due: Due | None, config: Config, part: Path
 ) -> str:
@@ -229,7 +220,7 @@ def _other_than(
     """
     wanted: tuple[tuple[str, object, object], ...] = (
         ("name", paper.get("name"), name),
-        *((("number of the layer", paper["layer"], due.layer),) if due else ()),
+        *((("number of the layer", paper["layer"], due.layer + 1),) if due else ()),
         *((("wait before it", paper.get("wait_s"), due.wait_s),) if due and due.wait_s is not None else ()),
         ("files", paper.get("files"), files),
         ("validated", paper.get("validated"), True),
@@ -260,7 +251,7 @@ def _not_current(folder: Path, name: str) -> str:
         current = read_current(folder) or {}
     except ValueError:
         return f"{CURRENT}: cannot be read"
-    place, paper = folder / LAYERS / name, _certificate(folder / LAYERS / name)
+    place, paper = folder / LAYERS / name, read_certificate(folder / LAYERS / name)
     wrong = current_off(place / PROGRAM, folder / str(current.get("program")), current, paper)
     if wrong or current != current_of(paper):
         return f"{CURRENT}: is not that of {name}, the layer that was published last: {', '.join(wrong) or 'values'}"

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.blocks import count_kept, kept_blocks
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
@@ -135,9 +136,10 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
 def write_comparison(job: Job, comparison: Comparison) -> None:
     """Write the tables of a comparison into the run, and tell which slicers prove nothing."""
     pairs = job.folder.path / "compare.parquet"
-    comparison.pairs.to_parquet(pairs, index=False, compression=COMPRESSION)
-    comparison.pairs.to_csv(job.folder.path / "compare.csv", index=False)
-    layer_table(comparison).to_csv(job.folder.path / "layers.csv", index=False)
+    table = numbered(comparison.pairs)
+    table.to_parquet(pairs, index=False, compression=COMPRESSION)
+    table.to_csv(job.folder.path / "compare.csv", index=False)
+    numbered(layer_table(comparison)).to_csv(job.folder.path / "layers.csv", index=False)
     job.add_finding(*no_evidence(comparison))
 
 

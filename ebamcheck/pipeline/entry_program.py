@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check, read_program
+from ebamcheck.program.checking.checks import check_record
 from ebamcheck.program.checking.entry_check import NAME, entry_check
 from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.language.files import ProgramFiles
@@ -42,7 +43,7 @@ class Entry:
             "layer": self.layer,
             "validated": files.validated,
             "files": [{"name": name, "sha256": files.sha256[name]} for name in files.names],
-            "check": asdict(self.check),
+            "check": check_record(self.check),
         }
 
 

@@ -15,6 +15,7 @@ from ebamcheck.pipeline.job import check_job, run_job
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.work import Observer
 from ebamcheck.program import Check, NCProgram, read_program
+from ebamcheck.program.checking.checks import check_of_record
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.machines import for_this_machine
@@ -87,7 +88,7 @@ class Run:
     @cached_property
     def checks(self) -> tuple[Check, ...]:
         """Checks of the program; none where there is none."""
-        return tuple(Check(**check) for check in (self.record.get("program") or {}).get("checks", []))
+        return tuple(check_of_record(check) for check in (self.record.get("program") or {}).get("checks", []))
 
     @property
     def report(self) -> Path:

@@ -15,7 +15,7 @@ from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.evidence import CAUSES, Evidence
 from ebamcheck.curves.fallback import METHODS, POLYLINE
 from ebamcheck.curves.stack_evidence import StackEvidence, stack_evidence
-from ebamcheck.findings import Finding
+from ebamcheck.findings import Finding, at_layer
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.config import Config
@@ -85,8 +85,7 @@ class FitVerdict:
         """Layer, height and place of a ring."""
         layer = int(np.searchsorted(self.curves.layer_starts, ring, side="right")) - 1
         x, y = (float(v) for v in self.evidence.at[ring])  # noqa: PD008
-        where = f", ({x:.3f}, {y:.3f})" if np.isfinite(x) else ""
-        return f"layer {layer}, z = {self.curves.heights[layer]:.3f} mm{where}"
+        return at_layer(layer, float(self.curves.heights[layer]), x, y)
 
 
 def largest_move_mm(config: Config) -> float:
@@ -179,7 +178,7 @@ def gate_text(verdict: FitVerdict) -> str:
     if stack is not None and not stack.accepted:
         k = int(np.argmax(np.maximum(stack.jump_excess_mm, stack.volume_excess_mm3)))
         text += (
-            f"; layer {k}, z = {verdict.curves.heights[k]:.3f} mm, does not agree with the one below or with the mesh "
+            f"; layer {k + 1}, z = {verdict.curves.heights[k]:.3f} mm, does not agree with the one below or with the mesh "
             "between them: set curves.method = 'chord'"
         )
     if verdict.farthest_mm > verdict.most_mm:

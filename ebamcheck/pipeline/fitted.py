@@ -12,6 +12,7 @@ import pandas as pd
 
 from ebamcheck.curves import METHODS, Curves, contour_error, error_reduction, fit_deviation, fit_for_program
 from ebamcheck.curves.edges import with_edges
+from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -63,7 +64,7 @@ def fitted(job: Job, layers: Layers, error_bound_mm: float) -> FitResult:
         curves = fit_for_program(layers, settings, job.part, "", error_bound_mm, told)
         curves.to_parquet(job.folder.path / "curves.parquet")
         verdict, table = fit_evidence.judged(curves, layers, job.part, job.config)
-        table.to_csv(job.folder.path / "fit.csv", index=False)
+        numbered(table).to_csv(job.folder.path / "fit.csv", index=False)
         figures = {curves.method: _figures(curves, table)}
     job.add_finding(*fit_evidence.findings(verdict))
     return FitResult(verdict, table, len(layers.points), figures, {curves.method: curves})
@@ -131,7 +132,7 @@ def _against_reference(
         job.go_on()
         of_curves[name] = contour_error(curves, truth)
     after = next(iter(of_curves.values()))
-    pd.concat([before.assign(of="contour"), after.assign(of="curve")]).to_csv(
+    numbered(pd.concat([before.assign(of="contour"), after.assign(of="curve")])).to_csv(
         job.folder.path / "reference.csv", index=False
     )
     figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm", "normal_max_abs_mm")

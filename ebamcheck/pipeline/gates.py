@@ -14,6 +14,7 @@ from ebamcheck.comparison import Finding as Disagreement
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.comparison.findings import worst_of
 from ebamcheck.errors import ExitCode
+from ebamcheck.findings import at_layer
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
@@ -23,7 +24,6 @@ from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MES
 from ebamcheck.program.checking.heat_again import highest_entry_k
 from ebamcheck.program.checking.interpass_checks import AGAIN, HEAT_CHECKS, INTERPASS, within_range
 from ebamcheck.program.checking.melting_check import MELTING
-from ebamcheck.program.checking.remedies import frames
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
@@ -106,16 +106,15 @@ def disagreement_in_words(
 ) -> str:
     """A disagreement: who, where in part and program, by how much, why, and what to do."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
-    place = frames(f.layer, f.height_mm, float(deposition_heights(heights, first_layer_mm, base_mm)[f.layer]))
+    z_mm = float(deposition_heights(heights, first_layer_mm, base_mm)[f.layer])
+    place = at_layer(f.layer, f.height_mm, program_z_mm=z_mm)
     cause = f.cause_text or f.cause
     if f.metric == "empty":
-        return (
-            f"layer {f.layer}, empty for every slicer although facets cross it: {cause} ({place}); {f.remedy}"
-        )
+        return f"{place}, is empty for every slicer although facets cross it: {cause}; {f.remedy}"
     unit = " mm" if f.metric == "depth" else " rings"
     return (
         f"{f.backend} against {f.against}: {cause}; {f.metric} {f.value:.4g} over {f.limit:.4g}{unit} at "
-        f"({f.x_mm:.3f}, {f.y_mm:.3f}) of layer {f.layer} ({place}); {f.remedy}"
+        f"({f.x_mm:.3f}, {f.y_mm:.3f}) of {place}; {f.remedy}"
     )
 
 
@@ -144,7 +143,7 @@ def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:
     covered = solid["covered_fraction"].to_numpy()
     k = int(np.argmin(covered))
     mean = float(np.average(covered, weights=solid["area_mm2"]))
-    text = f"beads cover {100 * mean:.2f} % of the part's area, least {100 * covered[k]:.2f} % at layer {solid.index[k]}"
+    text = f"beads cover {100 * mean:.2f} % of the part's area, least {100 * covered[k]:.2f} % at layer {solid.index[k] + 1}"
     return Gate("coverage", bool(covered[k] >= limit), float(covered[k]), limit, "of the area", text)
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import Check
+from ebamcheck.program.checking.checks import check_record
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED
 from ebamcheck.settings.config import Config
@@ -49,7 +49,7 @@ def write_live(
         "name": name,
         "sha256": sha256,
         "validated": validated and check.passed,
-        "check": asdict(check),
+        "check": check_record(check),
     }
 
 

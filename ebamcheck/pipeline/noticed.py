@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pandas as pd
 
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.findings import Finding
+from ebamcheck.findings import Finding, at_layer
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.preflight.suspicions import of_bodies, suspicions
 from ebamcheck.program.language.control import control
@@ -60,7 +60,7 @@ def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
             "declared-doubt",
             f"{a} and {b} agree on {len(layers)} layers only within places that one of them declares doubtful: they are "
             f"{depth_mm:.3g} mm apart, {added_mm:.3g} mm are declared",
-            f"layers {', '.join(str(k) for k in layers[:5])}{' ...' if len(layers) > 5 else ''}",
+            f"layers {', '.join(str(k + 1) for k in layers[:5])}{' ...' if len(layers) > 5 else ''}",
             depth_mm,
             config.comparison.doubt_mm,
             "mm",
@@ -79,7 +79,7 @@ def of_set_aside(pairs: pd.DataFrame) -> Iterator[Finding]:
         "thin-set-aside",
         f"{'; '.join(names)}: on {rows['layer'].nunique()} layers they agree once up to {most} rings or holes are set aside "
         f"that only one of them has, of gaps and walls thinner than {2.0 * rows['limit_mm'].max():.3g} mm",
-        f"layer {int(first['layer'])}, z = {first['height_mm']:.3f} mm",
+        at_layer(int(first["layer"]), first["height_mm"]),
         float(most),
         None,
         "rings",

@@ -295,7 +295,7 @@ def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
                 "warning",
                 "consumable-change",
                 found.check().text,
-                f"layer {found.changes[0] + 1} of the program",
+                f"layer {found.changes[0] + 1}",
                 found.total,
                 found.holds,
                 found.unit,

@@ -16,6 +16,7 @@ from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
+from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed_in_program
@@ -116,7 +117,7 @@ def make_program(
             smooth = smooth_layers(fit_result.curves)
             plan = plan_program(smooth, config, job.observer.advance)
             plan.to_parquet(job.folder.path / "scan.parquet")
-            plan.metrics.to_csv(job.folder.path / "scan.csv", index=False)
+            numbered(plan.metrics).to_csv(job.folder.path / "scan.csv", index=False)
         job.add_finding(*noticed_in_program.of_heat(plan, config))
         with job.stage("program", 1):
             beads = bead_paths(smooth, plan, config)
@@ -196,7 +197,7 @@ def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
     events = process_events(path, plan, job.config)
     events.to_parquet(job.folder.path / "events.parquet", index=False, compression=COMPRESSION)
     totals = event_totals(events, len(path.z), job.config)
-    totals.to_csv(job.folder.path / "process.csv", index=False)
+    numbered(totals).to_csv(job.folder.path / "process.csv", index=False)
     sums = {name: float(totals[name].sum()) for name in totals.columns if name != "layer"}
     return {**sums, "time_s": sums["deposit_s"] + sums["travel_s"] + sums["wait_s"]}
 
@@ -210,7 +211,7 @@ def _laid(job: Job, program: NCProgram, witness: Layers) -> Deposit:
 def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> list[Check]:
     """Record and check the metal of the program as it lies over the sections of the witness."""
     z_of = deposition_heights(witness.heights, job.config.layer_height_mm, job.config.base_mm)
-    found.layers.to_csv(job.folder.path / "deposit.csv", index=False)
+    numbered(found.layers).to_csv(job.folder.path / "deposit.csv", index=False)
     if found.worst >= 0:
         thickness_mm = float(np.diff(z_of, prepend=job.config.base_mm)[found.worst])
         write_field(job.folder.path / FIELD_FILE, found.fields[found.worst], found.worst, thickness_mm)
@@ -265,7 +266,7 @@ def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside
     checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
     job.add_finding(*noticed_in_program.of_checks(checks))
     summary = program_summary(program, config)
-    summary.to_csv(job.folder.path / "program.csv", index=False)
+    numbered(summary).to_csv(job.folder.path / "program.csv", index=False)
     job.add_finding(*noticed_in_program.of_interpass(summary, made.plan, config))
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")

@@ -30,6 +30,7 @@ from ebamcheck.pipeline.record_form import FORMAT_VERSION
 from ebamcheck.pipeline.run_folder import FINGERPRINT, MANIFEST
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
+from ebamcheck.program.checking.checks import check_record
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
@@ -140,7 +141,7 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
     reference = made.fit.verdict.reference
     proof, files = made.proof, made.files
     program = {
-        "checks": [asdict(check) for check in proof.checks],
+        "checks": [check_record(check) for check in proof.checks],
         "witness": proof.witness,
         "totals": dict(proof.totals),
         "validated": files.validated,
@@ -180,13 +181,10 @@ def _fit_record(made: FitResult) -> dict[str, Any]:
 
 
 def _disagreements(comparison: Comparison, config: Config) -> list[dict[str, Any]]:
-    """Disagreements with the layer as the program names it, and its height there."""
+    """Disagreements with the number of the layer, from 1, and its height in the program."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
     z_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm).tolist()
-    return [
-        {**asdict(f), "program_layer": f.layer + 1, "program_z_mm": z_mm[f.layer]}
-        for f in comparison.findings
-    ]
+    return [{**asdict(f), "layer": f.layer + 1, "program_z_mm": z_mm[f.layer]} for f in comparison.findings]
 
 
 def _file_hashes(folder: Path) -> dict[str, str]:

@@ -38,7 +38,8 @@ from ebamcheck.pipeline.record_values import (
 )
 from ebamcheck.printable import printable
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""Of ``run.json``: layers are counted from 1, in its tables, too; format 1 counted them from 0."""
 
 
 class Form(BaseModel):
@@ -242,7 +243,6 @@ class DisagreementForm(Form):
     cause_unit: str = ""
     cause_share: Number | None = None
     remedy: str = ""
-    program_layer: int
     program_z_mm: Number
 
 
@@ -318,7 +318,7 @@ class HeatForm(Form):
 class RecordForm(Form):
     """``run.json``."""
 
-    format: Literal[1]
+    format: Literal[2]
     job: Literal["run", "check"]
     fingerprint: str
     ebamcheck: str

@@ -71,7 +71,9 @@ class RunFolder:
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
         found = read_json(path)
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
-            raise InputError(f"{path}: is not a run of format {FORMAT_VERSION}")
+            raise InputError(
+                f"{path}: is not a run of format {FORMAT_VERSION}: make it again with `ebamcheck run`"
+            )
         found = in_form(RecordForm, found, path)
         # Runs of earlier versions have them in the record itself.
         return found if "timings" in found else {**found, "timings": self._timings()}

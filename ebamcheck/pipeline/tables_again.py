@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.kinematics import side_by_side
+from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import layer_table
@@ -63,7 +64,11 @@ def tables_check(
     why_not
         Files that could be worked out, and were not, each with the reason.
     """
-    found: dict[str, pd.DataFrame | pa.Table | bytes] = {**tables, **reports_again(run)}
+    named = {
+        name: numbered(table) if isinstance(table, pd.DataFrame) and name not in INDEXED else table
+        for name, table in tables.items()
+    }
+    found: dict[str, pd.DataFrame | pa.Table | bytes] = {**named, **reports_again(run)}
     why_not = dict(why_not)
     if manifest["ebamcheck"] != __version__:
         other = f"the run is of version {manifest['ebamcheck']}, this is {__version__}"
@@ -93,6 +98,9 @@ AREA = "area_mm2_"
 
 RENDERED = (".csv", ".html", ".parquet", ".xml")
 """Endings of what holds figures for people and other programs."""
+
+INDEXED = ("events.parquet",)
+"""Tables for programs, which count layers from 0; those that people open count them from 1."""
 
 CHECKED = ("scan.parquet", "beads.parquet")
 """Tables against which, as they are, the text itself is checked."""

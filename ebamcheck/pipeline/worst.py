@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from ebamcheck.findings import in_words
-from ebamcheck.program.checking.remedies import frames
+from ebamcheck.findings import at_layer, in_words
 
 
 def worst_line(manifest: Mapping[str, Any]) -> str:
@@ -42,9 +41,8 @@ def _excess(finding: Mapping[str, Any]) -> float:
 def _disagreement(f: Mapping[str, Any]) -> str:
     """A disagreement of ``run.json`` in words."""
     cause = f.get("cause_text") or f["cause"]
-    layer = f["layer"]
-    place = frames(layer, f["height_mm"], f["program_z_mm"]) if "program_z_mm" in f else f"layer {layer}"
+    place = at_layer(f["layer"] - 1, f["height_mm"], program_z_mm=float(f.get("program_z_mm", math.nan)))
     size = f"{float(f['value']):.4g} over {float(f['limit']):.4g}"
-    where = f"({float(f['x_mm']):.3f}, {float(f['y_mm']):.3f}) of layer {layer} ({place})"
+    where = f"({float(f['x_mm']):.3f}, {float(f['y_mm']):.3f}) of {place}"
     remedy = f"; {f['remedy']}" if f.get("remedy") else ""
     return f"{f['backend']} against {f['against']}: {cause}; {f['metric']} {size} at {where}{remedy}"

@@ -28,15 +28,20 @@ class Place:
     """One layer on which a value grew."""
 
     layer: int
+    """Index, from 0."""
     z_mm: float
     x_mm: float | None
     y_mm: float | None
     old: float
     new: float
 
+    def record(self) -> dict[str, Any]:
+        """Return it as JSON has it: the number of the layer counts from 1."""
+        return {**vars(self), "layer": self.layer + 1}
+
     def __str__(self) -> str:
         at = "" if self.x_mm is None or self.y_mm is None else f", at ({self.x_mm:g}, {self.y_mm:g}) mm"
-        return f"layer {self.layer}, z = {self.z_mm:g} mm{at}: {self.old:g} -> {self.new:g}"
+        return f"layer {self.layer + 1}, z = {self.z_mm:g} mm{at}: {self.old:g} -> {self.new:g}"
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,9 @@ class Difference:
 
 def _change_record(change: Change) -> dict[str, Any]:
     growth = change.growth
-    grown = None if growth is None else {**vars(growth), "places": [vars(place) for place in growth.places]}
+    grown = (
+        None if growth is None else {**vars(growth), "places": [place.record() for place in growth.places]}
+    )
     return {**vars(change), "growth": grown}
 
 

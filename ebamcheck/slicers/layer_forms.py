@@ -103,7 +103,7 @@ def _height_faults(layers: Layers, heights: NDArray[np.float64]) -> Iterable[str
         yield f"{layers.heights.size} for {heights.size} heights"
     elif not np.array_equal(layers.heights, heights):
         k = int(np.flatnonzero(layers.heights != heights)[0])
-        yield f"layer {k} of the block is at z = {layers.heights[k]} mm, asked for was {heights[k]} mm"
+        yield f"layer {k + 1} of the block is at z = {layers.heights[k]} mm, asked for was {heights[k]} mm"
 
 
 def _ring_faults(layers: Layers) -> Iterable[str]:

@@ -29,7 +29,7 @@ class Figure:
     Examples
     --------
     >>> print(Figure("bound", "cube", 3, 0.02, 0.01, "mm off the exact section"))
-    bound: cube, layer 3: 0.02 over 0.01: mm off the exact section
+    bound: cube, layer 4: 0.02 over 0.01: mm off the exact section
     """
 
     check: str
@@ -45,7 +45,7 @@ class Figure:
         return not self.value <= self.limit
 
     def __str__(self) -> str:
-        where = f", layer {self.layer}" if self.layer != NO_LAYER else ""
+        where = f", layer {self.layer + 1}" if self.layer != NO_LAYER else ""
         return f"{self.check}: {self.model}{where}: {self.value:.6g} over {self.limit:.6g}: {self.text}"
 
 

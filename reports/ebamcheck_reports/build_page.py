@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.heights_table import TABLE, heights_plot, read_heights
 from ebamcheck.live.journal import read_journal
-from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, SETTINGS
+from ebamcheck.live.publishing import JOURNAL, LAYERS, SETTINGS, read_certificate
 from ebamcheck.live.verifying import VerifiedLayer, read_verified
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config, load_config
@@ -87,11 +86,7 @@ def _read(folder: Path) -> _Build:
     certificates: dict[int, dict[str, Any]] = {}
     for entry in entries:
         if entry.get("kind") == "layer":
-            path = folder / LAYERS / str(entry["name"]) / CERTIFICATE
-            try:
-                found = json.loads(path.read_text(encoding="utf-8"))
-            except (OSError, ValueError) as error:
-                raise InputError(f"{path}: cannot be read: {error}") from None
+            found = read_certificate(folder / LAYERS / str(entry["name"]))
             certificates[int(found["layer"])] = found
     if not certificates:
         raise InputError(f"{folder}: no layer was published yet")
@@ -109,7 +104,7 @@ def _summary(build: _Build) -> Markup:
     tolerance_mm = 0.5 * bead_limits(build.config).least_mm
     ended = build.ended
     if ended is None:
-        passed, said = None, f"The build stands at layer {max(build.certificates) + 1}."
+        passed, said = None, f"The build stands at layer {max(build.certificates)}."
     else:
         off_mm = float(ended["off_mm"])
         passed = abs(off_mm) <= tolerance_mm
@@ -220,7 +215,7 @@ def _table(build: _Build) -> Markup:
     )
     rows = [
         (
-            figure(int(build.heights["layer"][k]) + 1),
+            figure(int(build.heights["layer"][k])),
             *(_mm(float(build.heights[name][k])) for name in columns),
         )
         for k in range(len(build.heights["layer"]))
@@ -262,7 +257,7 @@ def _layers(build: _Build) -> Markup:
         gates = found["gates"]
         rows.append(
             (
-                figure(layer + 1), element("code", called), element("code", str(found["files"][called])[:SHORT_HASH]), figure(found["islands"]),
+                figure(layer), element("code", called), element("code", str(found["files"][called])[:SHORT_HASH]), figure(found["islands"]),
                 f"{sum(bool(g['passed']) for g in gates)} of {len(gates)}",
                 figure(found.get("travel_speed_mm_s", build.config.process.travel_speed_mm_s)),
                 figure(found["wait_s"]), figure(found["layer_s"]), text,

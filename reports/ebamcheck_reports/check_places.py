@@ -74,7 +74,7 @@ def _figure(run: RunData, check: Mapping[str, Any]) -> Markup:
 def _said(place: Place) -> str:
     text = f", at ({place.x_mm:.3f}, {place.y_mm:.3f}) mm" if _known(place) else ""
     if place.layer is not None:
-        text += f", layer {place.layer}"
+        text += f", layer {place.layer + 1}"
     return text + (f", {place.file}:{place.line}" if place.line else "") + "."
 
 
@@ -92,7 +92,7 @@ def _place(run: RunData, check: Mapping[str, Any]) -> Place:
         number_of_line,
         number(check.get("x_mm")),
         number(check.get("y_mm")),
-        None if layer is None else int(layer),
+        None if layer is None else int(layer) - 1,
         None,
     )
     program = _program(run, file)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from ebamcheck.layer_numbers import indexed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.layers.svg import overlay_svg
 from ebamcheck.showing.colours import COLOURS, DASHES
@@ -69,7 +70,7 @@ def chosen_layers(run: RunData) -> dict[int, str]:
         layer = max(worst, key=lambda k: (worst[k].depth_mm / worst[k].limit_mm, -k))
         chosen[layer] = f"{chosen[layer]}, worst agreement" if layer in chosen else "worst agreement"
     for finding in run.disagreements:
-        layer = int(finding["layer"])
+        layer = int(finding["layer"]) - 1
         if layer in chosen and "disagreement" not in chosen[layer]:
             chosen[layer] += ", disagreement"
         elif layer not in chosen and len(chosen) < MOST_LAYERS:
@@ -79,7 +80,7 @@ def chosen_layers(run: RunData) -> dict[int, str]:
 
 def worst_places(run: RunData) -> dict[int, Place]:
     """Worst place of each layer on which a pair was compared."""
-    rows = run.pair_table
+    rows = indexed(run.pair_table)
     if not len(rows):
         return {}
     rows = rows[rows["gated"] & (rows["limit_mm"] > 0)]

@@ -12,12 +12,13 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.commands.options import print_json
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
+from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 
 
 def polar(
     run: Annotated[Path, typer.Argument(help="A run folder that was made with --reference.")],
-    layer: Annotated[int | None, typer.Option(help="Layer, counted from 0; default: the middle one.")] = None,
+    layer: Annotated[int | None, typer.Option(help="Layer, counted from 1; default: the middle one.")] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="FILE.html for the chart.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> ExitCode:
@@ -39,13 +40,13 @@ def polar(
         raise InputError(
             f"{run}: has no reference to measure against: make it with `ebamcheck run --reference FINE`"
         )
-    chosen = data.middle_layer if layer is None else layer
-    if chosen is None or not 0 <= chosen < len(layers):
-        raise SettingsError(f"--layer {layer}: the run has the layers 0 .. {len(layers) - 1}")
+    chosen = data.middle_layer if layer is None else index_of_number(layer, len(layers))
+    if chosen is None:
+        raise InputError(f"{run}: no layer of it has a contour")
     theta = rays_rad()
     errors = polar_errors(layers, curves, truth, chosen, theta)
     if errors is None:
-        raise SettingsError(f"--layer {chosen}: there is no closed contour on that layer; choose another")
+        raise SettingsError(f"--layer {chosen + 1}: there is no closed contour on that layer; choose another")
     rows = [_figures(of, error) for of, error in zip(("contour", "curve"), errors, strict=True)]
     name = layer_name(chosen, float(layers.heights[chosen]))
     if output is not None:

@@ -126,7 +126,7 @@ class RunData:
     # -- tables ------------------------------------------------------------------------------------
 
     def table(self, name: str) -> pd.DataFrame:
-        """Read a table of the run.
+        """Read a table of the run, as people open it: its column `layer` counts from 1.
 
         Raises
         ------
@@ -219,5 +219,5 @@ class RunData:
 
 
 def layer_name(layer: int, height_mm: float) -> str:
-    """Name of a layer, the same in every section."""
-    return f"layer {layer}, z = {height_mm:.3f} mm"
+    """Name of the layer of an index, the same in every section."""
+    return f"layer {layer + 1}, z = {height_mm:.3f} mm"

@@ -56,15 +56,13 @@ def draw(folder: Path, target: Path) -> None:
     pictures = {
         "idea": idea(run, exact, stacks, program, folder / "program"),
         "layers": sheet_svg(exact, width_px=1200, columns=4, most=8),
-        "overlay": overlay_svg(
-            stacks, 0, width_px=720, title=f"layer {BLADE_LAYER}, z = {exact.heights[BLADE_LAYER]:.3f} mm"
-        ),
+        "overlay": overlay_svg(stacks, 0, width_px=720, title=blade),
         "overlay-worst": overlay_svg(
             stacks,
             0,
             width_px=720,
             box=(worst.x_mm - 3 * reach, worst.y_mm - reach, worst.x_mm + 3 * reach, worst.y_mm + reach),
-            title=f"layer {BLADE_LAYER}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",
+            title=f"layer {BLADE_LAYER + 1}, enlarged: {worst.pair}, {worst.depth_mm:.3f} mm deep",
         ),
         "partition-root": scan_picture.draw(plan, exact, ROOT_LAYER, bead_mm, root),
         "partition-blade": scan_picture.draw(plan, exact, BLADE_LAYER, bead_mm, blade),

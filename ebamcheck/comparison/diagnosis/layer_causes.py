@@ -36,7 +36,7 @@ def layer_causes(
     if empty.size:
         share = _share(areas, rings, differing, empty)
         solid = int(np.count_nonzero(rings[1] > 0))
-        text = f"dropped layers: {empty.size} of {solid} are empty, the first is layer {int(empty[0])}"
+        text = f"dropped layers: {empty.size} of {solid} are empty, the first is layer {int(empty[0]) + 1}"
         causes.append(Cause(DROPPED, float(empty.size), "layers", text, share, frozenset(empty.tolist())))
         gone = set(empty.tolist())
         left = [sheet for sheet in left if sheet.layer not in gone]
@@ -101,7 +101,7 @@ def _duplicated(
             apart_mm2(s.outline_a, outline(b.layer(int(source[s.layer])), 0, s.origin_mm)) for s in seen
         )
         if seen and after <= SAME_SHARE * before:
-            text = f"duplicated layers: {again.size} are the layer {which} again, the first is layer {int(again[0])}"
+            text = f"duplicated layers: {again.size} are the layer {which} again, the first is layer {int(again[0]) + 1}"
             share = again.size / differing.size
             return Cause(DUPLICATED, float(again.size), "layers", text, share, frozenset(concerned))
     return None

@@ -75,7 +75,7 @@ class Door:
             elif entry["kind"] == UPLOADED:
                 self._uploaded = str(entry["file"])
             elif entry["kind"] == RELEASED:
-                self._released = int(entry["layer"])
+                self._released = int(entry["layer"]) - 1
             elif entry["kind"] == AGAIN:
                 self._released = None
 
@@ -302,13 +302,13 @@ class Door:
             raise NotTaken(
                 "two-servers", f"the number of the program was changed to {now.number:g} by another client"
             )
-        self._note(RELEASED, layer=layer, name=current["name"], sha256=current["sha256"])
+        self._note(RELEASED, layer=layer + 1, name=current["name"], sha256=current["sha256"])
         self._released = layer
         try:
             await link.write("released", float(layer + 1))
         except NotTaken:
             # It reads back as not released, so that no program can have seen it.
-            self._note(AGAIN, layer=layer, why="the release was not taken")
+            self._note(AGAIN, layer=layer + 1, why="the release was not taken")
             self._released = None
             raise
         self._released_at, self._taken_back_at = time.monotonic(), None
@@ -369,7 +369,7 @@ class Door:
                 reason="the main program is not seen to wait: start it on the control",
             )
             return
-        self._note(AGAIN, layer=int(wanted) - 1, why="the operator's word")
+        self._note(AGAIN, layer=int(wanted), why="the operator's word")
         self._released = None if wanted == layer + 1 else self._released
         await link.write("released", 0.0)
         await link.write("measured", 0.0)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,6 +48,24 @@ class Check:
         return f"{self.name}{f' at {where}' if where else ''}: {self.text}" + (
             f"; {self.remedy}" if self.remedy else ""
         )
+
+
+def check_record(check: Check) -> dict[str, Any]:
+    """Return a check as records and answers in JSON hold it: its layer is a number from 1.
+
+    Examples
+    --------
+    >>> steep = Check("overhang", False, 80.0, 74.0, "deg", "MAIN_L0003.SPF:9", "too far", layer=2)
+    >>> check_record(steep)["layer"], check_of_record(check_record(steep)) == steep
+    (3, True)
+    """
+    return {**asdict(check), "layer": None if check.layer is None else check.layer + 1}
+
+
+def check_of_record(record: Mapping[str, Any]) -> Check:
+    """Take back :func:`check_record`."""
+    layer = record.get("layer")
+    return Check(**{**record, "layer": None if layer is None else layer - 1})
 
 
 def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:

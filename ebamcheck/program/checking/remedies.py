@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ebamcheck.findings import at_layer
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.motions import NCProgram
@@ -129,26 +130,15 @@ def told(
             found.append(check)
             continue
         layer = check.layer if check.layer is not None else layer_of(nc, check.where)
-        place = (
-            "" if layer is None or layer >= len(cut_mm) else frames(layer, cut_mm[layer], deposit_mm[layer])
-        )
+        place = ""
+        if layer is not None and layer < len(cut_mm):
+            place = at_layer(layer, float(cut_mm[layer]), program_z_mm=float(deposit_mm[layer]))
         found.append(
             replace(
                 check, layer=layer, place=place, remedy=check.remedy or REMEDIES.get(check.name, OTHERWISE)
             )
         )
     return found
-
-
-def frames(layer: int, cut_mm: float, deposit_mm: float) -> str:
-    """Name a layer as the program does, and its height in the program and in the part.
-
-    Examples
-    --------
-    >>> frames(11, 20.1, 21.0)
-    'layer 12 of the program, Z 21.000 mm, cut at z = 20.100 mm of the part'
-    """
-    return f"layer {layer + 1} of the program, Z {deposit_mm:.3f} mm, cut at z = {cut_mm:.3f} mm of the part"
 
 
 def layer_of(nc: NCProgram, where: str) -> int | None:

@@ -152,7 +152,7 @@ def program_plot(program: NCProgram, layer: int | None = None, ax: Any = None) -
         Lines(_polylines(program, np.flatnonzero(which & chosen)), colour, width, dashes, name)
         for name, which, colour, width, dashes in kinds
     ]
-    title = "whole program" if layer is None else f"layer {layer}: {program.layer_files[layer]}"
+    title = "whole program" if layer is None else f"layer {layer + 1}: {program.layer_files[layer]}"
     return plot_lines(groups, title, ax)
 
 

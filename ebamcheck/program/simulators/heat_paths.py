@@ -90,8 +90,8 @@ class HeatPath:
         if layer is None:
             return self
         if not (self.layer == layer).any():
-            found = f"{self.layer.min()} to {self.layer.max()}" if len(self.layer) else "none"
-            raise SettingsError(f"--layer {layer}: the path has no bead there; its layers are {found}")
+            found = f"{self.layer.min() + 1} to {self.layer.max() + 1}" if len(self.layer) else "none"
+            raise SettingsError(f"--layer {layer + 1}: the path has no bead there; its layers are {found}")
         mine = self.layer == layer
         rows = self.rows[mine]
         rows[0, 5] = LEAST_SPOT_S

@@ -171,7 +171,7 @@ def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None
         found = np.asarray(order(islands), np.int64)
     if not np.array_equal(np.sort(found), np.arange(len(islands))):
         raise SettingsError(
-            f"scan.order {name!r} did not return every island of layer {islands.layer} once: "
+            f"scan.order {name!r} did not return every island of layer {islands.layer + 1} once: "
             f"{len(found)} places for {len(islands)} islands"
         )
     return found

@@ -74,7 +74,7 @@ class Island:
         return short_text.line(
             f"Island {self.index}",
             self.kind,
-            f"layer {self.layer}",
+            f"layer [{self.layer}]",
             f"rank {self.rank}",
             f"{self.area_mm2:.6g} mm2",
             f"at ({x:.3f}, {y:.3f}) mm",
@@ -140,14 +140,14 @@ class PlannedLayer:
                 Lines(list(ends.reshape(-1, 2, 2)), LINE, 0.5),
                 Lines([shapely.get_coordinates(border) for border in borders], CONTOUR),
             ],
-            f"layer {self.index}, {short_text.counted(len(self), 'island')}",
+            f"layer {self.index + 1}, {short_text.counted(len(self), 'island')}",
             ax,
         )
 
     def __repr__(self) -> str:
         covered = self.metrics.get("covered_fraction", float("nan"))
         return short_text.line(
-            f"PlannedLayer {self.index}",
+            f"PlannedLayer [{self.index}]",
             f"z = {self.height_mm:.6g} mm",
             short_text.counted(len(self), "island"),
             short_text.counted(len(self.plan.vectors_of(self.index)), "line"),

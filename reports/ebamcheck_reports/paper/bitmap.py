@@ -43,7 +43,7 @@ def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
     record: dict[str, Any] = {
         "pixel_mm": published.PIXEL_MM,
         "layer_height_mm": published.LAYER_HEIGHT_MM,
-        "layer": subject.layer,
+        "layer": subject.layer + 1,
         "height_mm": subject.height_mm,
         "status": "done",
         "why": "",

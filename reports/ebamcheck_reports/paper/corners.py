@@ -37,7 +37,7 @@ def _measured(layer: int, section: Layers) -> tuple[dict[str, Any], Markup]:
     curved = int((curves.kind == SPLINE).sum())
     splits = split_places(curves)
     record = {
-        "layer": layer,
+        "layer": layer + 1,
         "height_mm": float(section.heights[0]),
         "curve_parts": curved,
         "straight_parts": int(curves.kind.size) - curved,

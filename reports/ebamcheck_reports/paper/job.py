@@ -39,7 +39,7 @@ def reproduce(effort: Effort, bunny: Path | None, units: str, note: Note) -> Rep
         Told what is being done.
     """
     subject = find_subject(bunny, units)
-    note(f"figures 3 to 8: {subject.part.name}, layer {subject.layer}")
+    note(f"figures 3 to 8: {subject.part.name}, layer {subject.layer + 1}")
     found = {
         "bitmap": bitmap.measure(subject),
         "corners": corners.measure(subject),

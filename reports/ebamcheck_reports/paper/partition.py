@@ -31,7 +31,7 @@ def measure(subject: Subject) -> tuple[dict[str, Any], list[Markup]]:
     plan = plan_scan(regions, config, layer=subject.largest_layer, height_mm=float(section.heights[0]))
     figures = plan.metrics.iloc[0]
     record = {
-        "layer": subject.largest_layer,
+        "layer": subject.largest_layer + 1,
         "height_mm": float(section.heights[0]),
         "area_mm2": float(figures["area_mm2"]),
         **lattice(shapely.get_coordinates(regions), float(figures["side_mm"])),

@@ -250,7 +250,7 @@ def partition(title: str, record: Record, pictures: Sequence[Markup]) -> Markup:
 
 
 def _layer(found: Record) -> Markup:
-    return join([figure(found["layer"]), " (counted from 0), z = ", figure(found["height_mm"], "mm")])
+    return join([figure(found["layer"]), ", z = ", figure(found["height_mm"], "mm")])
 
 
 # -- Figures 10 and 11 -----------------------------------------------------------------------------

@@ -36,7 +36,7 @@ class Subject:
     count
         Layers of 0.2 mm that it has.
     layer, section
-        Layer shown in Figures 3 to 7, counted from 0, and its exact contours.
+        Index of the layer shown in Figures 3 to 7, and its exact contours.
     largest_layer, largest_section
         Layer of the greatest area, for the partition, and its exact contours.
     """
@@ -70,7 +70,7 @@ def find_subject(path: Path | None, units: str) -> Subject:
         about = f"The reference model {STAND_IN!r} stands in for the Stanford bunny, which is not shipped; its middle layer is shown."
         return _cut(part, about, None)
     part = load(path, units)
-    return _cut(part, f"The mesh given: {path.name}.", CURVE_LAYER)
+    return _cut(part, f"The mesh given: {path.name}.", CURVE_LAYER - 1)
 
 
 def _cut(part: Part, about: str, wanted: int | None) -> Subject:
@@ -79,7 +79,7 @@ def _cut(part: Part, about: str, wanted: int | None) -> Subject:
     middle = len(heights) // 2
     layer = wanted if wanted is not None and wanted < len(heights) else middle
     if wanted is not None and layer != wanted:
-        about += f" It has {len(heights)} layers, no layer {wanted}: the middle one is shown."
+        about += f" It has {len(heights)} layers, no layer {wanted + 1}: the middle one is shown."
     sampled = np.unique([layer, *range(0, len(heights), AREA_STEP)])
     stack = slice_part(part, heights[sampled])
     largest = int(np.argmax(stack.areas()))
@@ -89,7 +89,7 @@ def _cut(part: Part, about: str, wanted: int | None) -> Subject:
         )
     shown = int(np.searchsorted(sampled, layer))
     if not stack.areas()[shown] > 0.0:
-        about += f" Layer {layer} is empty: that of the greatest area is shown."
+        about += f" Layer {layer + 1} is empty: that of the greatest area is shown."
         shown = largest
     return Subject(
         part,

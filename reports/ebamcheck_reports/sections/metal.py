@@ -81,7 +81,7 @@ def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
     if not file.is_file():
         return []
     field, layer, thickness_mm = read_field(file)
-    found = layers[layers["layer"] == layer].iloc[0]
+    found = layers[layers["layer"] == layer + 1].iloc[0]
     name = f"layer {layer + 1}, Z {found['z_mm']:.3f}"
     svg = metal_picture.draw(
         field,

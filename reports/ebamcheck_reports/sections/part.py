@@ -60,7 +60,7 @@ def render(run: RunData) -> Markup:
         ),
         *[paragraph("Note: ", note) for note in found["notes"]],
         paragraph(
-            "Layers are counted from 0 at the bottom here and in the tables of the run; the subprogram of layer 0 is the first one.",
+            "Layers are counted from 1 at the bottom, as in the tables of the run and in the names of the program's files.",
             class_="small",
         ),
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ebamcheck.layer_numbers import numbered
 from ebamcheck.scan import ScanPlan
 from ebamcheck_reports import scan_picture
 from ebamcheck_reports.charts import Series, line_chart
@@ -118,7 +119,7 @@ def _picture(run: RunData, plan: ScanPlan, layer: int, why: str) -> Markup:
 
 
 def _coverage(run: RunData, plan: ScanPlan) -> Markup:
-    metrics = plan.metrics
+    metrics = numbered(plan.metrics)
     solid = np.where(metrics["area_mm2"] > 0, 100.0 * metrics["covered_fraction"], np.nan)
     limit = run.gate_limit("coverage")
     chart = line_chart(
@@ -137,7 +138,7 @@ def _coverage(run: RunData, plan: ScanPlan) -> Markup:
 
 def _heat(run: RunData, plan: ScanPlan) -> list[Markup]:
     """Temperatures of the heat model, waits (dwell) and power of each layer, and their cost, if these were planned."""
-    metrics = plan.metrics
+    metrics = numbered(plan.metrics)
     if "entry_max_k" not in metrics or metrics["entry_max_k"].isna().all():
         return []
     ambient = run.setting("process", "ambient_temperature_k", AMBIENT_K)
@@ -192,7 +193,7 @@ def _build_times(run: RunData) -> list[Markup]:
 
 def _measures(plan: ScanPlan) -> list[Markup]:
     """Waits and power over the layers."""
-    metrics = plan.metrics
+    metrics = numbered(plan.metrics)
     if "wait_s" not in metrics or metrics["wait_s"].isna().all():
         return []
     within = np.zeros(len(metrics))
