@@ -112,10 +112,15 @@ def judged_run(ground: Ground, made: Finished, folder: Path, other_part: Path | 
     if ground.forge is not None and not ground.forge_last:
         ground.forge(copy)
         _write_reports(copy)
-    reseal(copy, ground.text.main, other_part)
-    if ground.forge is not None and ground.forge_last:
-        ground.forge(copy)
-    return failures(lambda: verify_run(copy, other_part or made.part))
+
+    def sealed_and_verified() -> list[Check]:
+        # A record that cannot be read is refused before anybody can seal it.
+        reseal(copy, ground.text.main, other_part)
+        if ground.forge is not None and ground.forge_last:
+            ground.forge(copy)
+        return verify_run(copy, other_part or made.part)
+
+    return failures(sealed_and_verified)
 
 
 def judged_text(ground: Ground, made: Finished, folder: Path, keep_comments: bool) -> list[Said]:
