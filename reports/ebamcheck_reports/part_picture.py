@@ -30,7 +30,12 @@ TURN_DEG, TILT_DEG = 28.0, 32.0
 LIGHT_DEG = 155.0
 """Where the light comes from, counter-clockwise from +X of the picture."""
 
-SHADES = 12
+SHADES = 48
+"""So many that none is told from the next one: with a few, their borders are stairs on a curved wall."""
+
+SHADED_EVERY_PX = 8.0
+"""Length of an outline of one shade, at most."""
+
 DARK, BRIGHT, TOP = (58, 84, 110), (166, 192, 214), "#c9d9e6"
 """Walls turned from the light and towards it, and tops: all between white and black, to be seen on either."""
 
@@ -115,8 +120,9 @@ def _slab(layers: Layers, layer: int, low_mm: float, high_mm: float, view: _View
         if not layers.closed[ring]:
             continue
         turned = _reduced(view.turned(layers.ring(ring)), REDUCTION_PX / view.px_per_mm)
+        top += "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in view.pixels(turned, high_mm).tolist()) + "Z"
+        turned = _divided(turned, SHADED_EVERY_PX / view.px_per_mm)
         at = view.pixels(turned, high_mm)
-        top += "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in at.tolist()) + "Z"
         for shade, run in _facing(turned, SHADED_OVER_PX / view.px_per_mm):
             walls.setdefault(shade, []).append(_wall(at[run], drop))
     parts = [
@@ -131,6 +137,12 @@ def _reduced(points: Floats, tolerance_mm: float) -> Floats:
     line = shapely.LineString(np.vstack([points, points[:1]])).simplify(tolerance_mm, preserve_topology=False)
     kept = shapely.get_coordinates(line)[:-1]
     return kept if len(kept) >= 3 else points
+
+
+def _divided(ring: Floats, most_mm: float) -> Floats:
+    """Points of a closed ring with others between them, at most so far apart."""
+    line = shapely.LinearRing(ring).segmentize(most_mm)
+    return np.asarray(shapely.get_coordinates(line)[:-1])
 
 
 def _facing(ring: Floats, over_mm: float) -> list[tuple[int, Ints]]:
