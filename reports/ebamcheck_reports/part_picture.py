@@ -24,6 +24,9 @@ SHADED_OVER_PX = 10.0
 """Length of an outline over which its direction is taken for the shade. Edges of the outline are cut otherwise on every layer: shaded
 by their own directions, a curved wall comes out in patches."""
 
+SHARP_RAD = math.radians(35.0)
+"""Turn of an outline at which its walls meet in an edge."""
+
 TURN_DEG, TILT_DEG = 28.0, 32.0
 """Direction of view: turn about the vertical, and tilt downwards."""
 
@@ -53,7 +56,7 @@ def draw(layers: Layers, title: str) -> Markup | None:
     return element(
         "svg",
         element("title", title),
-        *itertools.chain.from_iterable(body),
+        element("g", *itertools.chain.from_iterable(body), stroke_width=0.6),
         viewBox=f"0 0 {view.width_px:.0f} {view.height_px:.0f}",
         width=f"{view.width_px:.0f}",
         height=f"{view.height_px:.0f}",
@@ -121,12 +124,15 @@ def _slab(layers: Layers, layer: int, low_mm: float, high_mm: float, view: _View
             continue
         turned = _reduced(view.turned(layers.ring(ring)), REDUCTION_PX / view.px_per_mm)
         top += "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in view.pixels(turned, high_mm).tolist()) + "Z"
-        turned = _divided(turned, SHADED_EVERY_PX / view.px_per_mm)
-        at = view.pixels(turned, high_mm)
-        for shade, run in _facing(turned, SHADED_OVER_PX / view.px_per_mm):
-            walls.setdefault(shade, []).append(_wall(at[run], drop))
+        divided = _divided(turned, SHADED_EVERY_PX / view.px_per_mm)
+        at = view.pixels(divided, high_mm)
+        corner = (divided[:, None] == turned[None]).all(axis=2).any(axis=1)
+        for shade, run in _facing(divided, SHADED_OVER_PX / view.px_per_mm):
+            kept = corner[run]
+            kept[[0, -1]] = True
+            walls.setdefault(shade, []).append(_wall(at[run[kept]], drop))
     parts = [
-        element("path", d="".join(data), fill=_colour(shade), stroke=_colour(shade), stroke_width=0.6)
+        element("path", d="".join(data), fill=_colour(shade), stroke=_colour(shade))
         for shade, data in sorted(walls.items())
     ]
     return [*parts, element("path", d=top, fill=TOP, stroke="#7f98ad", stroke_width=0.3)] if top else parts
@@ -151,7 +157,8 @@ def _facing(ring: Floats, over_mm: float) -> list[tuple[int, Ints]]:
     length = np.hypot(*step.T)
     middle = np.cumsum(length) - 0.5 * length
     half = 0.5 * min(over_mm, 0.25 * float(length.sum()))
-    chord = _places(ring, length, middle + half) - _places(ring, length, middle - half)
+    behind, ahead = (np.minimum(half, away) for away in _to_corners(step, length, middle))
+    chord = _places(ring, length, middle + ahead) - _places(ring, length, middle - behind)
     normal = np.column_stack([chord[:, 1], -chord[:, 0]]) / np.maximum(np.hypot(*chord.T), 1e-12)[:, None]
     light = np.array([math.cos(math.radians(LIGHT_DEG)), -math.sin(math.radians(LIGHT_DEG))])
     lit = np.rint((0.5 + 0.5 * normal @ light) * (SHADES - 1)).astype(np.int64)
@@ -163,6 +170,19 @@ def _facing(ring: Floats, over_mm: float) -> list[tuple[int, Ints]]:
         for run in runs
         if shades[run[0]] >= 0
     ]
+
+
+def _to_corners(step: Floats, length: Floats, middle: Floats) -> tuple[Floats, Floats]:
+    """Length (n,) from the middle of each edge of a closed ring back, and on, to the next sharp corner; endless without any."""
+    before = np.roll(step, 1, axis=0)
+    turn = np.arctan2(before[:, 0] * step[:, 1] - before[:, 1] * step[:, 0], (before * step).sum(axis=1))
+    whole = float(length.sum())
+    corners = (np.cumsum(length) - length)[np.abs(turn) > SHARP_RAD]
+    if not corners.size:
+        return np.full(middle.size, np.inf), np.full(middle.size, np.inf)
+    around = np.concatenate([corners[-1:] - whole, corners, corners[:1] + whole])
+    after = np.searchsorted(around, middle)
+    return middle - around[after - 1], around[after] - middle
 
 
 def _places(ring: Floats, length: Floats, along: Floats) -> Floats:
