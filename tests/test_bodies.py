@@ -68,6 +68,21 @@ def test_volume_and_relations(name):
     assert found.union_known
 
 
+def test_a_tip_that_reaches_out_between_the_points_that_are_looked_at_is_no_inner_body():
+    """One point of each facet lies in the block; over it stands a pyramid of (20/34)^3 of the tip."""
+    block = boxes(((-30, -30, 0), (60, 60, 20), OUT))
+    tip = np.array([[-10.0, -6.0, 6.0], [10.0, -6.0, 6.0], [0.0, 12.0, 6.0], [0.0, 0.0, 40.0]])
+    part = from_arrays(
+        np.vstack([block.vertices, tip]),
+        np.vstack(
+            [block.faces, len(block.vertices) + np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])]
+        ),
+    )
+    found = inspect(part)
+    assert [relation.kind for relation in found.relations] == ["overlapping"]
+    assert found.volume_mm3 == pytest.approx(72000.0 + 0.5 * 20.0 * 18.0 * 34.0 / 3.0 * (20.0 / 34.0) ** 3)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_sections_have_the_volume_that_is_told(name):
     part, volume, _ = CASES[name]

@@ -49,7 +49,7 @@ MOST_PAIRS = 20_000
 """Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any."""
 
 MOST_CUT_FACETS = 2_000_000
-"""Most facets that manifold3d is given, in all, to see whether bodies cut each other, and for their union."""
+"""Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union."""
 
 MOST_LISTED = 100
 """Most relations that are listed."""
@@ -174,7 +174,7 @@ class _Look:
         order = np.argsort(label, kind="stable")
         self._rows = np.split(order, np.searchsorted(label[order], np.arange(self.count)))[1:]
         self._solids: dict[int, Manifold | None] = {}
-        self._budget = MOST_CUT_FACETS
+        self._budget = {"inside": MOST_CUT_FACETS, "cut": MOST_CUT_FACETS}
         self.known = True
 
     def found(self, signed: float) -> Bodies:
@@ -201,7 +201,7 @@ class _Look:
         for outer in np.unique(pairs[:, 1]).tolist():
             inner = pairs[pairs[:, 1] == outer, 0]
             for body, share in zip(inner.tolist(), self._shares(inner, outer), strict=True):
-                if share == 1.0:
+                if share == 1.0 and not self._sticks_out(body, outer):
                     inside.append((body, outer))
                 elif share > 0.0 or self._cut(body, outer):
                     overlapping.append((body, outer))
@@ -239,17 +239,28 @@ class _Look:
         points: Floats = np.einsum("k,fki->fi", np.array(IN_FACET), corners[kept]) + self.aside_mm * inwards
         return points
 
+    def _sticks_out(self, body: int, other: int) -> bool:
+        """Whether a body, of which all points looked at lie in the other, reaches out of it between them."""
+        below = self.lower[body] < self.lower[other] - self.aside_mm
+        above = self.upper[body] > self.upper[other] + self.aside_mm
+        if (below | above).any():
+            return True
+        common = self._common(body, other, "inside")
+        return common is not None and common < (1.0 - SAME) * abs(float(self.volumes[body]))
+
     def _cut(self, body: int, other: int) -> bool:
         """Whether two bodies, of which no point lies in the other, cut each other all the same."""
+        common = self._common(body, other, "cut")
+        return common is not None and common > SAME * abs(float(self.volumes[body]))
+
+    def _common(self, body: int, other: int, question: str) -> float | None:
+        """Volume that two bodies share; None where manifold3d is not asked, or takes one for no solid."""
         facets = len(self._rows[body]) + len(self._rows[other])
-        if facets > self._budget:
-            return False
-        self._budget -= facets
+        if facets > self._budget[question]:
+            return None
+        self._budget[question] -= facets
         a, b = self._solid(body), self._solid(other)
-        if a is None or b is None:
-            return False
-        common = float((a ^ b).volume())
-        return common > SAME * abs(float(self.volumes[body]))
+        return None if a is None or b is None else float((a ^ b).volume())
 
     def _solid(self, body: int) -> Manifold | None:
         """Body as a solid of manifold3d, whatever its sense; None where that takes it for none."""
