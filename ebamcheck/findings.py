@@ -56,6 +56,7 @@ CODES: Mapping[str, str] = {
     "power-taper": "Power is lowered with height, and how far.",
     "process-limit": "A setting is outside of the process window; a job without a program goes on.",
     "seam-at-corner": "Contours start at corners, where metal heaps up.",
+    "lost-between-cuts": "An opening, or metal, of the part lies between two cuts and is in no layer.",
     "sections-off-mesh": "The sections that a program is judged by are not those of the mesh.",
     "steep-overhang": "A layer reaches out steeply over the one below, and no angle is set that the process can build.",
     "table-as-it-stands": "The machine has rotary axes that the program of a part that is not turned does not command.",

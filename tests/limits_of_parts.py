@@ -13,12 +13,13 @@ import pyarrow as pa
 import shapely
 from command_line import write_stl
 from limit_cases import Case, upwards
-from parts import box
+from parts import box, join
 
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates_again, plate_record, tables_again
+from ebamcheck.pipeline.between_cuts import between_check
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.solid_metal import solid_check
@@ -46,6 +47,32 @@ def lower_solid(f: float) -> Check:
     """A part that ends within its last layer: layers add so much to it."""
     part = block(6.0 / (1.0 + f * 0.02))
     return solid_check(part, from_polygons(CUTS, [[shapely.box(0, 0, 40, 40)]] * 4), CONFIG).check
+
+
+def between(part: Part, **process: float) -> Check:
+    """What the layers of a part do not show, judged by other settings."""
+    layers = from_polygons(CUTS, [[shapely.box(0, 0, 40, 40)]] * 4)
+    return between_check(part, layers, CONFIG.changed(process=process))
+
+
+def gap_between(f: float) -> Check:
+    """A gap of 0.9 mm between two cuts, and the least hole so many times as wide."""
+    return between(join(block(2.6), box((0, 0, 3.5), (40, 40, 6))), least_hole_mm=f * 0.9)
+
+
+def rim_between(f: float) -> Check:
+    """A rim of 0.9 mm between two cuts, and the least wall so many times as thick."""
+    return between(join(block(), box((-3, -3, 2.6), (43, 43, 3.5))), least_wall_mm=f * 0.9)
+
+
+def rim_reaching(f: float) -> Check:
+    """A rim that reaches so many times as far as sides are uneven."""
+    reach = f * 1.5
+    return between(
+        join(block(), box((-reach, -reach, 2.6), (40 + reach, 40 + reach, 3.5))),
+        least_wall_mm=5.0,
+        outside_reach_mm=1.5,
+    )
 
 
 @cache
@@ -91,6 +118,9 @@ CASES: tuple[Case, ...] = (
     judged("layers of the part", "mesh_sections.HEIGHT_MM", cut_higher),
     judged("sections of the mesh", "curves.section_tolerance_mm", wider),
     judged("metal of the solid", "process.mass_tolerance", lower_solid),
+    judged("between the cuts", "process.least_hole_mm", gap_between),
+    judged("between the cuts", "process.least_wall_mm", rim_between),
+    judged("between the cuts", "process.outside_reach_mm", rim_reaching),
     judged("part of the file", "part_file.SAME_SIZE", stretched),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(0.0, f * 1e-6)),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(1e6, f * 1.0)),

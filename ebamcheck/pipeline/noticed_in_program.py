@@ -14,11 +14,12 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.consumables import consumed
-from ebamcheck.program.checking.deposit_checks import HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
+from ebamcheck.program.checking.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.checking.narrow_features import NarrowFeature
 from ebamcheck.program.checking.remedies import (
     COARSE,
+    FLAT,
     HATCH,
     HOLE,
     LEVELS,
@@ -67,6 +68,7 @@ METAL: Mapping[str, tuple[str, str]] = {
     ),
     SOLID: ("level-within-layer", LEVELS),
     SECTIONS: ("sections-off-mesh", OFF_MESH),
+    BETWEEN: ("lost-between-cuts", FLAT),
     HEIGHTS: ("height-off-part", MISTAKE),
     PART_FILE: ("part-off-file", MISTAKE),
     "surface": (
@@ -88,7 +90,8 @@ LACKING: Mapping[str, str] = {
 def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
     """What is wrong with the metal of a program, each with its place."""
     for check in checks:
-        if check.passed or check.name == NARROW:
+        told = check.name == BETWEEN and check.value > 0.0
+        if (check.passed and not told) or check.name == NARROW:
             continue
         code, remedy = METAL[check.name]
         # Excess and lack of metal are one check; its words say which.
@@ -98,7 +101,7 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
         yield Finding(
-            "fault",
+            "warning" if check.passed else "fault",
             code,
             check.text,
             check.where,

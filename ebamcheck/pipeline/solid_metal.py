@@ -17,6 +17,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.between_cuts import between_check
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.preflight.layer_height import nearest_fitting
@@ -86,6 +87,7 @@ def of_mesh(part: Part, layers: Layers, config: Config) -> list[Check]:
     """Checks of the sections and heights of the layers against the mesh; parameters as of :func:`solid_check`."""
     return [
         sections_check(part, layers, config),
+        between_check(part, layers, config),
         heights_check(part, np.asarray(layers.heights), config),
         file_check(part, config),
     ]

@@ -41,7 +41,10 @@ SECTIONS, HEIGHTS = "sections of the mesh", "layers of the part"
 PART_FILE = "part of the file"
 """Name of the check of the part against its file (:mod:`ebamcheck.pipeline.part_file`)."""
 
-OF_THE_MESH = (SOLID, SECTIONS, HEIGHTS, PART_FILE)
+BETWEEN = "between the cuts"
+"""Name of the check of what no layer has (:mod:`ebamcheck.pipeline.between_cuts`)."""
+
+OF_THE_MESH = (SOLID, SECTIONS, BETWEEN, HEIGHTS, PART_FILE)
 """Checks of the layers against the part."""
 
 LEAST_SPOTS = 1.0

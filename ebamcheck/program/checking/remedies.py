@@ -32,6 +32,10 @@ FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
 HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
 NARROW = f"fill or widen it in the model, set a least width under it (process.least_hole_mm, least_wall_mm), or {NARROWER}"
+FLAT = (
+    "machine it afterwards and close it in the model, or lay thinner layers (layers.layer_height_mm), build in another direction "
+    "(part.direction), or set a least width under it (process.least_hole_mm, least_wall_mm)"
+)
 LEVELS = (
     "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
     "that is too much, allow for machining (process.machining_allowance_mm)"
@@ -74,6 +78,7 @@ REMEDIES: Mapping[str, str] = {
     ),
     "metal of the solid": LEVELS,
     "sections of the mesh": OFF_MESH,
+    "between the cuts": FLAT,
     "layers of the part": MISTAKE,
     "balance of the heat": MISTAKE,
     "preheat balance": MISTAKE,
