@@ -42,6 +42,7 @@ CODES: Mapping[str, str] = {
     "level-within-layer": "Layers, each of one section, add to the solid or leave out of it more than the metal may be off: level faces "
     "lie within a layer.",
     "limit-widened": "Limits of the gates are set wider than the default ones.",
+    "lost-between-cuts": "An opening, or metal, of the part lies between two cuts and is in no layer.",
     "material-data": "Data beside the name of a known material are not those of that material.",
     "mesh-oddity": "The part's file is odd, its unit is unlikely, or what it holds beside the part was left out.",
     "metal-excess": "More metal lies at a place than the layer takes.",
@@ -56,7 +57,6 @@ CODES: Mapping[str, str] = {
     "power-taper": "Power is lowered with height, and how far.",
     "process-limit": "A setting is outside of the process window; a job without a program goes on.",
     "seam-at-corner": "Contours start at corners, where metal heaps up.",
-    "lost-between-cuts": "An opening, or metal, of the part lies between two cuts and is in no layer.",
     "sections-off-mesh": "The sections that a program is judged by are not those of the mesh.",
     "steep-overhang": "A layer reaches out steeply over the one below, and no angle is set that the process can build.",
     "table-as-it-stands": "The machine has rotary axes that the program of a part that is not turned does not command.",

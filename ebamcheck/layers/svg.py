@@ -152,11 +152,21 @@ def overlay_svg(
     return _document(body, view, width_px, heading)
 
 
-def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = SHEET_LAYERS) -> str:
+def sheet_svg(
+    layers: Layers,
+    *,
+    width_px: int = 1200,
+    columns: int = 4,
+    most: int = SHEET_LAYERS,
+    exact: bool = False,
+) -> str:
     """Draw up to `most` layers, evenly chosen from the stack, side by side at one scale.
 
-    The file holds all contours of all layers in millimetres with every digit, each layer in a group with its height; those that were
-    not chosen are hidden.
+    Parameters
+    ----------
+    exact
+        Hold all contours of all layers in millimetres with every digit, each layer in a group with its height; those that were
+        not chosen are hidden.
 
     Raises
     ------
@@ -180,7 +190,10 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
         view = _View(box, first.px_per_mm, left + first.left_px, top + TITLE_PX)
         if k in places:
             body.append(text(left + MARGIN_PX / 2, top + 18, _title(layers, k)))
-        body.append(_exact(layers, k, view, k in places))
+        if exact:
+            body.append(_exact(layers, k, view, k in places))
+        elif k in places:
+            body += _region(layers, k, view)
     rows = math.ceil(len(chosen) / columns)
     bottom = _View(box, first.px_per_mm, MARGIN_PX, TITLE_PX + rows * row_px - first.height_px)
     body += _scale_bar(bottom)
@@ -194,7 +207,7 @@ def sheet_svg(layers: Layers, *, width_px: int = 1200, columns: int = 4, most: i
 def write_stack(layers: Layers, path: str | Path) -> None:
     """Write all contours as one SVG, a sheet of layers to look at."""
     with replacing(path) as temporary:
-        temporary.write_text(sheet_svg(layers), encoding="utf-8")
+        temporary.write_text(sheet_svg(layers, exact=True), encoding="utf-8")
 
 
 def read_stack(path: str | Path) -> Layers:
