@@ -58,7 +58,7 @@ NO_LIMITS = {
         standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
         tilt_checks.STEP_DEG preheat_way.LONGEST_S
         bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS end_gaps.REACH_BEADS
-        narrow_features.NO_WIDTH_MM narrow_features.STEPS narrow_features.ON_SIDE
+        narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
         mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
         between_cuts.LEAST_MM2 between_cuts.MOST_SPANS between_cuts.FINEST
         solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE programming.SAMPLING_MM gates_again.SMOOTH_MM turned.STEP_MM

@@ -214,3 +214,46 @@ def test_an_allowance_for_machining_makes_walls_thicker():
     assert len(narrow_features([section], Config())) == 1
     allowed = Config().changed(process={"machining_allowance_mm": 1.0})
     assert narrow_features([section], allowed) == []
+
+
+# -- features that lie on their sides --------------------------------------------------------------
+
+
+def lying(width_mm, height_mm, centre_mm, high_mm=1.5, layers=14):
+    """Sections of a plate with a round bore along X, or of one that is as high as is said, its axis at a height."""
+    found = []
+    for k in range(layers):
+        dz = 2.0 * ((k + 0.5) * high_mm - centre_mm) / height_mm
+        half = 0.5 * width_mm * math.sqrt(max(1.0 - dz * dz, 0.0))
+        found.append(PLATE.difference(shapely.box(-1, 25 - half, 91, 25 + half)) if half else PLATE)
+    return found
+
+
+@pytest.mark.parametrize("centre_mm", [9.0, 9.3, 9.75, 10.1])
+@pytest.mark.parametrize(("share", "count"), [(0.95, 0), (1.2, 1)])
+def test_a_bore_on_its_side_is_as_wide_as_it_is_round(centre_mm, share, count):
+    """Its crown is narrow on every layer that cuts it there; at its middle it is as wide as the bore."""
+    config = Config().changed(layers={"layer_height_mm": 1.5}, process={"least_hole_mm": share * 8.0})
+    found = [f for f in narrow_features(lying(8.0, 8.0, centre_mm), config) if f.is_set]
+    assert len(found) == count
+
+
+@pytest.mark.parametrize("walls", [False, True])
+def test_what_stands_upright_is_as_wide_as_it_is_narrow(walls):
+    """A slot, or a web, of 5 mm through twelve of fourteen layers, closed under and over it."""
+    slot = shapely.box(20, 20, 60, 25)
+    low = shapely.box(0, 0, 90, 50) if not walls else shapely.Polygon()
+    within = PLATE.difference(slot) if not walls else slot
+    config = Config().changed(
+        layers={"layer_height_mm": 1.5}, process={"least_hole_mm": 5.2, "least_wall_mm": 5.2}
+    )
+    found = [f for f in narrow_features([low, *[within] * 12, low], config) if f.is_set]
+    assert [f.is_wall for f in found] == [walls]
+
+
+def test_a_narrow_neck_of_a_cavity_is_narrow():
+    """A neck of 2 mm through five layers under a wide cavity, both closed."""
+    neck, cavity = PLATE.difference(disc(45, 25, 2.0)), PLATE.difference(disc(45, 25, 20.0))
+    config = Config().changed(layers={"layer_height_mm": 1.5})
+    found = narrow_features([PLATE, *[neck] * 5, *[cavity] * 5, PLATE], config)
+    assert [(f.kind, f.first, f.last) for f in found] == [("hole", 1, 5)]

@@ -44,6 +44,9 @@ LONG = 2.0
 TAPERS = 1.25
 """Greatest width over the least from which on both are told."""
 
+LYING = 2.0
+"""Height over width up to which something that ends over and under is taken to lie on its side."""
+
 Kind = Literal["hole", "slot", "gap", "notch", "wall"]
 
 
@@ -139,31 +142,52 @@ def narrow_features(sections: Sequence[BaseGeometry], config: Config) -> list[Na
     ):
         machined_mm = -allowance_mm if walls else allowance_mm
         if set_mm is not None:
-            found += _features(sections, walls, set_mm + machined_mm, True, process.outside_reach_mm)
+            found += _features(sections, walls, set_mm + machined_mm, True, config)
         if set_mm is None or set_mm < bead_mm:
-            others = _features(sections, walls, bead_mm + machined_mm, False, process.outside_reach_mm)
+            others = _features(sections, walls, bead_mm + machined_mm, False, config)
             found += [one for one in others if set_mm is None or one.narrowest_mm >= set_mm + machined_mm]
     return sorted(found, key=lambda one: (not one.is_set, one.narrowest_mm / one.least_mm))
 
 
 def _features(
-    sections: Sequence[BaseGeometry], walls: bool, least_mm: float, is_set: bool, shallow_mm: float
+    sections: Sequence[BaseGeometry], walls: bool, least_mm: float, is_set: bool, config: Config
 ) -> list[NarrowFeature]:
-    """Features of one kind that are narrower than a width."""
+    """Features of one kind that are narrower than a width; layers that are alike are looked at once."""
     if least_mm <= 0.0:
         return []
-    places = _places(sections, walls, least_mm, shallow_mm)
-    return [_feature(group, least_mm, is_set) for group in _through_layers(places, least_mm)]
-
-
-def _places(
-    sections: Sequence[BaseGeometry], walls: bool, least_mm: float, shallow_mm: float
-) -> list[list[Place]]:
-    """Narrow places of every layer (L,); layers that are alike are looked at once."""
     new = [k == 0 or not shapely.equals_exact(sections[k], sections[k - 1]) for k in range(len(sections))]
     looked_at = [section for section, is_new in zip(sections, new, strict=True) if is_new]
+    shallow_mm, high_mm = config.process.outside_reach_mm, config.layer_height_mm
     found = run_each(lambda section: narrow_places(section, walls, least_mm, shallow_mm), looked_at)
-    return [found[k] for k in np.cumsum(new) - 1]
+    places = [found[k] for k in np.cumsum(new) - 1]
+    groups = _through_layers(places, least_mm)
+    kept = [g for g in groups if not _lies(g, places, sections, walls, least_mm, high_mm)]
+    return [_feature(group, least_mm, is_set) for group in kept]
+
+
+def _lies(
+    group: list[tuple[int, Place]],
+    places: list[list[Place]],
+    sections: Sequence[BaseGeometry],
+    walls: bool,
+    least_mm: float,
+    high_mm: float,
+) -> bool:
+    """Whether narrow places are floor or roof of something that lies on its side, as a bore does, and that a ball of the least width fills."""
+    layer, place = min(group, key=lambda one: one[1].narrowest_mm)
+    point, radius = place.region.representative_point(), 0.5 * least_mm
+    others = np.flatnonzero(shapely.intersects(np.asarray(sections, object), point) != walls)
+    low, high = others[others < layer], others[others > layer]
+    if not (low.size and high.size):
+        return False
+    within = range(int(low[-1]) + 1, int(high[0]))
+    narrow = {k: [p.narrowest_mm for p in places[k] if p.region.distance(point) <= radius] for k in within}
+    if wide := [k for k in within if not narrow[k]]:
+        away = [(high_mm * min(abs(k - w) for w in wide), 0.5 * p.narrowest_mm) for k, p in group]
+        return all(up <= radius <= math.hypot(half, up + high_mm) for up, half in away)
+    # The widest place of a bore lies within half a layer of a cut.
+    widest_mm = max(max(widths) for widths in narrow.values())
+    return len(within) * high_mm <= LYING * widest_mm and math.hypot(widest_mm, high_mm) >= least_mm
 
 
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
