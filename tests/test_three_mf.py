@@ -244,6 +244,20 @@ def test_what_cannot_be_known_is_refused_in_one_line(put, data, why):
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(
+    "again", ["3D/3dmodel.model", "3D/3DModel.model", "3d\\3dmodel.model", "_RELS/.rels", "METADATA/a.Config"]
+)
+def test_two_files_of_one_name_are_refused_whatever_their_case(put, again):
+    sound = package(model(box(1, A), ONE), **{"Metadata__a.config": "<config/>"})
+    path = _with("3D/", "", sound, put)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("3D/", "")
+    assert ebamcheck.load(path).volume == pytest.approx(72000)
+    with pytest.raises(InputError, match=r"holds two files of the name .*export it anew"):
+        ebamcheck.load(_with(again, model(box(1, B), ONE), sound, put))
+
+
 def test_copies_up_to_the_limit_are_read(put, monkeypatch):
     monkeypatch.setattr(three_mf_outline, "MOST_COPIES", 1000)
     hundred = components(2, *[ONE] * 100)

@@ -120,8 +120,8 @@ def outline_of(data: bytes | memoryview, name: str) -> Outline:
     Raises
     ------
     InputError
-        If it is no 3MF file, unpacks to too much, names what is not there, holds too many copies or a negative volume, or its unit
-        is none.
+        If it is no 3MF file, unpacks to too much, names what is not there or two things by one name, holds too many copies or a
+        negative volume, or its unit is none.
     """
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
@@ -151,7 +151,7 @@ def _check_sizes(archive: zipfile.ZipFile, packed: int, name: str) -> None:
 
 
 def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
-    named = {_absolute(entry.filename): entry for entry in archive.infolist()}
+    named = _named(archive, name)
     root = _root_of(archive, named, name)
     parts = {root: _read_part(archive, named, root, name)}
     used = [key for components in parts[root].objects.values() for key in components]
@@ -179,6 +179,21 @@ def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
                 f"{name}: object {number} has a negative volume, which its slicer alone cuts off: apply it there (as a mesh boolean), and export the result"
             )
     return found
+
+
+def _named(archive: zipfile.ZipFile, name: str) -> dict[str, zipfile.ZipInfo]:
+    """Files of the archive by their names in the package; where two have the same, readers differ in which they take."""
+    named: dict[str, zipfile.ZipInfo] = {}
+    for entry in archive.infolist():
+        if entry.is_dir():
+            continue
+        path = _absolute(entry.filename)
+        if path in named:
+            raise InputError(
+                f"{name}: holds two files of the name {_short(path)}, which 3MF reads without regard to case: export it anew"
+            )
+        named[path] = entry
+    return named
 
 
 def _absolute(path: str) -> str:
