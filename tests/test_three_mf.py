@@ -258,6 +258,40 @@ def test_two_files_of_one_name_are_refused_whatever_their_case(put, again):
         ebamcheck.load(_with(again, model(box(1, B), ONE), sound, put))
 
 
+@pytest.mark.parametrize("starts", [("3D/a.model", "3D/b.model"), ("3D/b.model", "3D/a.model")])
+def test_two_models_to_start_from_are_refused(put, starts):
+    two = {"3D__b_model": model(box(1, B), ONE)}
+    assert ebamcheck.load(
+        put(package(model(box(1, A), ONE), "3D/a.model", starts[:1], **two))
+    ).volume == pytest.approx(72000 if "a" in starts[0] else 24000)
+    with pytest.raises(InputError, match=r"names 2 models to start from .*export it anew"):
+        ebamcheck.load(put(package(model(box(1, A), ONE), "3D/a.model", starts, **two)))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fits"),
+    [
+        ("Metadata/model_settings.config", BAMBU.format("negative_part").replace("<part", '<metadata key="name" value="a & b"/><part', 1), False),
+        ("METADATA/Model_Settings.Config", "x" + BAMBU.format("negative_part"), False),
+        ("Metadata/model_settings.config", BAMBU.format("normal_part")[:-9], False),
+        (NOTES, RANGED.format("volume_type", "NegativeVolume").replace("<config>", "<config a=b>"), False),
+        ("Metadata/other.config", "\ufeff <config>&</config>", False),
+        ("Metadata/project_settings.config", '{"name": "a & b"}', True),
+        ("Metadata/Slic3r_PE.config", "; made by a slicer\n; notes = <b> & c", True),
+        ("Metadata/model_settings.config", BAMBU.format("normal_part").replace("<part", '<metadata key="name" value="a &amp; b"/><part', 1), True),
+    ],
+)  # fmt: skip
+def test_notes_of_a_slicer_that_cannot_be_read_are_refused(put, name, text, fits):
+    path = _with(name, text, _parts('objectid="5"'), put)
+    if fits:
+        assert ebamcheck.load(path).volume == pytest.approx(96000)
+        return
+    with pytest.raises(InputError, match=r"is no well-formed XML: .*: save it anew in its slicer") as refused:
+        ebamcheck.load(path)
+    assert name in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
 def test_copies_up_to_the_limit_are_read(put, monkeypatch):
     monkeypatch.setattr(three_mf_outline, "MOST_COPIES", 1000)
     hundred = components(2, *[ONE] * 100)

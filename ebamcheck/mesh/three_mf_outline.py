@@ -46,6 +46,9 @@ UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
 BULK = re.compile(rb"<(?:vertex|triangle)\s[^<>]*/>")
 """Vertices and facets, nearly all of the text. A tag holds no other tag, so nothing else goes with them, wherever they stand."""
 
+NOTES = ("/model_settings.config", "_model.config")
+"""Ends of the names of the files in which Bambu Studio and OrcaSlicer, and PrusaSlicer and its kin, write what each volume is."""
+
 CUT = "negative volume"
 MODIFIERS = {
     "NegativeVolume": CUT,
@@ -172,7 +175,12 @@ def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
             found.volumes.setdefault((path, number), []).append(Volume(0, -1, kind))
     for path, entry in named.items():
         if path.startswith("/metadata/") and path.endswith(".config"):
-            _add_volumes(archive.read(entry), root, top, found)
+            try:
+                _add_volumes(archive.read(entry), path, root, top, found)
+            except expat.ExpatError as error:
+                raise InputError(
+                    f"{name}: {_short(entry.filename)}, in which a slicer marks negative volumes and modifiers, is no well-formed XML: {error}: save it anew in its slicer"
+                ) from None
     for (_, number), volumes in found.volumes.items():
         if any(volume.kind == CUT for volume in volumes):
             raise InputError(
@@ -211,6 +219,10 @@ def _root_of(archive: zipfile.ZipFile, named: dict[str, zipfile.ZipInfo], name: 
     _parsed(archive, named, "/_rels/.rels", name, start)
     if not found:
         raise InputError(f"{name}: names no model among its relations (_rels/.rels): export it anew")
+    if len(found) > 1:
+        raise InputError(
+            f"{name}: names {len(found)} models to start from among its relations (_rels/.rels), {_short(found[0])} and {_short(found[1])}, and 3MF has one: export it anew"
+        )
     return found[0]
 
 
@@ -314,8 +326,10 @@ def _check_copies(parts: dict[str, _ModelPart], root: str, name: str) -> None:
         )
 
 
-def _add_volumes(text: bytes, root: str, top: _ModelPart, found: Outline) -> None:
+def _add_volumes(text: bytes, path: str, root: str, top: _ModelPart, found: Outline) -> None:
     """Volumes that a slicer's own notes name: by ranges of facets (PrusaSlicer), or by components (Bambu Studio, OrcaSlicer)."""
+    if not path.endswith(NOTES) and not text.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return  # Settings of the slicer, in other forms than XML.
     parser = expat.ParserCreate()
     number, span = [""], [(0, -1)]
 
@@ -338,7 +352,4 @@ def _add_volumes(text: bytes, root: str, top: _ModelPart, found: Outline) -> Non
                     add(key, 0, -1, kind)
 
     parser.StartElementHandler = start
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError:
-        return  # Not of the form that any slicer writes: other programs keep their settings under such names.
+    parser.Parse(text, True)
