@@ -212,6 +212,22 @@ LATTICE = 'xmlns:b="http://schemas.microsoft.com/3dmanufacturing/beamlattice/201
 BEAMS = '<b:beamlattice minlength="0.1" radius="1"><b:beams><b:beam v1="0" v2="7"/></b:beams></b:beamlattice></mesh>'
 DOCTYPE = '<!DOCTYPE a [<!ENTITY b "bbbbbbbbbbbbbbbbbbbb">]>'
 TEN = 'objectid="{}"'
+SLICES = 'xmlns:s="http://schemas.microsoft.com/3dmanufacturing/slice/2015/07"'
+STACK = '<s:slicestack id="9"><s:slice ztop="5"><s:vertices><s:vertex x="0" y="0"/><s:vertex x="9" y="0"/><s:vertex x="9" y="9"/></s:vertices><s:polygon startv="0"><s:segment v2="1"/><s:segment v2="2"/><s:segment v2="0"/></s:polygon></s:slice></s:slicestack>'
+
+
+def _sliced(way: str, of: int) -> bytes:
+    """An assembly of assemblies of a box, of which object `of` is given by slices."""
+    text = STACK + box(1, A) + components(2, ONE) + components(3, TEN.format(2))
+    marked = text.replace(f'<object id="{of}"', f'<object id="{of}" s:slicestackid="9" {way}')
+    return package(model(marked, TEN.format(3), more=SLICES))
+
+
+@pytest.mark.parametrize("of", [1, 2, 3])
+def test_a_rough_mesh_of_what_slices_give_is_refused_on_assemblies_too(put, of):
+    assert ebamcheck.load(put(_sliced('s:meshresolution="fullres"', of))).volume == pytest.approx(72000)
+    with pytest.raises(InputError, match=f"object {of} is given by slices, and its mesh is a rough one"):
+        ebamcheck.load(put(_sliced('s:meshresolution="lowres"', of)))
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,10 @@ class _Meshes:
         self.seen.add(body.GetUniqueResourceID())
         kind = int(body.GetType())
         if kind == MODEL:
+            if body.HasSlices(False) and body.GetSlicesMeshResolution() == lib3mf.SlicesMeshResolution.Lowres:
+                raise Refused(
+                    f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh"
+                )
             return True
         self.pass_over(body)
         _leave_out(self._left_out, body, KINDS[kind])
@@ -192,8 +196,6 @@ def _check_triangles_alone(body: Any) -> None:
         raise Refused(
             f"{_called(body)} has a beam lattice ({lattice.GetBeamCount()} beams): export it as a mesh"
         )
-    if body.HasSlices(False) and body.GetSlicesMeshResolution() == lib3mf.SlicesMeshResolution.Lowres:
-        raise Refused(f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh")
 
 
 def _remarks(reader: Any) -> list[str]:
