@@ -196,6 +196,43 @@ def test_an_old_mark_of_a_modifier_and_components_of_other_slicers_are_known(put
     assert ebamcheck.load(path).volume == pytest.approx(72000)
 
 
+def test_a_modifier_of_one_object_is_built_where_it_stands_by_itself(put):
+    """Of object 5 a modifier, but a part of object 6, and an item of its own."""
+    away = 'transform="1 0 0 0 1 0 0 0 1 {} 0 0"'
+    objects = (
+        box(1, A)
+        + box(7, B)
+        + components(5, ONE, 'objectid="7"')
+        + components(6, 'objectid="7"')
+        + components(8, 'objectid="5"')
+    )
+    settings = BAMBU.format("modifier_part")
+    alone = _with("Metadata/model_settings.config", settings, package(model(objects, 'objectid="8"')), put)
+    assert ebamcheck.load(alone).volume == pytest.approx(72000)
+    items = (
+        'objectid="5"',
+        f'objectid="6" {away.format(100)}',
+        f'objectid="7" {away.format(200)}',
+        f'objectid="8" {away.format(300)}',
+    )
+    part = ebamcheck.load(
+        _with("Metadata/model_settings.config", settings, package(model(objects, *items)), put)
+    )
+    assert part.volume == pytest.approx(2 * 72000 + 2 * 24000)
+    assert part.notes == ("left out: object 7: a modifier of another object",)
+
+
+def test_a_mark_of_cura_on_an_assembly_holds_for_all_in_it(put):
+    cura = 'xmlns:cura="http://software.ultimaker.com/xml/cura/3mf"'
+    mark = '<metadatagroup><metadata name="cura:infill_mesh">{}</metadata></metadatagroup><components>'
+    for said, volume in (("True", 72000), ("False", 96000)):
+        marked = components(3, 'objectid="2"').replace("<components>", mark.format(said), 1)
+        objects = box(1, A) + box(2, B, (80, 0, 0)) + marked + components(4, ONE, 'objectid="3"')
+        part = ebamcheck.load(put(package(model(objects, 'objectid="4"', more=cura))))
+        assert part.volume == pytest.approx(volume)
+        assert part.notes == (("left out: object 3: a modifier",) if said == "True" else ())
+
+
 @pytest.mark.parametrize(
     ("name", "text", "data"),
     [

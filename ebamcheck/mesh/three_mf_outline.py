@@ -95,6 +95,8 @@ class Outline:
     """Those of them that are marked as not to be printed."""
     volumes: dict[Key, list[Volume]] = field(default_factory=dict)
     """What of each object is no part of the solid."""
+    marked: dict[tuple[Key, ...], str] = field(default_factory=dict)
+    """Whole objects that are no part of the solid: wherever they stand (the object), or in one assembly (assembly, object)."""
     unpacked_bytes: int = 0
 
 
@@ -172,7 +174,7 @@ def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
     )
     for path, part in parts.items():
         for number, kind in part.marked.items():
-            found.volumes.setdefault((path, number), []).append(Volume(0, -1, kind))
+            found.marked[((path, number),)] = kind
     for path, entry in named.items():
         if path.startswith("/metadata/") and path.endswith(".config"):
             try:
@@ -181,8 +183,10 @@ def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
                 raise InputError(
                     f"{name}: {_short(entry.filename)}, in which a slicer marks negative volumes and modifiers, is no well-formed XML: {error}: save it anew in its slicer"
                 ) from None
-    for (_, number), volumes in found.volumes.items():
-        if any(volume.kind == CUT for volume in volumes):
+    kinds = [(keys[-1], kind) for keys, kind in found.marked.items()]
+    kinds += [(key, volume.kind) for key, volumes in found.volumes.items() for volume in volumes]
+    for (_, number), kind in kinds:
+        if kind == CUT:
             raise InputError(
                 f"{name}: object {number} has a negative volume, which its slicer alone cuts off: apply it there (as a mesh boolean), and export the result"
             )
@@ -333,9 +337,6 @@ def _add_volumes(text: bytes, path: str, root: str, top: _ModelPart, found: Outl
     parser = expat.ParserCreate()
     number, span = [""], [(0, -1)]
 
-    def add(key: Key, first: int, last: int, kind: str) -> None:
-        found.volumes.setdefault(key, []).append(Volume(first, last, kind))
-
     def start(tag: str, values: dict[str, str]) -> None:
         if tag == "object":
             number[0] = values.get("id", "")
@@ -345,11 +346,11 @@ def _add_volumes(text: bytes, path: str, root: str, top: _ModelPart, found: Outl
             kind = MODIFIERS.get(values.get("value", ""), "")
             kind = "modifier" if values["key"] == "modifier" and values.get("value") == "1" else kind
             if kind and number[0] in top.objects:
-                add((root, number[0]), *span[0], kind)
+                found.volumes.setdefault((root, number[0]), []).append(Volume(*span[0], kind))
         elif tag == "part" and (kind := MODIFIERS.get(values.get("subtype", ""), "")):
             for key in top.objects.get(number[0], []):
                 if key[1] == values.get("id"):
-                    add(key, 0, -1, kind)
+                    found.marked[(root, number[0]), key] = kind
 
     parser.StartElementHandler = start
     parser.Parse(text, True)
