@@ -75,6 +75,33 @@ def test_units_that_contradict_the_file_are_an_error(put):
         ebamcheck.load(bare, units="in")
 
 
+@pytest.mark.parametrize(
+    ("root", "inner", "fits"),
+    [
+        ('unit="inch"', 'unit="inch"', True),
+        ('unit="millimeter"', "", True),
+        ("", 'unit="millimeter"', True),
+        ("", "", True),
+        ('unit="inch"', "", False),
+        ("", 'unit="inch"', False),
+    ],
+)
+def test_a_model_without_a_unit_is_in_millimeters_wherever_it_stands(put, root, inner, fits):
+    of = components(2, 'objectid="3" p:path="/o.model"')
+    path = put(
+        package(
+            model(of, 'objectid="2"', unit=root, more=PRODUCTION),
+            o_model=model(box(3, B), unit=inner, more=PRODUCTION),
+        )
+    )
+    if fits:
+        inches = "inch" in root
+        assert ebamcheck.load(path).volume == pytest.approx(24000 * (25.4**3 if inches else 1))
+    else:
+        with pytest.raises(InputError, match=r"o\.model is in .*, and the model that it belongs to in"):
+            ebamcheck.load(path)
+
+
 def test_units_of_other_formats_are_told_with_their_source(tmp_path):
     stl = ebamcheck.save(ebamcheck.load(_three(tmp_path)), tmp_path / "box.stl")
     assert ebamcheck.load(stl).units_from == "by default"

@@ -295,14 +295,16 @@ def _no_doctype(*_: Any) -> None:
 
 
 def _check_units(parts: dict[str, _ModelPart], root: str, name: str) -> None:
+    wanted = parts[root].unit or "millimeter"
     for path, part in parts.items():
         if part.unit and part.unit not in UNITS:
             raise InputError(
                 f"{name}: its unit is {_short(part.unit)!r}, and 3MF knows {', '.join(UNITS)}: export it anew"
             )
-        if part.unit and part.unit != (parts[root].unit or "millimeter"):
+        if (part.unit or "millimeter") != wanted:
+            unit = part.unit or "millimeter (it states no unit)"
             raise InputError(
-                f"{name}: {_short(path)} is in {part.unit}, and the model that it belongs to in {parts[root].unit or 'millimeter'}: export it anew"
+                f"{name}: {_short(path)} is in {unit}, and the model that it belongs to in {wanted}: export it anew"
             )
 
 
