@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 MOST_FACETS = 30_000_000
 """Most facets of all placed meshes together."""
 
+FARTHEST = 2.0**28
+"""Farthest that a mesh is moved, in its own size: there the rounding of its place becomes coarser than that of its file."""
+
 MOST_MEMORY_BYTES = 8 << 30
 
 REFUSED = {
@@ -188,6 +191,10 @@ class _Meshes:
         if not np.isfinite(matrix).all() or abs(size) <= 1e-9 * scale**3 or scale == 0.0:
             raise Refused(
                 f"the transform of {_called(body)} is no placing: {matrix[:, :3].round(6).tolist()}"
+            )
+        if len(corners) and np.abs(matrix[3, :3]).max() > FARTHEST * scale * np.abs(corners).max():
+            raise Refused(
+                f"the transform of {_called(body)} moves it so far that its coordinates are lost: {matrix[3, :3].tolist()}"
             )
         there = corners @ turn + matrix[3, :3]
         # A mirrored body has its facets the other way round.

@@ -43,8 +43,11 @@ ROOT_MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
 """Units that the format knows; without one it is the millimeter."""
 
-BULK = re.compile(rb"<(?:vertex|triangle)\s[^<>]*/>")
-"""Vertices and facets, nearly all of the text. A tag holds no other tag, so nothing else goes with them, wherever they stand."""
+NUMBER = r"[-+]?+(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
+"""A number of the format. lib3mf reads ``40mm`` as 40, and ``1_0`` as 1."""
+
+BULK = re.compile(r'<(?:triangle\s[^<>]*|vertex(?:\s++[xyz]="N")++\s*+)/>'.replace("N", NUMBER).encode())
+"""Facets, and vertices of the usual form, nearly all of the text: a tag holds no other tag, so nothing else goes with them."""
 
 NOTES = ("/model_settings.config", "_model.config")
 """Ends of the names of the files in which Bambu Studio and OrcaSlicer, and PrusaSlicer and its kin, write what each volume is."""
@@ -245,7 +248,10 @@ def _read_part(
         elif local == "object":
             open_object[0] = values.get("id", "")
             part.objects[open_object[0]] = []
+        elif local == "vertex":
+            _check_numbers("a vertex", [values[axis] for axis in "xyz" if axis in values])
         elif local in ("component", "item"):
+            _check_numbers("a transform", values.get("transform", "").split())
             key = _absolute(values.get(PATH, path)), values.get("objectid", "")
             if local == "component":
                 part.objects.setdefault(open_object[0], []).append(key)
@@ -288,6 +294,12 @@ def _parsed(
         parser.Parse(b"", True)
     except expat.ExpatError as error:
         raise InputError(f"{name}: {_short(path)} is no well-formed XML: {error}") from None
+
+
+def _check_numbers(what: str, told: list[str]) -> None:
+    for text in told:
+        if not re.fullmatch(rf"\s*{NUMBER}\s*", text, re.ASCII):
+            raise ValueError(f"{what} has {_short(text)[:40]!r}, which is no number: export it anew")
 
 
 def _no_doctype(*_: Any) -> None:
