@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 from dataclasses import fields
+from pathlib import Path
 
 import pytest
 from command_line import ebamcheck
@@ -16,13 +17,13 @@ from ebamcheck.comparison.findings import Finding as Disagreement
 from ebamcheck.errors import ExitCode, InputError
 from ebamcheck.findings import Finding
 from ebamcheck.json_values import json_text, read_json, sha256_of_file
-from ebamcheck.pipeline.certificate import CERTIFICATE, write_sealed
+from ebamcheck.pipeline.certificate import CERTIFICATE, find_certificate, find_record, write_sealed
 from ebamcheck.pipeline.certificate_checks import refuse_unfit
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.record_form import CheckForm, DisagreementForm, FindingForm, GateForm
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.signing import SIGNATURES, make_key, sign, signature_check
-from ebamcheck.pipeline.verify import verify, verify_run
+from ebamcheck.pipeline.verify import settings_beside, verify, verify_run
 from ebamcheck.program import Check
 from ebamcheck.settings.config import validated
 
@@ -155,6 +156,43 @@ def test_what_takes_the_place_of_a_file_is_no_file(run, kind):
     (run / "scan.csv").unlink()
     os.mkfifo(run / "scan.csv") if kind == "pipe" else (run / "scan.csv").mkdir()
     assert "is no regular file" in failed(run, quick=True)["file unchanged"].text
+
+
+OTHERS = {
+    "a link": lambda path: path.symlink_to("aside"),
+    "a link, to itself": lambda path: path.symlink_to(path.name),
+    "a pipe": os.mkfifo,
+    "a folder": Path.mkdir,
+}
+
+
+@pytest.mark.parametrize("other", OTHERS)
+@pytest.mark.parametrize("name", [MANIFEST, CERTIFICATE, "timings.json"])
+def test_what_takes_the_place_of_record_or_certificate_is_told_in_one_line(run, name, other):
+    (run / name).rename(run / "aside")
+    OTHERS[other](run / name)
+    said = f"{name}: is {other.partition(',')[0]}, not a file"
+    found_from = {MANIFEST: find_record, CERTIFICATE: find_certificate}.get(name, settings_beside)
+    for read in (
+        lambda: verify(run, quick=True),
+        lambda: refuse_unfit(RunFolder(run)),
+        lambda: found_from(run / "program"),
+    ):
+        with pytest.raises(InputError, match=said) as found:
+            read()
+        assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    "name", ["program/MAIN.MPF", "beads.parquet", "program", "layers", "new", SIGNATURES]
+)
+def test_a_link_to_itself_is_a_fault_of_the_run(run, name):
+    if (run / name).exists():
+        (run / name).rename(run.parent / "aside")
+    (run / name).symlink_to(run / name)
+    told = ebamcheck("verify", run, "--quick", cwd=run.parent)
+    assert told.returncode in (ExitCode.OUT_OF_TOLERANCE, ExitCode.USAGE), told.stderr
+    assert told.stderr.count("\n") <= 1
 
 
 # -- files that a control loads --------------------------------------------------------------------------

@@ -196,6 +196,43 @@ def test_an_old_mark_of_a_modifier_and_components_of_other_slicers_are_known(put
     assert ebamcheck.load(path).volume == pytest.approx(72000)
 
 
+def test_a_modifier_of_one_object_is_built_where_it_stands_by_itself(put):
+    """Of object 5 a modifier, but a part of object 6, and an item of its own."""
+    away = 'transform="1 0 0 0 1 0 0 0 1 {} 0 0"'
+    objects = (
+        box(1, A)
+        + box(7, B)
+        + components(5, ONE, 'objectid="7"')
+        + components(6, 'objectid="7"')
+        + components(8, 'objectid="5"')
+    )
+    settings = BAMBU.format("modifier_part")
+    alone = _with("Metadata/model_settings.config", settings, package(model(objects, 'objectid="8"')), put)
+    assert ebamcheck.load(alone).volume == pytest.approx(72000)
+    items = (
+        'objectid="5"',
+        f'objectid="6" {away.format(100)}',
+        f'objectid="7" {away.format(200)}',
+        f'objectid="8" {away.format(300)}',
+    )
+    part = ebamcheck.load(
+        _with("Metadata/model_settings.config", settings, package(model(objects, *items)), put)
+    )
+    assert part.volume == pytest.approx(2 * 72000 + 2 * 24000)
+    assert part.notes == ("left out: object 7: a modifier of another object",)
+
+
+def test_a_mark_of_cura_on_an_assembly_holds_for_all_in_it(put):
+    cura = 'xmlns:cura="http://software.ultimaker.com/xml/cura/3mf"'
+    mark = '<metadatagroup><metadata name="cura:infill_mesh">{}</metadata></metadatagroup><components>'
+    for said, volume in (("True", 72000), ("False", 96000)):
+        marked = components(3, 'objectid="2"').replace("<components>", mark.format(said), 1)
+        objects = box(1, A) + box(2, B, (80, 0, 0)) + marked + components(4, ONE, 'objectid="3"')
+        part = ebamcheck.load(put(package(model(objects, 'objectid="4"', more=cura))))
+        assert part.volume == pytest.approx(volume)
+        assert part.notes == (("left out: object 3: a modifier",) if said == "True" else ())
+
+
 @pytest.mark.parametrize(
     ("name", "text", "data"),
     [
@@ -223,7 +260,7 @@ TEN = 'objectid="{}"'
         (package(model(box(1, A).replace("</mesh>", BEAMS), ONE, more=LATTICE)), "beam lattice .1 beams.: export it as a mesh"),
         (package(model(box(1, A), ONE, 'objectid="9"')), "a build item names object '9', which the file does not hold"),
         (package(model(box(1, A), 'objectid="1" transform="2 0 0 0 2 0 0 0 2"')), "Not enough values"),
-        (package(model(box(1, A), 'objectid="1" transform="1 0 0 0 1 0 0 0 1 nan 0 0"')), "transform of object 1 is no placing"),
+        (package(model(box(1, A), 'objectid="1" transform="1 0 0 0 1 0 0 0 1 nan 0 0"')), "a transform has 'nan', which is no number"),
         (package(model(box(1, A), 'objectid="1" transform="1 0 0 0 1 0 0 0 0 0 0 0"')), "transform of object 1 is no placing"),
         (package(model(components(1, ONE), ONE)), "holds no facet"),
         (package(model(box(1, A))), "holds no facet that is built"),
@@ -241,6 +278,44 @@ def test_what_cannot_be_known_is_refused_in_one_line(put, data, why):
     with pytest.raises(InputError, match=why) as refused:
         ebamcheck.load(put(data))
     assert str(refused.value).startswith("part.3mf: ")
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+@pytest.mark.parametrize(
+    "again", ["3D/3dmodel.model", "3D/3DModel.model", "3d\\3dmodel.model", "_RELS/.rels", "METADATA/a.Config"]
+)
+def test_two_files_of_one_name_are_refused_whatever_their_case(put, again):
+    sound = package(model(box(1, A), ONE), **{"Metadata__a.config": "<config/>"})
+    path = _with("3D/", "", sound, put)
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("3D/", "")
+    assert ebamcheck.load(path).volume == pytest.approx(72000)
+    with pytest.raises(InputError, match=r"holds two files of the name .*export it anew"):
+        ebamcheck.load(_with(again, model(box(1, B), ONE), sound, put))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fits"),
+    [
+        ("Metadata/model_settings.config", BAMBU.format("negative_part").replace("<part", '<metadata key="name" value="a & b"/><part', 1), False),
+        ("METADATA/Model_Settings.Config", "x" + BAMBU.format("negative_part"), False),
+        ("Metadata/model_settings.config", BAMBU.format("normal_part")[:-9], False),
+        (NOTES, RANGED.format("volume_type", "NegativeVolume").replace("<config>", "<config a=b>"), False),
+        ("Metadata/other.config", "\ufeff <config>&</config>", False),
+        ("Metadata/project_settings.config", '{"name": "a & b"}', True),
+        ("Metadata/Slic3r_PE.config", "; made by a slicer\n; notes = <b> & c", True),
+        ("Metadata/model_settings.config", BAMBU.format("normal_part").replace("<part", '<metadata key="name" value="a &amp; b"/><part', 1), True),
+    ],
+)  # fmt: skip
+def test_notes_of_a_slicer_that_cannot_be_read_are_refused(put, name, text, fits):
+    path = _with(name, text, _parts('objectid="5"'), put)
+    if fits:
+        assert ebamcheck.load(path).volume == pytest.approx(96000)
+        return
+    with pytest.raises(InputError, match=r"is no well-formed XML: .*: save it anew in its slicer") as refused:
+        ebamcheck.load(path)
+    assert name in str(refused.value)
     assert "\n" not in str(refused.value)
 
 

@@ -51,8 +51,13 @@ def model(objects: str, *items: str, unit: str = 'unit="millimeter"', more: str 
     )
 
 
-def package(root: str | bytes, at: str = "3D/3dmodel.model", **others: str | bytes) -> bytes:
-    """Bytes of a package; `others` are further files, by names in which ``__`` stands for a slash and ``_model`` for the suffix."""
+def package(
+    root: str | bytes, at: str = "3D/3dmodel.model", starts: tuple[str, ...] = (), **others: str | bytes
+) -> bytes:
+    """Bytes of a package; `others` are further files, by names in which ``__`` stands for a slash and ``_model`` for the suffix.
+
+    `starts` are the models that the package names to start from, if not the root alone.
+    """
     out, named = (
         io.BytesIO(),
         {k.replace("__", "/").replace("_model", ".model"): v for k, v in others.items()},
@@ -72,7 +77,12 @@ def package(root: str | bytes, at: str = "3D/3dmodel.model", **others: str | byt
         )  # fmt: skip
         archive.writestr(
             "_rels/.rels",
-            f'<Relationships xmlns="{space}relationships"><Relationship Id="r0" Target="/{at}" Type="{KIND}"/></Relationships>',
+            f'<Relationships xmlns="{space}relationships">'
+            + "".join(
+                f'<Relationship Id="s{k}" Target="/{start}" Type="{KIND}"/>'
+                for k, start in enumerate(starts or (at,))
+            )
+            + "</Relationships>",
         )
         if ways:
             folder, _, file = at.rpartition("/")

@@ -54,6 +54,10 @@ def read_3mf(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], 
             "items": outline.items,
             "unprintable": outline.unprintable,
             "volumes": {f"{path}#{number}": rows for (path, number), rows in outline.volumes.items()},
+            "marked": {
+                " ".join(f"{path}#{number}" for path, number in keys): kind
+                for keys, kind in outline.marked.items()
+            },
             "seconds": seconds,
         }
         done = subprocess.run(

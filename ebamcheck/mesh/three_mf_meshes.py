@@ -19,6 +19,9 @@ from numpy.typing import NDArray
 MOST_FACETS = 30_000_000
 """Most facets of all placed meshes together."""
 
+FARTHEST = 2.0**28
+"""Farthest that a mesh is moved, in its own size: there the rounding of its place becomes coarser than that of its file."""
+
 MOST_MEMORY_BYTES = 8 << 30
 
 REFUSED = {
@@ -59,7 +62,9 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (asked["seconds"], asked["seconds"] + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
     try:
-        corners, notes = placed(asked["file"], asked["items"], set(asked["unprintable"]), asked["volumes"])
+        corners, notes = placed(
+            asked["file"], asked["items"], set(asked["unprintable"]), asked["volumes"], asked["marked"]
+        )
         np.save(asked["corners"], corners)
         told: dict[str, Any] = {"notes": notes}
     except Refused as why:
@@ -72,7 +77,11 @@ def main() -> None:
 
 
 def placed(
-    file: str, items: int, unprintable: set[int], volumes: dict[str, list[tuple[int, int, str]]]
+    file: str,
+    items: int,
+    unprintable: set[int],
+    volumes: dict[str, list[tuple[int, int, str]]],
+    marked: dict[str, str],
 ) -> tuple[Floats, list[str]]:
     """Corners (F, 3, 3) of the facets that are built, in the file's unit, and what is left out or ignored.
 
@@ -84,6 +93,8 @@ def placed(
         Number of its build items, and those that are not to be printed.
     volumes
         Facets that are no part of the solid (first, last or -1, kind), by ``path#number`` of their object.
+    marked
+        Kinds of whole objects that are none, by ``path#number``, or by two of them where it holds in one assembly alone.
     """
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")
@@ -93,7 +104,7 @@ def placed(
     if len(build) != items:
         raise Refused(f"its build lists {items} items, of which lib3mf reads {len(build)}")
     left_out: dict[str, list[str]] = {}
-    meshes = _Meshes(volumes, left_out)
+    meshes = _Meshes(volumes, marked, left_out)
     for k, item in enumerate(build):
         whole = item.GetObjectResource()
         if k in unprintable:
@@ -116,28 +127,48 @@ class _Meshes:
     """Placed meshes so far; each mesh is asked for once."""
 
     def __init__(
-        self, volumes: dict[str, list[tuple[int, int, str]]], left_out: dict[str, list[str]]
+        self,
+        volumes: dict[str, list[tuple[int, int, str]]],
+        marked: dict[str, str],
+        left_out: dict[str, list[str]],
     ) -> None:
         self.corners: list[Floats] = []
         self.seen: set[int] = set()
-        self._volumes, self._left_out = volumes, left_out
+        self._volumes, self._marked, self._left_out = volumes, marked, left_out
         self._known: dict[int, Floats] = {}
+        self._why_not: dict[tuple[int, int], str] = {}
         self._facets = 0
 
-    def is_solid(self, body: Any) -> bool:
-        """Whether an object is part of the solid by its type; others are left out with all that they contain."""
-        self.seen.add(body.GetUniqueResourceID())
-        kind = int(body.GetType())
-        if kind == MODEL:
-            return True
-        self.pass_over(body)
-        _leave_out(self._left_out, body, KINDS[kind])
-        return False
+    def is_solid(self, body: Any, assembly: Any) -> bool:
+        """Whether an object in an assembly, or None, is part of the solid; others are left out with all that they contain."""
+        number = body.GetUniqueResourceID()
+        self.seen.add(number)
+        place = (assembly.GetUniqueResourceID() if assembly else 0, number)
+        if place not in self._why_not:
+            self._why_not[place] = self._judged(body, assembly)
+        if why := self._why_not[place]:
+            self.pass_over(body)
+            _leave_out(self._left_out, body, why)
+        return not why
+
+    def _judged(self, body: Any, assembly: Any) -> str:
+        """What an object is if it is no part of the solid, by its marks and its type."""
+        if kind := self._marked.get(_key(body)):
+            return f"a {kind}"
+        if assembly and (kind := self._marked.get(f"{_key(assembly)} {_key(body)}")):
+            return f"a {kind} of another object"
+        if (number := int(body.GetType())) != MODEL:
+            return KINDS[number]
+        if body.HasSlices(False) and body.GetSlicesMeshResolution() == lib3mf.SlicesMeshResolution.Lowres:
+            raise Refused(
+                f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh"
+            )
+        return ""
 
     def pass_over(self, whole: Any) -> None:
         """Note that an object is left out with all that it contains."""
 
-        def seen(body: Any) -> bool:
+        def seen(body: Any, _: Any) -> bool:
             self.seen.add(body.GetUniqueResourceID())
             return True
 
@@ -161,6 +192,10 @@ class _Meshes:
             raise Refused(
                 f"the transform of {_called(body)} is no placing: {matrix[:, :3].round(6).tolist()}"
             )
+        if len(corners) and np.abs(matrix[3, :3]).max() > FARTHEST * scale * np.abs(corners).max():
+            raise Refused(
+                f"the transform of {_called(body)} moves it so far that its coordinates are lost: {matrix[3, :3].tolist()}"
+            )
         there = corners @ turn + matrix[3, :3]
         # A mirrored body has its facets the other way round.
         self.corners.append(there if size > 0.0 else there[:, ::-1])
@@ -173,8 +208,7 @@ class _Meshes:
         rows = body.GetTriangleIndices()
         faces = np.frombuffer((lib3mf.Triangle * len(rows))(*rows), np.uint32).reshape(-1, 3)
         kept = np.ones(len(faces), np.bool_)
-        key = f"{body.PackagePart().GetPath().lower()}#{body.GetModelResourceID()}"
-        for first, last, kind in self._volumes.get(key, []):
+        for first, last, kind in self._volumes.get(_key(body), []):
             if not 0 <= first <= max(last, first) < max(len(faces), 1):
                 raise Refused(f"a {kind} of {_called(body)} has facets {first} to {last} of {len(faces)}")
             kept[first : last + 1 if last >= 0 else len(faces)] = False
@@ -192,8 +226,6 @@ def _check_triangles_alone(body: Any) -> None:
         raise Refused(
             f"{_called(body)} has a beam lattice ({lattice.GetBeamCount()} beams): export it as a mesh"
         )
-    if body.HasSlices(False) and body.GetSlicesMeshResolution() == lib3mf.SlicesMeshResolution.Lowres:
-        raise Refused(f"{_called(body)} is given by slices, and its mesh is a rough one: export it as a mesh")
 
 
 def _remarks(reader: Any) -> list[str]:
@@ -210,14 +242,12 @@ def _remarks(reader: Any) -> list[str]:
     ]
 
 
-def _parts(
-    whole: Any, turn: Floats, wanted: Callable[[Any], bool] = lambda body: True
-) -> Iterator[tuple[Any, Floats]]:
-    """Meshes in an object with the matrices that place them; not what is in objects that are not wanted."""
-    open_objects = [(whole, turn)]
+def _parts(whole: Any, turn: Floats, wanted: Callable[[Any, Any], bool]) -> Iterator[tuple[Any, Floats]]:
+    """Meshes in an object with the matrices that place them; not objects that are not wanted in the assembly where they stand."""
+    open_objects = [(whole, None, turn)]
     while open_objects:
-        body, matrix = open_objects.pop()
-        if not wanted(body):
+        body, assembly, matrix = open_objects.pop()
+        if not wanted(body, assembly):
             continue
         if not body.IsComponentsObject():
             yield body, matrix
@@ -226,7 +256,7 @@ def _parts(
         for k in range(body.GetComponentCount()):
             component = body.GetComponent(k)
             own = _matrix(component.GetTransform()) if component.HasTransform() else np.eye(4)
-            inner.append((component.GetObjectResource(), own @ matrix))
+            inner.append((component.GetObjectResource(), body, own @ matrix))
         open_objects += inner[::-1]
 
 
@@ -240,6 +270,11 @@ def _matrix(transform: Any) -> Floats:
 def _each(rows: Any, current: Callable[[Any], Any]) -> Iterator[Any]:
     while rows.MoveNext():
         yield current(rows)
+
+
+def _key(body: Any) -> str:
+    """An object as the look at the package calls it."""
+    return f"{body.PackagePart().GetPath().lower()}#{body.GetModelResourceID()}"
 
 
 def _called(body: Any) -> str:

@@ -43,8 +43,14 @@ ROOT_MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
 """Units that the format knows; without one it is the millimeter."""
 
-BULK = re.compile(rb"<(?:vertex|triangle)\s[^<>]*/>")
-"""Vertices and facets, nearly all of the text. A tag holds no other tag, so nothing else goes with them, wherever they stand."""
+NUMBER = r"[-+]?+(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
+"""A number of the format. lib3mf reads ``40mm`` as 40, and ``1_0`` as 1."""
+
+BULK = re.compile(r'<(?:triangle\s[^<>]*|vertex(?:\s++[xyz]="N")++\s*+)/>'.replace("N", NUMBER).encode())
+"""Facets, and vertices of the usual form, nearly all of the text: a tag holds no other tag, so nothing else goes with them."""
+
+NOTES = ("/model_settings.config", "_model.config")
+"""Ends of the names of the files in which Bambu Studio and OrcaSlicer, and PrusaSlicer and its kin, write what each volume is."""
 
 CUT = "negative volume"
 MODIFIERS = {
@@ -92,6 +98,8 @@ class Outline:
     """Those of them that are marked as not to be printed."""
     volumes: dict[Key, list[Volume]] = field(default_factory=dict)
     """What of each object is no part of the solid."""
+    marked: dict[tuple[Key, ...], str] = field(default_factory=dict)
+    """Whole objects that are no part of the solid: wherever they stand (the object), or in one assembly (assembly, object)."""
     unpacked_bytes: int = 0
 
 
@@ -120,8 +128,8 @@ def outline_of(data: bytes | memoryview, name: str) -> Outline:
     Raises
     ------
     InputError
-        If it is no 3MF file, unpacks to too much, names what is not there, holds too many copies or a negative volume, or its unit
-        is none.
+        If it is no 3MF file, unpacks to too much, names what is not there or two things by one name, holds too many copies or a
+        negative volume, or its unit is none.
     """
     try:
         archive = zipfile.ZipFile(io.BytesIO(data))
@@ -151,7 +159,7 @@ def _check_sizes(archive: zipfile.ZipFile, packed: int, name: str) -> None:
 
 
 def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
-    named = {_absolute(entry.filename): entry for entry in archive.infolist()}
+    named = _named(archive, name)
     root = _root_of(archive, named, name)
     parts = {root: _read_part(archive, named, root, name)}
     used = [key for components in parts[root].objects.values() for key in components]
@@ -169,16 +177,38 @@ def _outline(archive: zipfile.ZipFile, name: str) -> Outline:
     )
     for path, part in parts.items():
         for number, kind in part.marked.items():
-            found.volumes.setdefault((path, number), []).append(Volume(0, -1, kind))
+            found.marked[((path, number),)] = kind
     for path, entry in named.items():
         if path.startswith("/metadata/") and path.endswith(".config"):
-            _add_volumes(archive.read(entry), root, top, found)
-    for (_, number), volumes in found.volumes.items():
-        if any(volume.kind == CUT for volume in volumes):
+            try:
+                _add_volumes(archive.read(entry), path, root, top, found)
+            except expat.ExpatError as error:
+                raise InputError(
+                    f"{name}: {_short(entry.filename)}, in which a slicer marks negative volumes and modifiers, is no well-formed XML: {error}: save it anew in its slicer"
+                ) from None
+    kinds = [(keys[-1], kind) for keys, kind in found.marked.items()]
+    kinds += [(key, volume.kind) for key, volumes in found.volumes.items() for volume in volumes]
+    for (_, number), kind in kinds:
+        if kind == CUT:
             raise InputError(
                 f"{name}: object {number} has a negative volume, which its slicer alone cuts off: apply it there (as a mesh boolean), and export the result"
             )
     return found
+
+
+def _named(archive: zipfile.ZipFile, name: str) -> dict[str, zipfile.ZipInfo]:
+    """Files of the archive by their names in the package; where two have the same, readers differ in which they take."""
+    named: dict[str, zipfile.ZipInfo] = {}
+    for entry in archive.infolist():
+        if entry.is_dir():
+            continue
+        path = _absolute(entry.filename)
+        if path in named:
+            raise InputError(
+                f"{name}: holds two files of the name {_short(path)}, which 3MF reads without regard to case: export it anew"
+            )
+        named[path] = entry
+    return named
 
 
 def _absolute(path: str) -> str:
@@ -196,6 +226,10 @@ def _root_of(archive: zipfile.ZipFile, named: dict[str, zipfile.ZipInfo], name: 
     _parsed(archive, named, "/_rels/.rels", name, start)
     if not found:
         raise InputError(f"{name}: names no model among its relations (_rels/.rels): export it anew")
+    if len(found) > 1:
+        raise InputError(
+            f"{name}: names {len(found)} models to start from among its relations (_rels/.rels), {_short(found[0])} and {_short(found[1])}, and 3MF has one: export it anew"
+        )
     return found[0]
 
 
@@ -214,7 +248,10 @@ def _read_part(
         elif local == "object":
             open_object[0] = values.get("id", "")
             part.objects[open_object[0]] = []
+        elif local == "vertex":
+            _check_numbers("a vertex", [values[axis] for axis in "xyz" if axis in values])
         elif local in ("component", "item"):
+            _check_numbers("a transform", values.get("transform", "").split())
             key = _absolute(values.get(PATH, path)), values.get("objectid", "")
             if local == "component":
                 part.objects.setdefault(open_object[0], []).append(key)
@@ -259,19 +296,27 @@ def _parsed(
         raise InputError(f"{name}: {_short(path)} is no well-formed XML: {error}") from None
 
 
+def _check_numbers(what: str, told: list[str]) -> None:
+    for text in told:
+        if not re.fullmatch(rf"\s*{NUMBER}\s*", text, re.ASCII):
+            raise ValueError(f"{what} has {_short(text)[:40]!r}, which is no number: export it anew")
+
+
 def _no_doctype(*_: Any) -> None:
     raise ValueError("it declares a document type, which the format forbids")
 
 
 def _check_units(parts: dict[str, _ModelPart], root: str, name: str) -> None:
+    wanted = parts[root].unit or "millimeter"
     for path, part in parts.items():
         if part.unit and part.unit not in UNITS:
             raise InputError(
                 f"{name}: its unit is {_short(part.unit)!r}, and 3MF knows {', '.join(UNITS)}: export it anew"
             )
-        if part.unit and part.unit != (parts[root].unit or "millimeter"):
+        if (part.unit or "millimeter") != wanted:
+            unit = part.unit or "millimeter (it states no unit)"
             raise InputError(
-                f"{name}: {_short(path)} is in {part.unit}, and the model that it belongs to in {parts[root].unit or 'millimeter'}: export it anew"
+                f"{name}: {_short(path)} is in {unit}, and the model that it belongs to in {wanted}: export it anew"
             )
 
 
@@ -299,13 +344,12 @@ def _check_copies(parts: dict[str, _ModelPart], root: str, name: str) -> None:
         )
 
 
-def _add_volumes(text: bytes, root: str, top: _ModelPart, found: Outline) -> None:
+def _add_volumes(text: bytes, path: str, root: str, top: _ModelPart, found: Outline) -> None:
     """Volumes that a slicer's own notes name: by ranges of facets (PrusaSlicer), or by components (Bambu Studio, OrcaSlicer)."""
+    if not path.endswith(NOTES) and not text.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return  # Settings of the slicer, in other forms than XML.
     parser = expat.ParserCreate()
     number, span = [""], [(0, -1)]
-
-    def add(key: Key, first: int, last: int, kind: str) -> None:
-        found.volumes.setdefault(key, []).append(Volume(first, last, kind))
 
     def start(tag: str, values: dict[str, str]) -> None:
         if tag == "object":
@@ -316,14 +360,11 @@ def _add_volumes(text: bytes, root: str, top: _ModelPart, found: Outline) -> Non
             kind = MODIFIERS.get(values.get("value", ""), "")
             kind = "modifier" if values["key"] == "modifier" and values.get("value") == "1" else kind
             if kind and number[0] in top.objects:
-                add((root, number[0]), *span[0], kind)
+                found.volumes.setdefault((root, number[0]), []).append(Volume(*span[0], kind))
         elif tag == "part" and (kind := MODIFIERS.get(values.get("subtype", ""), "")):
             for key in top.objects.get(number[0], []):
                 if key[1] == values.get("id"):
-                    add(key, 0, -1, kind)
+                    found.marked[(root, number[0]), key] = kind
 
     parser.StartElementHandler = start
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError:
-        return  # Not of the form that any slicer writes: other programs keep their settings under such names.
+    parser.Parse(text, True)

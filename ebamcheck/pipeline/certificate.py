@@ -26,6 +26,7 @@ from ebamcheck.pipeline.record_form import in_form
 from ebamcheck.pipeline.run_folder import (
     MANIFEST,
     RunFolder,
+    own_file,
 )
 from ebamcheck.pipeline.signing import SIGNATURES, signature_files
 from ebamcheck.pipeline.statement import statement
@@ -204,18 +205,18 @@ def record_sha256(manifest: Mapping[str, Any]) -> str:
 
 
 def find_certificate(program: Path) -> Path | None:
-    """Certificate beside a program's folder, or in it."""
+    """Certificate beside a program's folder, or in it; raises :class:`InputError` where no file has its name."""
     return _beside(program, CERTIFICATE)
 
 
 def find_record(program: Path) -> Path | None:
-    """Record of the run (``run.json``) that a program belongs to."""
+    """Record of the run (``run.json``) that a program belongs to; raises :class:`InputError` where no file has its name."""
     return _beside(program, MANIFEST)
 
 
 def _beside(program: Path, name: str) -> Path | None:
     folder = program if program.is_dir() else program.parent
-    return next((place / name for place in (folder, folder.parent) if (place / name).is_file()), None)
+    return next((place / name for place in (folder, folder.parent) if own_file(place / name)), None)
 
 
 def read_certificate(path: Path) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from os.path import lexists, realpath
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from ebamcheck.pipeline.certificate import (
     profile_sha256,
     read_certificate,
 )
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.run_folder import RunFolder, own_file
 from ebamcheck.pipeline.signing import signature_check
 from ebamcheck.printable import printable
 from ebamcheck.program import Check
@@ -43,7 +44,7 @@ def run_certificate_checks(
 ) -> list[Check]:
     """Check the certificate of a run folder: its seal, every field against the record, every file, the signatures."""
     path = run.path / CERTIFICATE
-    if not path.is_file():
+    if not own_file(path):
         missing = ["the run has no certificate: it was removed, or the run is of an earlier version"]
         return [] if manifest.get("job") == "check" else [_faults("certificate", missing)]
     found = read_certificate(path)
@@ -73,7 +74,7 @@ def refuse_unfit(run: RunFolder) -> None:
         If one of the two cannot be read, or something does not fit; the message names the first fault.
     """
     manifest = run.manifest()
-    if not (run.path / CERTIFICATE).is_file():
+    if not own_file(run.path / CERTIFICATE):
         raise SettingsError(f"{run.path}: has no {CERTIFICATE}: sign a run, not a check")
     checks = [check for check in run_certificate_checks(run, manifest) if check.name != "signature"]
     checks += told_once([file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
@@ -154,11 +155,12 @@ def told_once(files: Sequence[Check], ignored: Sequence[str] = ()) -> list[Check
 def file_check(path: Path, name: str, recorded: str) -> Check:
     """Check that a file of a run is there, lies in its folder and is as the run wrote it; a link out of it is not followed."""
     folder = path.parents[name.count("/")]
-    if not path.resolve().is_relative_to(folder.resolve()):
+    # Unlike `Path.resolve`, `realpath` follows a link that leads to itself no further, and raises nothing.
+    if not Path(realpath(path)).is_relative_to(realpath(folder)):
         text = "is a link that leads out of the run folder: it was not opened"
         return Check("file unchanged", False, 1.0, 0.0, "faults", name, text)
     if not path.is_file():
-        text = "the file is missing" if not path.exists() else "is no regular file"
+        text = "is no regular file" if lexists(path) else "the file is missing"
         return Check("file unchanged", False, 1.0, 0.0, "faults", name, text)
     return hash_check("file unchanged", file_hash(path), recorded, name)
 

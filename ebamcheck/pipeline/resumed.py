@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from os.path import realpath
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.entry_program import FOLDER
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.program import Check, read_program
 from ebamcheck.program.checking.entry_check import NAME, PLACE_MM, entry_check
 from ebamcheck.program.reading.motions import NCProgram
@@ -29,14 +30,14 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
         If the run has no program.
     """
     said_validated = False
-    if (whole / MANIFEST).is_file():
+    if own_file(whole / MANIFEST):
         run = RunFolder(whole)
         record = run.manifest().get("program")
         if record is None:
             raise SettingsError(f"{whole}: this run wrote no program")
         config = validated(run.manifest()["settings"], f"{whole / MANIFEST}: settings")
         whole = run.program_folder / record["files"][0]["name"]
-        inside = program.resolve().is_relative_to((run.path / FOLDER).resolve())
+        inside = Path(realpath(program)).is_relative_to(realpath(run.path / FOLDER))
         said_validated = inside and bool(record["validated"])
     complete, entry = read_program(whole, config), read_program(program, config)
     tops = np.unique(np.round(complete.end[complete.deposit, 2], 3))

@@ -23,6 +23,7 @@ from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.former_runs import TIMINGS, dated_name, finished_at
 from ebamcheck.pipeline.record_form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
+from ebamcheck.regular_file import regular_file
 
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"
@@ -64,10 +65,10 @@ class RunFolder:
         Raises
         ------
         InputError
-            If the record is missing or has not the form of one, or the file of the times cannot be read.
+            If the record is missing, is no file of its own or has not the form of a record, or the file of the times cannot be read.
         """
         path = self.path / MANIFEST
-        if not path.exists():
+        if not own_file(path):
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
         found = read_json(path)
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
@@ -80,7 +81,7 @@ class RunFolder:
 
     def _timings(self) -> dict[str, Any]:
         path = self.path / TIMINGS
-        if not path.exists():
+        if not own_file(path):
             return {}
         found = read_json(path)
         return in_form(TimingsForm, found, path)
@@ -191,6 +192,19 @@ def finished_run(target: Path, fingerprint: str) -> RunFolder | None:
     found = read_json(target / MANIFEST)
     same = isinstance(found, dict) and found.get(FINGERPRINT) == fingerprint
     return RunFolder(target) if same else None
+
+
+def own_file(path: Path) -> bool:
+    """Whether a file of a run's own stands at a path.
+
+    Raises
+    ------
+    InputError
+        If something else stands there: a link, which may lead anywhere, a folder or a pipe.
+    """
+    if path.is_symlink():
+        raise InputError(f"{path}: is a link, not a file: put the file itself in its place")
+    return regular_file(path).is_file()
 
 
 def is_run(folder: Path) -> bool:

@@ -32,7 +32,7 @@ from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import PLATE, plate_checks
 from ebamcheck.pipeline.resumed import begins_later, entry_of_whole
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
+from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.text_again import truth_of
@@ -111,7 +111,7 @@ def verify(
         checks = verify(whole, part, config, quick=quick, trusted=trusted)
         return [entry_of_whole(place, Path(whole), config or settings_beside(Path(whole))), *checks]
     keys = trusted_keys(trusted) if trusted else None
-    if (place / MANIFEST).is_file():
+    if own_file(place / MANIFEST):
         return verify_run(place, made_from, quick=quick, trusted=keys)
     if not place.exists():
         raise InputError(f"{place}: there is no such run folder or program")
