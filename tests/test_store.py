@@ -176,7 +176,7 @@ def test_manifests_that_are_none(tmp_path):
         RunFolder(tmp_path).manifest()
     for text, message in (
         ("{", "cannot be read"),
-        ("[]", "not a run of format 1"),
+        ("[]", "not a run of format 2"),
         ('{"format": 2}', "not a run"),
     ):
         (tmp_path / MANIFEST).write_text(text)
