@@ -177,7 +177,7 @@ def test_manifests_that_are_none(tmp_path):
     for text, message in (
         ("{", "cannot be read"),
         ("[]", "not a run of format 2"),
-        ('{"format": 2}', "not a run"),
+        ('{"format": 1}', "not a run of format 2: make it again"),
     ):
         (tmp_path / MANIFEST).write_text(text)
         with pytest.raises(InputError, match=message):
