@@ -255,6 +255,14 @@ def spots_aside(angle_deg: float) -> Subject:
     return program_of([[*lines, *spots, across(28.0, -3.0, high)]], shapely.box(-3, -6, 31, high + 3))
 
 
+def slit(f: float) -> Subject:
+    """A contour around two boxes with a slit between them, as sections of bodies that share a face have."""
+    ring = [(3, 3), (77, 3), (77, 27), (3, 27), (3, 3)]
+    gap_mm = f * 1e-3
+    section = shapely.MultiPolygon([shapely.box(0, 0, 40, 30), shapely.box(40 + gap_mm, 0, 80, 30)])
+    return program_of([[]], section, rings=[[ring]]).given(contour_offset_mm=3.0)
+
+
 # -- narrow features -----------------------------------------------------------------------------------
 
 NARROW = ("layers", "metal")
@@ -302,6 +310,7 @@ CASES = (
     upwards(
         "section", "section_check.CORNER_RAD section_check.COLLINEAR_MM", polygon, "layers", "contour_offset_mm"
     ),
+    upwards("section", "section_check.SLIT_MM", slit, "layers", "contour_offset_mm"),
     upwards(
         "smooth section", "verification.SECTION_TOLERANCE_MM curves.tolerance_mm curves.near_point_mm curves.collinear_mm",
         lambda f: beside(f, 0.05 + 2.0 * 0.02 + 0.001 + 0.001, smooth=cube().known["layers"]), *PLANNED, "layers", "smooth",

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import shapely
+import shapely.affinity
 
 from ebamcheck.layers.insets import eroded, is_inset
 from ebamcheck.layers.polygons import valid_polygons
@@ -86,6 +87,30 @@ def test_an_inset_that_lacks_a_piece_or_lies_elsewhere_is_none():
     assert is_inset(shapely.Polygon(), shapely.box(0, 0, 40, 5.9), 3.0)
     holes = SHAPES["holes"]
     assert not is_inset(shapely.box(3, 3, 87, 57), holes, 3.0)
+
+
+@pytest.mark.parametrize("fold_mm", [1e-12, -1e-12, 1e-9, 1e-8])
+@pytest.mark.parametrize("distance_mm", [0.05, 0.5, 3.0])
+def test_a_border_that_folds_back_on_itself_within_rounding_has_an_inset(fold_mm, distance_mm):
+    """A side of the hole runs there, back and there again, as the union of bodies that touch leaves it."""
+    hole = [(5, 5), (15, 5), (15, 14), (15 + fold_mm, 7), (15 + 2.0 * fold_mm, 14.5), (15, 15), (5, 15)]
+    plate = shapely.affinity.rotate(
+        shapely.Polygon(shapely.box(0, 0, 40, 30).exterior, [hole]), 32.05, origin=(0, 0)
+    )
+    whole = by_sides(plate, distance_mm)
+    assert is_inset(whole, plate, distance_mm)
+    assert shapely.symmetric_difference(eroded(plate, distance_mm), whole).area < 1e-2 * distance_mm
+    assert not is_inset(by_sides(plate, 1.05 * distance_mm), plate, distance_mm)
+    lacking = whole.difference(shapely.Point(whole.exterior.coords[0]).buffer(distance_mm))
+    assert not is_inset(lacking, plate, distance_mm)
+
+
+@pytest.mark.parametrize("sliver_mm", [1e-12, 1e-9, 1e-7])
+def test_a_hole_without_width_has_an_inset(sliver_mm):
+    plate = shapely.box(0, 0, 40, 30).difference(shapely.box(10, 10, 25, 10.0 + sliver_mm))
+    assert shapely.get_num_interior_rings(plate) == 1
+    for turned in (plate, shapely.affinity.rotate(plate, 57.8, origin=(0, 0))):
+        assert eroded(turned, 0.06).area == pytest.approx(by_sides(turned, 0.06).area, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 from corpus_sections import simple_sections
-from parts import box, join, moved, sphere, tilted, torus
+from parts import box, join, moved, sphere, tilted, torus, turn_z, welded
 from section_oracle import depth_beyond, exact_section, prism, rational_area
 
 import ebamcheck
@@ -107,6 +107,35 @@ def test_overlapping_shells_unite_and_nested_ones_stay_solid():
     nested = join(box((0, 0, 0), (9, 9, 9)), box((2, 2, 2), (4, 4, 4)))
     assert cut(nested, [3.0]).areas() == pytest.approx([81.0])
     assert cut(nested, [3.0]).ring_counts().tolist() == [1]
+
+
+BLOCK = box((0, 0, 0), (40, 30, 20))
+CAVITY = box((15, 11, 7), (25, 19, 13)).reversed()
+BODIES = {
+    "doubled": (BLOCK, BLOCK),
+    "three times": (BLOCK, BLOCK, BLOCK),
+    "doubled around a cavity": (BLOCK, BLOCK, CAVITY),
+    "doubled and overlapped": (BLOCK, BLOCK, box((20, 5, 0), (60, 25, 20))),
+    "on two sides": (BLOCK, box((40, 0, 0), (80, 30, 20)), box((0, 30, 0), (40, 60, 20)), CAVITY),
+    "four in a square": tuple(moved(BLOCK, shift=(x, y, 0)) for x in (0, 40) for y in (0, 30)),
+}
+"""Bodies with facets in common, the same way round or the other."""
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (1258.5, 2871.5, 1527.5), (-3640.75, -1013.125, 9602.25)])
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 37.0])
+@pytest.mark.parametrize("name", BODIES)
+def test_bodies_that_share_facets_are_cut_whole_and_alike_everywhere(name, degrees, shift):
+    """Facets at one angle around an edge, once paired one way and once the other, made manifold3d change the solid."""
+    turned = [moved(body, turn_z(degrees)) for body in BODIES[name]]
+    there = welded(join(*(moved(body, shift=shift) for body in turned)))
+    heights = np.array([1.0, 9.0, 19.0])
+    expected = cut(welded(join(*turned)), heights)
+    layers = cut(there, heights + shift[2])
+    exact = ebamcheck.slice(there, heights + shift[2], "planecut").areas()
+    assert "doubtful_regions" not in layers.settings
+    assert layers.areas() == pytest.approx(exact, abs=1e-4)
+    assert layers.areas() == pytest.approx(expected.areas(), abs=1e-4)
 
 
 def test_inside_out_is_empty_and_a_turned_inner_shell_is_a_cavity():

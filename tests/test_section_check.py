@@ -74,6 +74,20 @@ def test_a_path_that_leaves_out_a_part_of_the_section_fails(tmp_path):
     assert not checked(tmp_path, hole, shapely.box(0, 0, 40, 40)).passed
 
 
+BLOCKS = {
+    "gap": shapely.MultiPolygon([shapely.box(0, 0, 40, 30), shapely.box(40 + 1e-9, 0, 80, 30)]),
+    "notch": shapely.box(0, 0, 80, 30) - shapely.box(40, 0, 40 + 1e-9, 25),
+    "hole": shapely.box(0, 0, 80, 30) - shapely.box(40, 5, 40 + 1e-9, 25),
+}
+
+
+@pytest.mark.parametrize("name", BLOCKS)
+def test_a_slit_without_width_asks_for_no_contour_and_hides_no_missing_one(tmp_path, name):
+    assert checked(tmp_path, shapely.box(0, 0, 80, 30), BLOCKS[name]).passed
+    assert not checked(tmp_path, shapely.box(0, 0, 40, 30), BLOCKS[name]).passed
+    assert not checked(tmp_path, shapely.box(0, 0, 80, 30), BLOCKS[name], (0.3, 0.0)).passed
+
+
 def regular(corners, radius=29.0):
     """A polygon of equal sides, whose corners lie on a circle."""
     angle = 2.0 * np.pi * np.arange(corners) / corners

@@ -124,7 +124,8 @@ def is_inset(found: BaseGeometry, region: BaseGeometry, distance_mm: float, quad
     depth_mm = distance_mm * (1.0 + 2.0 * off)
     places = _places_at(region, depth_mm, distance_mm / SAMPLES)
     lacking = places[~shapely.intersects_xy(found, places[:, 0], places[:, 1])]
-    # A place as far from the border as from the side that it was found from lies on the same side of it.
+    # Where a border folds back on itself within rounding, a place straight in from one side lies beyond the next, outside.
+    lacking = lacking[shapely.contains_xy(region, lacking[:, 0], lacking[:, 1])]
     deep = side_distances(lacking, sides_of(border)) >= depth_mm - rounding_mm
     return not bool(deep.any())
 

@@ -172,7 +172,20 @@ def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: 
         for k in range(3):
             across[k] = corners[2 + i, k] - corners[0, k]
         angle[i] = np.arctan2(_dot(across, w), _dot(across, u))
-    order = stable_order(angle)
+    # Facets at one angle: those that close a solid come first, and copies nest as they stand in the mesh, so that each body
+    # stays apart at all of its edges.
+    first = np.empty(n, np.int32)
+    closing = 0
+    for i in range(n - 1, -1, -1):
+        if forward[i]:
+            first[closing] = i
+            closing += 1
+    opening = closing
+    for i in range(n):
+        if not forward[i]:
+            first[opening] = i
+            opening += 1
+    order = first[stable_order(angle[first])]
     # A facet that runs low -> high has the normal axis x across, towards growing angles: its solid lies before it,
     # that of a backward facet behind it. Backward opens and forward closes a solid wedge; wedges nest like brackets.
     stack = np.empty(2 * n, np.int32)

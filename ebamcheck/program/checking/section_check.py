@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.near_sides import side_distances, sides_of
@@ -23,6 +24,9 @@ STEP_MM = 0.5
 
 COLLINEAR_MM = 1e-3
 """Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord."""
+
+SLIT_MM = 1e-3
+"""Width up to which a slit is what rounding left of a face that two bodies share: far under any gap that a bead leaves open."""
 
 CORNER_RAD = math.radians(40.0)
 """Chords that turn by more meet in a corner of the part."""
@@ -78,8 +82,8 @@ def section_check(
     place of the inset's border, so that no contour is missing: within `limit_mm`, or where outlines that near to
     each other have insets that lie farther apart, within that.
     A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
-    not being there, and unions leave slits of no width where shells touch, which an inset would widen to
-    holes. A path around one is not faulted either.
+    not being there. Nor does a slit narrower than :data:`SLIT_MM`, be it a hole, a notch or a gap: unions leave slits of no
+    width where shells touch, which an inset would widen. A path around either is not faulted.
 
     Parameters
     ----------
@@ -115,8 +119,32 @@ def section_check(
 def _layer(
     nc: NCProgram, rows: Ints, layers: Layers, k: int, offset_mm: float, limit_mm: float, known: Evidence
 ) -> _Worst:
+    """Worst place of a layer, without the slits of its section where these alone make it out of tolerance."""
+    polygons = layers.polygons(k)
+    worst = _compared(nc, rows, polygons, k, offset_mm, limit_mm, known)
+    if worst.value <= worst.limit or not polygons:
+        return worst
+    closed = _compared(nc, rows, _without_slits(polygons), k, offset_mm, limit_mm, known)
+    return min(worst, closed, key=lambda w: w.value / w.limit)
+
+
+def _without_slits(polygons: list[shapely.Polygon]) -> list[shapely.Polygon]:
+    """Polygons of a layer, grown and shrunk again by half of :data:`SLIT_MM`."""
+    grown = shapely.buffer(layer_section(polygons), 0.5 * SLIT_MM, join_style="mitre")
+    return valid_polygons(shapely.buffer(grown, -0.5 * SLIT_MM, join_style="mitre"))
+
+
+def _compared(
+    nc: NCProgram,
+    rows: Ints,
+    polygons: list[shapely.Polygon],
+    k: int,
+    offset_mm: float,
+    limit_mm: float,
+    known: Evidence,
+) -> _Worst:
     """Worst place of a layer; where either has a contour and the other none, its length."""
-    sections, lines = _sections(layers.polygons(k), offset_mm, limit_mm)
+    sections, lines = _sections(polygons, offset_mm, limit_mm)
     wanted = 0.5 * (lines[:, :2] + lines[:, 2:])
     if not sections and rows.size:
         length = float(np.nansum(nc.lengths[rows]))
