@@ -153,12 +153,7 @@ def overlay_svg(
 
 
 def sheet_svg(
-    layers: Layers,
-    *,
-    width_px: int = 1200,
-    columns: int = 4,
-    most: int = SHEET_LAYERS,
-    exact: bool = False,
+    layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = SHEET_LAYERS, exact: bool = False
 ) -> str:
     """Draw up to `most` layers, evenly chosen from the stack, side by side at one scale.
 
