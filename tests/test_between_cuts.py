@@ -98,3 +98,13 @@ def test_listed_heights_say_which_layers_there_are():
     check = between_check(bored(0.6, 3.0), slice_part(bored(0.6, 3.0), np.array([0.75, 5.25])), config)
     assert check.passed
     assert check.value == 0.0
+
+
+def test_sections_that_meet_in_a_line_are_compared():
+    """Two blocks beside each other, one on the lower and one on the upper layer, and a rim of a third between the cuts."""
+    part = join(
+        box((0, 0, 0), (20, 30, 1.5)), box((20, 0, 1.5), (40, 30, 3)), box((0, 0, 0.9), (40, 30, 2.1))
+    )
+    check, _ = found(part)
+    assert check.passed
+    assert check.value == 0.0

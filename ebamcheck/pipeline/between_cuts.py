@@ -17,13 +17,14 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import BETWEEN
-from ebamcheck.scan.islands.regions import inset, layer_section, mean_width_mm
+from ebamcheck.scan.islands.regions import layer_section, mean_width_mm
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
@@ -107,7 +108,9 @@ def lost_features(part: Part, layers: Layers, config: Config) -> Iterator[Lost]:
     sections = [cut[bottom + near], *_sections(layers), cut[top - near]] if turning else []
     for below, spans in turning.items():
         beside = sections[below + 1 : below + 3]
-        within = inset(shapely.intersection_all(beside), shallow_mm)
+        # Sections that touch share lines, too, and no inset of a sliver may end a run.
+        both = shapely.MultiPolygon(valid_polygons(shapely.intersection_all(beside)))
+        within = shapely.difference(both, shapely.buffer(both.boundary, shallow_mm))
         around = shapely.buffer(shapely.union_all(beside), shallow_mm, join_style="mitre")
         known: dict[bool, BaseGeometry] = {False: shapely.Polygon(), True: shapely.Polygon()}
         for low_mm, high_mm in spans:
