@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from enum import IntEnum
 
 
@@ -88,3 +90,24 @@ class GeometryError(EbamcheckError):
     """Geometry on which a stage cannot do its work (a ring too short to fit, say)."""
 
     exit_code = ExitCode.OUT_OF_TOLERANCE
+
+
+def behind(error: BaseException | None) -> Iterator[BaseException]:
+    """Go through an error and those that led to it."""
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Tell an interrupt that arrives inside compiled code as an interrupt.
+
+    There the interpreter raises a `SystemError`, and the interrupt is what led to it.
+    """
+    try:
+        yield
+    except SystemError as error:
+        if any(isinstance(one, KeyboardInterrupt) for one in behind(error)):
+            raise KeyboardInterrupt from error
+        raise

@@ -13,11 +13,14 @@ import time
 
 import numpy as np
 import pytest
+import typer
 from command_line import FAST, WIDE_TOML, command, ebamcheck, frame, started, write_stl
 from parts import box, sphere
 
 from ebamcheck import scratch
 from ebamcheck.atomic_file import replacing
+from ebamcheck.commands.command_group import guarded
+from ebamcheck.errors import ExitCode
 from ebamcheck.layers.blocks import KeptBlocks, count_kept
 from ebamcheck.layers.files import read_parquet
 from ebamcheck.layers.heights import layer_blocks
@@ -205,6 +208,8 @@ HOLD = """
 import sys, time
 from pathlib import Path
 from ebamcheck.atomic_file import replacing
+from ebamcheck.commands.command_group import guarded
+from ebamcheck.errors import ExitCode
 from ebamcheck.scratch import scratch_folder
 with scratch_folder(parent=Path(sys.argv[1])) as folder, replacing(Path(sys.argv[1], "table.csv")) as file:
     file.write_text("half")
@@ -257,3 +262,19 @@ def test_a_slice_that_was_killed_leaves_nothing_once_the_next_is_made(tmp_path):
     assert len(read_parquet(tmp_path / "part.parquet")) == len(
         slice_part(box(), read_parquet(tmp_path / "part.parquet").heights)
     )
+
+
+@pytest.mark.parametrize(
+    ("led_to_it", "code"), [(KeyboardInterrupt, ExitCode.INTERRUPTED), (ValueError, ExitCode.INTERNAL)]
+)
+def test_an_interrupt_inside_compiled_code_is_an_interrupt(led_to_it, code):
+    """The interpreter tells whatever is raised there as errors of its own, one behind the other."""
+
+    def work() -> None:
+        inner = SystemError("an inner call returned a result with an exception set")
+        inner.__cause__ = led_to_it()
+        raise SystemError("a kernel returned a result with an exception set") from inner
+
+    with pytest.raises(typer.Exit) as end:
+        guarded(work)()
+    assert end.value.exit_code == code

@@ -11,7 +11,7 @@ import os
 import shlex
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +19,7 @@ from typing import Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from ebamcheck.errors import EbamcheckError, ExitCode
+from ebamcheck.errors import EbamcheckError, ExitCode, behind, interruptible
 from ebamcheck.installed import entry_points
 from ebamcheck.plugins.points import is_house, sorted_out
 from ebamcheck.printable import printable
@@ -131,7 +131,8 @@ def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..
 def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
     """Run a command; turn what it raises into a message and an exit code."""
     try:
-        code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
+        with interruptible():
+            code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
         sys.stdout.flush()
     except KeyboardInterrupt as interrupt:
         code = ExitCode.INTERRUPTED
@@ -166,10 +167,10 @@ def ended_by(error: BaseException) -> ExitCode:
 
 def _ending(error: BaseException) -> tuple[ExitCode, str]:
     """Exit code for an error, and what is told of it."""
-    behind = list(_chain(error))
-    numbers = {one.errno for one in behind if isinstance(one, OSError)}
+    chain = list(behind(error))
+    numbers = {one.errno for one in chain if isinstance(one, OSError)}
     told = f"error: {_said(error)}"
-    if any(map(_of_memory, behind)) or errno.ENOMEM in numbers:
+    if any(map(_of_memory, chain)) or errno.ENOMEM in numbers:
         return (
             ExitCode.MEMORY_FULL,
             f"error: too little memory: {_said(error)}: end other programs, or use a larger machine",
@@ -186,13 +187,6 @@ def _ending(error: BaseException) -> tuple[ExitCode, str]:
         return ExitCode.USAGE, told
     what = f"internal error: {type(error).__name__}: {error} (run again with --debug for a traceback)"
     return ExitCode.INTERNAL, what
-
-
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    """An error and those behind it, told or not."""
-    while error is not None:
-        yield error
-        error = error.__cause__ or error.__context__
 
 
 def _of_memory(error: BaseException) -> bool:

@@ -18,7 +18,7 @@ from ebamcheck.commands.options import print_json
 from ebamcheck.commands.progress import watched
 from ebamcheck.commands.scan_pictures import order_pictures
 from ebamcheck.drawing.tables import text_table
-from ebamcheck.errors import ExitCode
+from ebamcheck.errors import ExitCode, interruptible
 from ebamcheck.json_values import plain
 from ebamcheck.layers.cuts import heights_within
 from ebamcheck.layers.stack import from_polygons
@@ -100,9 +100,10 @@ def scan_layer(
     done, interrupted = _Compared(), False
     judge = _referee(layer, config) if with_referee and len(layer.laid.islands) else None
     try:
-        for _ in _compare(layer, orders, seeds, done, judge):
-            if output is not None:
-                _write(output, _table(done))
+        with interruptible():
+            for _ in _compare(layer, orders, seeds, done, judge):
+                if output is not None:
+                    _write(output, _table(done))
     except KeyboardInterrupt:
         interrupted = True
     if output is not None and done.shown:

@@ -16,7 +16,7 @@ from ebamcheck.atomic_file import made_folder
 from ebamcheck.commands.options import print_json, within_work
 from ebamcheck.commands.progress import watched
 from ebamcheck.drawing.tables import text_table
-from ebamcheck.errors import ExitCode
+from ebamcheck.errors import ExitCode, interruptible
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -57,13 +57,14 @@ def _rows(
     with closing(found), _table(output) as table, watched() as observer:
         observer.stage("order and heat", len(sections))
         try:
-            for row in found:
-                row["layer"] += 1
-                built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
-                row[BUILT] = built_s
-                table.writerow(row)
-                rows.append(row)
-                observer.advance(1)
+            with interruptible():
+                for row in found:
+                    row["layer"] += 1
+                    built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
+                    row[BUILT] = built_s
+                    table.writerow(row)
+                    rows.append(row)
+                    observer.advance(1)
         except KeyboardInterrupt:
             done = len(rows) if output is None else _written(output / TABLE)
             kept = f", kept in {output / TABLE}" if output is not None and done else ""
