@@ -10,6 +10,7 @@ from prism_program import Made
 
 from ebamcheck.program import verify_program
 from ebamcheck.program.checking.bead_checks import bead_checks
+from ebamcheck.program.checking.checks import checks_of
 from ebamcheck.program.checking.overhang import overhang_check
 
 
@@ -25,7 +26,7 @@ def test_beads_from_a_place_that_no_block_has_given_cover_nothing(lines, tmp_pat
         made.edit("MAIN_L0002.SPF", without_x)
         made.edit("MAIN.MPF", without_x)
     nc = made.read()
-    found = {check.name: check for check in bead_checks(nc, made.config, made.z, made.layers)}
+    found = {check.name: check for check in checks_of(bead_checks(nc, made.config, made.z, made.layers))}
     assert not found["coverage"].passed
     assert not found["gaps"].passed
     assert "nan" not in found["coverage"].text

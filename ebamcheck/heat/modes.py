@@ -184,7 +184,8 @@ def _region_modes(
     scale = sparse.diags_array(1.0 / root)
     matrix = sparse.csc_array(scale @ grid.coupling[cells][:, cells] @ scale)
     if size <= DENSE_CELLS:
-        eigenvalue, vectors = linalg.eigh(matrix.toarray(), driver="evd")
+        # The same routine as scipy's, but free of the interpreter lock.
+        eigenvalue, vectors = np.linalg.eigh(matrix.toarray())
     elif wanted > DENSE_SHARE * size:
         eigenvalue, vectors = linalg.eigh(matrix.toarray(), subset_by_index=(0, wanted - 1))
     else:

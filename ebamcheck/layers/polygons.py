@@ -9,6 +9,9 @@ if TYPE_CHECKING:
     import shapely
     from shapely.geometry.base import BaseGeometry
 
+POLYGON = 3
+"""Type of a polygon among shapely's geometries; collections have the greater ones."""
+
 
 def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
     """Polygons with area in a geometry; invalid ones are made valid."""
@@ -17,6 +20,8 @@ def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
     if not geometry.is_valid:
         geometry = shapely.make_valid(geometry)
     parts = shapely.get_parts(geometry)
-    if any(part.geom_type == "GeometryCollection" or part.geom_type.startswith("Multi") for part in parts):
+    kind = shapely.get_type_id(parts)
+    if (kind > POLYGON).any():
         return [polygon for part in parts for polygon in valid_polygons(part)]
-    return [part for part in parts if part.geom_type == "Polygon" and part.area > 0]
+    found: list[shapely.Polygon] = parts[(kind == POLYGON) & (shapely.area(parts) > 0.0)].tolist()
+    return found

@@ -6,7 +6,9 @@ interpreter lock, so that :func:`run_blocks` spreads them over threads.
 
 from __future__ import annotations
 
+import functools
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar, cast
@@ -91,8 +93,30 @@ def block_edges(count: int, smallest: int = 1, a_thread: int = 4, largest: int |
 def run_in_order(work: Callable[[int, int], _Result], edges: Sequence[int]) -> Iterator[_Result]:
     """Run ``work(start, stop)`` between each of the `edges` and the next, on all threads; results come in this order."""
     threads = thread_count()
-    if threads == 1 or len(edges) < 3:
+    if threads == 1 or len(edges) < 3 or getattr(_THREAD, "shares_cores", False):
         yield from map(work, edges[:-1], edges[1:])
         return
-    with ThreadPoolExecutor(threads) as pool:
-        yield from pool.map(work, edges[:-1], edges[1:])
+    yield from _pool(threads).map(work, edges[:-1], edges[1:])
+
+
+def worker_threads() -> ThreadPoolExecutor:
+    """Make a pool of as many threads as kernels may use; blocks run on the thread that asks for them."""
+    return ThreadPoolExecutor(thread_count(), initializer=_share_cores)
+
+
+_THREAD = threading.local()
+"""``shares_cores``: this thread is one of several that fill the cores, and spreads its blocks no further."""
+
+
+def _share_cores() -> None:
+    _THREAD.shares_cores = True
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """Make the threads on which blocks run: once a process, since starting them takes as long as a small block."""
+    return ThreadPoolExecutor(threads, initializer=_share_cores)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -16,7 +16,7 @@ from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bare_parts import widest_part
 from ebamcheck.program.checking.bead_wire import bead_wire_check
-from ebamcheck.program.checking.checks import Check, count_check, lines_of, row_faults
+from ebamcheck.program.checking.checks import Check, CheckGroup, count_check, lines_of, row_faults
 from ebamcheck.program.checking.end_gaps import end_gaps_check
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.matching import APART_MM
@@ -49,19 +49,27 @@ LEAST_GAP_LIMIT = 0.15
 """Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
 
 
-def bead_checks(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None) -> list[Check]:
-    """Check the beads by the text alone, and the coverage of the sections where `layers` are given.
+def bead_checks(
+    nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None
+) -> list[CheckGroup]:
+    """Checks of the beads by the text alone, and of the coverage of the sections where `layers` are given.
 
     Parameters
     ----------
     z_of
         (L,) Z of each of the `layers` in the program.
     """
-    checks = [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
+    groups: list[CheckGroup] = [
+        lambda: [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
+    ]
     if layers is not None:
-        checks += [_coverage(nc, config, z_of, layers), _gaps(nc, config, z_of, layers)]
-        checks += [bead_wire_check(nc, config, z_of, layers), end_gaps_check(nc, config, layers)]
-    return checks
+        groups += [
+            lambda: [_coverage(nc, config, z_of, layers)],
+            lambda: [_gaps(nc, config, z_of, layers)],
+            lambda: [bead_wire_check(nc, config, z_of, layers)],
+            lambda: [end_gaps_check(nc, config, layers)],
+        ]
+    return groups
 
 
 # -- lines -------------------------------------------------------------------------------------------

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck.numeric.rings import Bools, Ints
 from ebamcheck.program.reading.motions import NCProgram
 
@@ -48,6 +49,20 @@ class Check:
         return f"{self.name}{f' at {where}' if where else ''}: {self.text}" + (
             f"; {self.remedy}" if self.remedy else ""
         )
+
+
+CheckGroup = Callable[[], Sequence[Check]]
+"""Checks that are made together."""
+
+
+def checks_of(groups: Sequence[CheckGroup]) -> list[Check]:
+    """Make all groups of checks, on all threads; results come in the order of the groups.
+
+    The last group begins first: the long ones stand at the end.
+    """
+    last = len(groups) - 1
+    found = list(run_in_order(lambda k, _: groups[last - k](), range(len(groups) + 1)))
+    return [check for group in reversed(found) for check in group]
 
 
 def check_record(check: Check) -> dict[str, Any]:

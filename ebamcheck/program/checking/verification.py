@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.program.checking.bead_checks import bead_checks, repeated_blocks
 from ebamcheck.program.checking.bead_end_checks import bead_end_checks
-from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.checking.checks import Check, CheckGroup, checks_of
 from ebamcheck.program.checking.clearance import clearance_checks
 from ebamcheck.program.checking.consumables import consumables_checks
 from ebamcheck.program.checking.deposit import Deposit, deposit
@@ -160,52 +159,44 @@ def verify_program(
     planned = None if plan is None else interpass_of(plan, config)
     sections = known_sections(plan, smooth, layers)
     shares = _power_shares(nc, config, known, sections, heat) if plan is None else _planned_shares(plan)
-    with ThreadPoolExecutor(1) as beside:
-        # The balances of the heat are arithmetic that does not hold the interpreter's lock.
-        hot = (
-            beside.submit(heat_checks, nc, config, sections, before, known_sections(None, layers))
-            if heat
-            else None
-        )
-        checks = [
-            *text_checks(nc, config, sha256),
-            *header_checks(nc, config, truth or Truth(), known),
-            *state_checks(nc, config, TURN_SPACINGS * config.process.hatch_spacing_mm),
-            wire_check(nc, config, path),
-            *bead_end_checks(nc, config, shares),
-            closure_check(nc, curves, tolerance_mm),
-            *_block_checks(nc, config),
-            wait_check(nc, config, planned),
-            wait_height_check(nc, config),
-            *consumables_checks(nc, config),
-        ]
-    checks += hot.result() if hot else []
-    checks += preheat_checks(nc, config, sections, before, under)
-    checks += [*tilt_checks(nc, config), *released_checks(nc, config)]
-    checks += clearance_checks(nc, z_of, config, layers)
-    checks += plugged_checks(nc, config)
-    if known is None:
-        return checks
-    checks += layer_checks(nc, z_of, _filled(tracks, layers, len(z_of)))
-    if match is not None:
-        # A plan of contours or of islands alone knows nothing of the other beads.
-        checks += matching_checks(nc, match, tolerance_mm) if path is not None else []
-    if curves is not None:
-        checks += contour_checks(nc, curves, config, tolerance_mm, z_of)
-    if plan is not None:
-        checks += hatch_checks(nc, plan, config, tolerance_mm, z_of)
-    if layers is not None:
-        most = config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
-        checks += _section_checks(nc, layers, smooth, z_of, offset, config, most)
-        if metal and laid is None:
-            laid = deposit(nc, layers, z_of, config)
-        if laid is not None:
-            checks += deposit_checks(nc, laid, config)
-        if path is None:
-            checks.append(overfill_check(nc, z_of, config, layers))
-    if beads:
-        checks += bead_checks(nc, config, z_of, layers)
-    return checks
+    groups: list[CheckGroup] = [
+        lambda: text_checks(nc, config, sha256),
+        lambda: header_checks(nc, config, truth or Truth(), known),
+        lambda: state_checks(nc, config, TURN_SPACINGS * config.process.hatch_spacing_mm),
+        lambda: [wire_check(nc, config, path), *bead_end_checks(nc, config, shares)],
+        lambda: [closure_check(nc, curves, tolerance_mm), *_block_checks(nc, config)],
+        lambda: [wait_check(nc, config, planned), wait_height_check(nc, config)],
+        lambda: consumables_checks(nc, config),
+    ]
+    if heat:
+        groups.append(lambda: heat_checks(nc, config, sections, before, known_sections(None, layers)))
+    groups += [
+        lambda: preheat_checks(nc, config, sections, before, under),
+        lambda: [*tilt_checks(nc, config), *released_checks(nc, config)],
+        lambda: clearance_checks(nc, z_of, config, layers),
+        lambda: plugged_checks(nc, config),
+    ]
+    if known is not None:
+        groups.append(lambda: layer_checks(nc, z_of, _filled(tracks, layers, len(z_of))))
+        if match is not None and path is not None:
+            # A plan of contours or of islands alone knows nothing of the other beads.
+            groups.append(lambda: matching_checks(nc, match, tolerance_mm))
+        if curves is not None:
+            groups.append(lambda: contour_checks(nc, curves, config, tolerance_mm, z_of))
+        if plan is not None:
+            groups.append(lambda: hatch_checks(nc, plan, config, tolerance_mm, z_of))
+        if layers is not None:
+            most = (
+                config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
+            )
+            groups.append(lambda: _section_checks(nc, layers, smooth, z_of, offset, config, most))
+            if metal or laid is not None:
+                groups.append(lambda: deposit_checks(nc, laid or deposit(nc, layers, z_of, config), config))
+            if path is None:
+                groups.append(lambda: [overfill_check(nc, z_of, config, layers)])
+        if beads:
+            groups += bead_checks(nc, config, z_of, layers)
+    return checks_of(groups)
 
 
 def _planned_shares(plan: ScanColumns) -> Floats:

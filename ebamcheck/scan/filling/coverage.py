@@ -152,8 +152,8 @@ def mark_beads(grid: NDArray[np.uint8], segments: Floats, radius: float, step: f
             left, right = _capsule_row((row + 0.5) * step, ax, ay, bx, by, length, radius)
             start = max(0, int(np.ceil(left / step - 0.5)))
             stop = min(columns - 1, int(np.floor(right / step - 0.5)))
-            for column in range(start, stop + 1):
-                grid[row, column] = 0
+            if start <= stop:
+                grid[row, start : stop + 1] = 0
 
 
 @kernel

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -19,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.one_blas_thread import one_blas_thread
-from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.numeric.kernels import thread_count, worker_threads
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.scan.heat.island_heat import IslandHeat
@@ -287,7 +286,7 @@ def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Pr
     if thread_count() == 1:
         yield from map(prepare, range(count))
         return
-    threads = ThreadPoolExecutor(thread_count())
+    threads = worker_threads()
     try:
         coming = deque(threads.submit(prepare, k) for k in range(min(AHEAD, count)))
         for k in range(count):

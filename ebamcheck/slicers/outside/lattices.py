@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from threading import Lock
 from types import TracebackType
@@ -22,7 +21,7 @@ from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import thread_count
+from ebamcheck.numeric.kernels import worker_threads
 from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
 
 SAME_PLANE_MM = 1e-9
@@ -177,7 +176,7 @@ class LatticeStack:
         for lattice, layers in self._kept.items():
             take(lattice, layers)
         wanted = lattices_of(heights[waiting], least, greatest)
-        with ThreadPoolExecutor(thread_count()) as pool:
+        with worker_threads() as pool:
             for lattice, layers in zip(wanted, pool.map(self._cut, wanted), strict=True):
                 self._keep(lattice, layers)
                 take(lattice, layers)
