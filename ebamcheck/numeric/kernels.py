@@ -99,9 +99,9 @@ def run_in_order(work: Callable[[int, int], _Result], edges: Sequence[int]) -> I
     yield from _pool(threads).map(work, edges[:-1], edges[1:])
 
 
-def worker_threads() -> ThreadPoolExecutor:
-    """Make a pool of as many threads as kernels may use; blocks run on the thread that asks for them."""
-    return ThreadPoolExecutor(thread_count(), initializer=_share_cores)
+def worker_threads(count: int | None = None) -> ThreadPoolExecutor:
+    """Make a pool of threads that fill the cores: as many as kernels may use. Blocks run on the one that asks for them."""
+    return ThreadPoolExecutor(count or thread_count(), initializer=_share_cores)
 
 
 _THREAD = threading.local()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from threading import Event
@@ -14,6 +14,7 @@ from ebamcheck.findings import Finding
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
+from ebamcheck.numeric.kernels import worker_threads
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.run_folder import RunInProgress
 from ebamcheck.settings.config import Config
@@ -114,7 +115,7 @@ def one_beside(ended: Event | None = None) -> Iterator[Executor]:
     ended
         Set then, so that what has begun can stop.
     """
-    with ThreadPoolExecutor(1) as pool:
+    with worker_threads(1) as pool:
         try:
             yield pool
         except BaseException:
