@@ -128,7 +128,7 @@ def test_a_shell_that_cuts_itself_shuts_the_gate():
     sides = [t for k in range(n) for t in ((k, (k + 1) % n, (k + 1) % n + n), (k, (k + 1) % n + n, k + n))]
     lids = [t for k in range(1, n - 1) for t in ((0, k + 1, k), (n, n + k, n + k + 1))]
     part = from_arrays(points, [*sides, *lids])
-    assert inspect(part).verdict == "sound"
+    assert inspect(part).verdict == "overlapping"
     cuts = layer_heights(part, 1.0)
     areas = slice_part(part, cuts).areas()
     lost = part.volume - 20.0 * areas[0]
@@ -196,3 +196,14 @@ def test_too_many_to_unite_is_said(monkeypatch, tmp_path):
     assert found.volume_mm3 == pytest.approx(64000)
     checks = ready(ebamcheck.save(part, tmp_path / "part.stl"), Config()).preflight.checks
     assert any("is the sum of all of them" in check.text for check in checks if check.level == "warning")
+
+
+def test_more_metal_than_the_box_holds_is_not_sound():
+    """Of 300 copies of one cube nobody compares all pairs; the sum of their volumes is told, but not as a sound part."""
+    cube = ((0, 0, 0), (10, 10, 10), OUT)
+    many = inspect(boxes(*[cube] * 300))
+    assert not many.union_known
+    assert (many.verdict, many.passed) == ("overlapping", False)
+    assert "300000 mm3 in a box of 1000 mm3" in many.why
+    assert inspect(boxes(cube)).verdict == "sound"
+    assert inspect(boxes(cube, cube)).verdict == "sound"

@@ -16,10 +16,13 @@ from ebamcheck.showing import short_text
 if TYPE_CHECKING:
     from ebamcheck.mesh.bodies import Relation
 
-Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat"]
+Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat", "overlapping"]
 
 NO_VOLUME = 1e-12
 """Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
+
+BOX_ROOM = 1e-9
+"""Share by which a volume may be over that of its box: rounding of a block."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +32,7 @@ class Inspection:
     `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring
     facets with the same direction along their edge), ``non-manifold`` (edges with an odd number of facets, or
     whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed body of negative volume outside
-    any other), ``sound``.
+    any other), ``overlapping`` (more volume than the box around it: bodies that are too many to be united, or a body that passes through itself), ``sound``.
     """
 
     name: str
@@ -187,6 +190,12 @@ def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdi
         return "inside-out", (
             f"{found.inside_out_bodies} of {found.bodies} closed bodies have negative volume "
             f"(in all {found.volume_mm3:.6g} mm3): every facet faces inwards; turn them in the model, or use --fix-orientation"
+        )
+    box_mm3 = float(np.prod(found.size_mm))
+    if found.volume_mm3 > (1.0 + BOX_ROOM) * box_mm3:
+        return "overlapping", (
+            f"its facets enclose {found.volume_mm3:.6g} mm3 in a box of {box_mm3:.6g} mm3: bodies or walls stand in one another; "
+            "unite them in the model"
         )
     return "sound", "closed, consistently oriented, volume positive"
 

@@ -31,6 +31,7 @@ FAULTS = {
     "non-manifold": "At some edges an odd number of facets meet, or facets that do not pair up: there is no telling inside from "
     "outside there. Separate or unite the bodies in the CAD system and export the part again.",
     "flat": "The mesh has no volume: there is nothing to build.",
+    "overlapping": "The mesh encloses more than its box: bodies or walls stand in one another. Unite them in the model.",
     "inside-out": "The mesh is closed but its facets face inwards, so that the metal would lie outside of it.",
 }
 
