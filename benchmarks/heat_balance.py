@@ -31,7 +31,7 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.heat.referee import judged, referee
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.text_heat import (

@@ -12,7 +12,7 @@ import shapely
 from ebamcheck.curves import fit
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.program import verify_file
 from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.program.controls.sinumerik.writing import write_program

@@ -5,7 +5,7 @@ import numpy as np
 from ebamcheck.curves import Curves
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program, write_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks

@@ -9,7 +9,7 @@ import shapely
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.planned_power import power_by_wire
-from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes

@@ -19,7 +19,7 @@ from shapely import affinity
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline import noticed_in_program
-from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.toolpath.bead_ends import planned_path

@@ -61,7 +61,7 @@ NO_LIMITS = {
         narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
         mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
         between_cuts.LEAST_MM2 between_cuts.MOST_SPANS between_cuts.FINEST
-        solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE programming.SAMPLING_MM gates_again.SMOOTH_MM turned.STEP_MM
+        solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE stages.SAMPLING_MM turned.STEP_MM
         turned.MOST_PLACES""",
     "units, forms of files, and how much of something is told": """
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING

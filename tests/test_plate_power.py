@@ -8,7 +8,7 @@ import shapely
 
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.program.controls.gcode.writing import write_plain_gcode
 from ebamcheck.settings.config import Config

@@ -38,8 +38,8 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.programming import bead_paths, smooth_layers
 from ebamcheck.pipeline.run_folder import MANIFEST
+from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import write_program
 from ebamcheck.program.language.control import control as control_named

@@ -24,7 +24,7 @@ from ebamcheck.layers.cuts import heights_within
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.programming import bead_paths
+from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import write_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, OrderResult, figures_of

@@ -18,8 +18,7 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import BackendSettings
-from ebamcheck.comparison import compare_all
-from ebamcheck.curves import LIFTED, fit_for_program
+from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -41,7 +40,14 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.planned_power import power_by_wire
-from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.pipeline.stages import (
+    compared_layers,
+    judged_program,
+    laid_out,
+    smooth_layers,
+    smooth_sections,
+    written,
+)
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, verify_program
@@ -49,7 +55,6 @@ from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.language.control import control
-from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
@@ -57,7 +62,7 @@ from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 
 
@@ -172,9 +177,11 @@ class LayerMaker:
         """What stands of a part that is turned between layers; None: it is not."""
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
+        settings = {name: self._settings(name) for name in (self.primary, self.witness)}
+        self._bounds = declared_bounds(part, settings)
         self._slicings = {
-            backend: self._open.enter_context(Slicing(part, backend, **self._settings(backend).model_dump()))
-            for backend in (self.primary, self.witness)
+            name: self._open.enter_context(Slicing(part, name, **values.model_dump()))
+            for name, values in settings.items()
         }
 
     def __enter__(self) -> Self:
@@ -271,45 +278,35 @@ class LayerMaker:
         surface = None if stands is None else stands.surface
         with clock.stage("plan"):
             plan, after, wait_s = self._planned(smooth, wanted, heat, aimed_lower(config, cooler_k), surface)
-        made = [
-            self.sound,
-            comparing.result(),
-            gates.fit_gate(verdict),
-            gates.coverage_gate(plan.metrics, config),
-        ]
+        agreement = comparing.result()
         with clock.stage("write"):
-            beads = bead_paths(smooth, plan, config, wanted.layer)
-            path = planned_path(beads, plan, config)
-            header = {"PART SHA-256": self.part.source_sha256 or self.part.sha256}
-            files: ProgramFiles = control(config.machine.control).written(
-                beads, plan, config, folder, header=header, path=path
-            )
+            laid = laid_out(smooth, plan, config, wanted.layer)
+            files = written(laid, self.part, config, folder)
         with clock.stage("verify"):
             read = control(config.machine.control).load("reader")
-            program, _ = matched(read(files.main, config), path)
+            program, _ = matched(read(files.main, config), laid.path)
             weighing = self._aside.submit(mesh_and_metal, program, self.part, witness, stands, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
                 program,
                 config=config,
-                curves=beads,
+                curves=laid.beads,
                 plan=plan,
-                path=path,
+                path=laid.path,
                 layers=witness,
                 heat=True,
                 before=heat.rested(wait_s + rise_s).part.column,
                 under=self._under(config, self.witness),
                 sha256=files.sha256,
-                smooth=smooth if config.curves.method in LIFTED else None,
+                smooth=smooth_sections(verdict.curves, config),
             )
             beside, stands = weighing.result()
             checks += [*beside, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = layer_section(witness.polygons(0))
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
-            made += [gates.deposit_gate(checks, config), gates.heat_gate(checks, plan.metrics, config)]
-            made.append(gates.program_gate(checks))
+            made = [self.sound, agreement, *judged_program(verdict, checks, plan.metrics, config)]
             files = marked_validated(files) if all(gate.passed for gate in made) else files
         return MadeLayer(
             wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
@@ -326,32 +323,17 @@ class LayerMaker:
 
     def _fitted(self, contours: Layers, config: Config) -> FitVerdict:
         """Curves of the contours, and what the mesh says of them."""
-        bound_mm = registry.slicer(self.primary).error_bound_mm(self.part, self._settings(self.primary))
+        bound_mm, _ = self._bounds[self.primary]
         curves = fit_for_program(contours, config.curves, self.part, error_bound_mm=bound_mm)
         return judged(curves, contours, self.part, config)[0]
 
     def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:
         """Whether both methods agree on the layer."""
         with clock.stage("compare"):
-            return self._compared(cuts)
-
-    def _compared(self, cuts: dict[str, Layers]) -> Gate:
-        slicers = {name: registry.slicer(name) for name in cuts}
-        settings = {name: self._settings(name) for name in cuts}
-        found = compare_all(
-            cuts,
-            self.part,
-            bounds={
-                n: (s.error_bound_mm(self.part, settings[n]), s.height_bound_mm(self.part, settings[n]))
-                for n, s in slicers.items()
-            },
-            exact={n: s.exact for n, s in slicers.items()},
-            rules={n: s.coplanar_rule for n, s in slicers.items()},
-            settings=self.config.comparison,
-        )
-        # Nothing is written here: an outcome is done when it has a file.
-        done = {name: Outcome(name, file=Path(name)) for name in cuts}
-        return gates.agreement_gate(found, done, 1)
+            found = compared_layers(cuts, self.part, self._bounds, self.config, count_evidence=False)
+            # Nothing is written here: an outcome is done when it has a file.
+            done = {name: Outcome(name, file=Path(name)) for name in cuts}
+            return gates.agreement_gate(found, done, 1)
 
     def _under(self, config: Config, backend: str) -> BaseGeometry | None:
         """Section of what the layer lies on, where that is preheated."""

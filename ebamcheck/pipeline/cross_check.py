@@ -13,16 +13,17 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.backend import BackendSettings
-from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.comparison import Comparison
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.blocks import count_kept, kept_blocks
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
-from ebamcheck.pipeline.independence import evidence_rule, no_evidence
+from ebamcheck.pipeline.independence import no_evidence
 from ebamcheck.pipeline.noticed import lost
+from ebamcheck.pipeline.stages import compared_layers
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
-from ebamcheck.slicers.isolation import Limits, Outcome, declared_bounds, slice_all
+from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
 from ebamcheck.slicers.layer_forms import file_fault
 
 
@@ -116,18 +117,14 @@ def _kept(job: Job, backends: Mapping[str, BackendSettings]) -> dict[str, Outcom
 
 def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int64]) -> Comparison:
     done = {name: outcome for name, outcome in outcomes.items() if outcome.file is not None}
-    rule = evidence_rule(job.config, done)
     with job.stage("compare", len(job.heights)), ExitStack() as opened:
-        comparison = compare_all(
+        comparison = compared_layers(
             {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done},
             job.part,
-            bounds={n: (o.error_bound_mm, o.height_bound_mm) for n, o in done.items()},
-            exact={n: registry.slicer(n).exact for n in done},
-            rules={n: registry.slicer(n).coplanar_rule for n in done},
-            settings=job.config.comparison,
+            bounds_of(done),
+            job.config,
             progress=job.observer.advance,
             borders=borders,
-            evidence=rule,
         )
         write_comparison(job, comparison)
     return comparison

@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.curves import LIFTED, fit_for_program
+from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.storage import table_of
 from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.heat.melting import entry_limit_k
@@ -32,7 +32,6 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.loose_limits import loose_limits
@@ -40,6 +39,7 @@ from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.section_volume import volume_off
+from ebamcheck.pipeline.stages import compared_layers, judged_program, smooth_sections
 from ebamcheck.pipeline.tables_again import of_comparison, order_of, sums_of, tables_check
 from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
@@ -59,14 +59,14 @@ from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.version import __version__
 
-SMOOTH_MM = 0.002
-"""Chords of the smooth sections: far under the tolerance of the fit."""
-
 SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
 
 SAME_POINT_MM = 1e-6
 """Points cut by one slicer twice, on another processor: far under what two slicers may differ by."""
+
+COVERAGE = "coverage"
+"""The gate that the text can shut where the plan alone leaves it open."""
 
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
@@ -142,17 +142,12 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
     verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
     tables["curves.parquet"] = table_of(verdict.curves)
-    smooth = verdict.curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None
+    smooth = smooth_sections(verdict.curves, config)
     checks, plan, of_text, narrow = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
     main = run.program_folder / record["files"][0]["name"]
-    made += [
-        gates.fit_gate(verdict),
-        _coverage(checks, gates.coverage_gate(plan.metrics, config)),
-        gates.deposit_gate(checks, config),
-        gates.heat_gate(checks, plan.metrics, config),
-        gates.program_gate(checks),
-    ]
+    judging = judged_program(verdict, checks, plan.metrics, config)
+    made += [_coverage(checks, gate) if gate.name == COVERAGE else gate for gate in judging]
     entry = checked_again(run.path, record, main, z_of, config)
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
@@ -229,17 +224,8 @@ def _agreement(
                 )
         outcomes.setdefault(witness, Outcome(witness, file=run.layers_file(witness)))
         stacks.setdefault(witness, fresh)
-        slicers = {name: registry.slicer(name) for name in stacks}
         settings = {n: registry.slicer_settings(n, config.slicing.settings.get(n, {})) for n in stacks}
-        comparison = compare_all(
-            stacks,
-            part,
-            bounds=declared_bounds(part, settings),
-            exact={n: s.exact for n, s in slicers.items()},
-            rules={n: s.coplanar_rule for n, s in slicers.items()},
-            settings=config.comparison,
-            evidence=evidence_rule(config, stacks),
-        )
+        comparison = compared_layers(stacks, part, declared_bounds(part, settings), config)
     gate = gates.agreement_gate(comparison, outcomes, len(fresh), config.layer_height_mm, config.base_mm)
     return gate, comparison
 

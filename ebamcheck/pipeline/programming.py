@@ -12,12 +12,12 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.atomic_file import COMPRESSION
-from ebamcheck.curves import LIFTED, Curves
+from ebamcheck.curves import Curves
 from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layer_numbers import numbered
-from ebamcheck.layers.stack import Layers, from_polygons
+from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed_in_program
 from ebamcheck.pipeline.choice import witness_backend
@@ -26,9 +26,18 @@ from ebamcheck.pipeline.entry_program import Entry, write_entry
 from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_against
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
-from ebamcheck.pipeline.planned_power import bead_curves, plan_program
+from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.solid_metal import of_mesh, solid_check
+from ebamcheck.pipeline.stages import (
+    LaidOut,
+    header_of,
+    judged_program,
+    laid_out,
+    smooth_layers,
+    smooth_sections,
+    written,
+)
 from ebamcheck.pipeline.work import Job, one_beside
 from ebamcheck.program import Check, program_summary, read_program, verify_program
 from ebamcheck.program.checking.deposit import Deposit, deposit
@@ -38,18 +47,12 @@ from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
 from ebamcheck.program.checking.remedies import told
 from ebamcheck.program.checking.text_heat import build_times_s, known_sections
-from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import event_totals, process_events
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan import ScanPlan
-from ebamcheck.settings.config import Config
-
-SAMPLING_MM = 0.002
-"""Beads are planned inside of polylines this near to the fitted curves: a tenth of the fit's tolerance."""
 
 TOTALS = (
     "motions",
@@ -120,25 +123,14 @@ def make_program(
             numbered(plan.metrics).to_csv(job.folder.path / "scan.csv", index=False)
         job.add_finding(*noticed_in_program.of_heat(plan, config))
         with job.stage("program", 1):
-            beads = bead_paths(smooth, plan, config)
-            beads.to_parquet(job.folder.path / "beads.parquet")
-            path = planned_path(beads, plan, config)
-            summed = aside.submit(_write_events, job, path, plan)
-            header = {"PART SHA-256": job.part.source_sha256 or job.part.sha256}
-            own = control(config.machine.control)
-            files: ProgramFiles = own.written(
-                beads, plan, config, job.folder.program_folder, header=header, path=path
-            )
-            made_from = _Made(beads, plan, path, layers, smooth)
-            proof = _verified(job, files, made_from, _witness(job, layers, checked.done), aside)
+            laid = laid_out(smooth, plan, config)
+            laid.beads.to_parquet(job.folder.path / "beads.parquet")
+            summed = aside.submit(_write_events, job, laid.path, plan)
+            files = written(laid, job.part, config, job.folder.program_folder)
+            sections = _Sections(layers, fit_result.curves, _witness(job, layers, checked.done))
+            proof = _verified(job, files, laid, sections, aside)
             totals, fit_result = summed.result(), with_reference.result()
-    made: tuple[Gate, ...] = (
-        gates.fit_gate(fit_result.verdict),
-        gates.coverage_gate(plan.metrics, config),
-        gates.deposit_gate(proof.checks, config),
-        gates.heat_gate(proof.checks, plan.metrics, config),
-        gates.program_gate(proof.checks),
-    )
+    made = tuple(judged_program(fit_result.verdict, proof.checks, plan.metrics, config))
     entry = _entry(job, files, layers)
     if entry is not None:
         made = (*made, gates.entry_gate(entry.check))
@@ -147,7 +139,9 @@ def make_program(
         entry = entry and entry.marked_validated()
     live = None
     if job.live:
-        live = write_live(job.folder.path, config, float(job.part.size[2]), files.validated, header)
+        live = write_live(
+            job.folder.path, config, float(job.part.size[2]), files.validated, header_of(job.part)
+        )
         job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
     return ProgramResult(fit_result, plan, totals, proof, files, entry, live, made)
 
@@ -160,30 +154,6 @@ def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
     entry = write_entry(files, job.from_layer, z_of, job.config)
     job.observer.note(f"program from layer {job.from_layer} on: {entry.check.in_words()}")
     return entry
-
-
-def smooth_layers(curves: Curves) -> Layers:
-    """Polylines along fitted contours, inside of which beads are planned."""
-    return curves.sample_tolerance(SAMPLING_MM)
-
-
-def bead_paths(layers: Layers, plan: ScanPlan, config: Config, first_layer: int = 0) -> Curves:
-    """Curves along the centre lines of the contour beads, in the direction in which they are driven.
-
-    Parameters
-    ----------
-    first_layer
-        Index in the build of the lowest of the layers.
-    """
-    lines = from_polygons(
-        layers.heights,
-        [[region] for region in plan.contours],
-        part=layers.part,
-        direction=layers.direction,
-        backend=layers.backend,
-        settings=layers.settings,
-    )
-    return bead_curves(lines, config, first_layer)
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
@@ -229,45 +199,45 @@ def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> l
     return checks
 
 
-class _Made(NamedTuple):
-    """What a program was made from."""
+class _Sections(NamedTuple):
+    """Sections of the part: contours of the primary slicer, the curves fitted to them, and contours of the witness."""
 
-    beads: Curves
-    plan: ScanPlan
-    path: Toolpath
     contours: Layers
-    smooth: Layers
+    curves: Curves
+    witness: Layers
 
 
-def _verified(job: Job, files: ProgramFiles, made: _Made, witness: Layers, aside: Executor) -> ProgramProof:
+def _verified(
+    job: Job, files: ProgramFiles, laid: LaidOut, sections: _Sections, aside: Executor
+) -> ProgramProof:
     """Read the text of a program back and check it against what it was made from."""
-    config = job.config
-    program, _ = matched(read_program(files.main, config), made.path)
-    job.add_finding(*noticed_in_program.of_seams(program, made.contours.heights, config))
+    config, witness, heights = job.config, sections.witness, sections.contours.heights
+    program, _ = matched(read_program(files.main, config), laid.path)
+    job.add_finding(*noticed_in_program.of_seams(program, heights, config))
     job.add_finding(*noticed_in_program.of_consumables(program, config))
-    feeds = aside.submit(side_by_side, program, made.contours, config)
+    feeds = aside.submit(side_by_side, program, sections.contours, config)
     metal = aside.submit(_laid, job, program, witness)
-    times = aside.submit(build_times_s, program, config, known_sections(made.plan, witness))
+    times = aside.submit(build_times_s, program, config, known_sections(laid.plan, witness))
     checks = verify_program(
         program,
         config=config,
-        curves=made.beads,
-        plan=made.plan,
-        path=made.path,
+        curves=laid.beads,
+        plan=laid.plan,
+        path=laid.path,
         layers=witness,
         beads=True,
         heat=True,
         sha256=files.sha256,
-        smooth=made.smooth if config.curves.method in LIFTED else None,
+        smooth=smooth_sections(sections.curves, config),
     )
     job.add_finding(*noticed_in_program.of_overhang(checks, config))
-    job.add_finding(*noticed_in_program.of_limit(checks, made.plan, config))
+    job.add_finding(*noticed_in_program.of_limit(checks, laid.plan, config))
     checks += _weighed(job, program, witness, metal.result())
-    checks = told(checks, program, made.contours.heights, config.layer_height_mm, config.base_mm)
+    checks = told(checks, program, heights, config.layer_height_mm, config.base_mm)
     job.add_finding(*noticed_in_program.of_checks(checks))
     summary = program_summary(program, config)
     numbered(summary).to_csv(job.folder.path / "program.csv", index=False)
-    job.add_finding(*noticed_in_program.of_interpass(summary, made.plan, config))
+    job.add_finding(*noticed_in_program.of_interpass(summary, laid.plan, config))
     kinematics = feeds.result()
     kinematics.to_csv(job.folder.path / "kinematics.csv")
     return ProgramProof(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.backend import BackendSettings
-from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.joining import joined, shifted
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
@@ -23,11 +23,10 @@ from ebamcheck.mesh.slab_inspection import SlabInspection
 from ebamcheck.mesh.slabs import Division, Slab
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.pipeline.cross_check import CrossCheck
-from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.noticed import lost
+from ebamcheck.pipeline.stages import compared_layers
 from ebamcheck.pipeline.work import Job
-from ebamcheck.plugins import registry
-from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
+from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all
 from ebamcheck.slicers.worker_pool import WorkerPool
 
 DOUBT = "doubtful_regions"
@@ -170,16 +169,7 @@ def _compared(job: Job, tally: _Tally, cut: _Cut, outcomes: Mapping[str, Outcome
         stacks = {n: opened.enter_context(LayerFile(o.made(), edges=False)) for n, o in done.items()}
         for name, stack in stacks.items():
             _keep_settings(tally.settings, name, stack.settings, cut.slab)
-        return compare_all(
-            stacks,
-            cut.slab.part,
-            bounds={n: (o.error_bound_mm, o.height_bound_mm) for n, o in done.items()},
-            exact={n: registry.slicer(n).exact for n in done},
-            rules={n: registry.slicer(n).coplanar_rule for n in done},
-            settings=job.config.comparison,
-            borders=cut.borders,
-            evidence=evidence_rule(job.config, done),
-        )
+        return compared_layers(stacks, cut.slab.part, bounds_of(done), job.config, borders=cut.borders)
 
 
 def _keep_settings(

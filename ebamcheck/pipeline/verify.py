@@ -10,7 +10,7 @@ from typing import Any
 
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.curves import LIFTED, Curves, fit_for_program
+from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
@@ -28,13 +28,14 @@ from ebamcheck.pipeline.certificate_checks import (
     told_once,
 )
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.gates_again import SMOOTH_MM, compared, work_again
+from ebamcheck.pipeline.gates_again import compared, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import PLATE, plate_checks
 from ebamcheck.pipeline.resumed import begins_later, entry_of_whole
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.pipeline.solid_metal import with_solid
+from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.text_again import truth_of
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
@@ -252,7 +253,7 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
         curves=Curves.from_parquet(run.path / "beads.parquet"),
         plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
         layers=run.read_layers(record["witness"]),
-        smooth=_smooth(Curves.from_parquet(run.path / "curves.parquet"), config),
+        smooth=smooth_sections(Curves.from_parquet(run.path / "curves.parquet"), config),
         metal=True,
         heat=True,
         sha256={file["name"]: file["sha256"] for file in record["files"]},
@@ -327,7 +328,7 @@ def verify_against_part(
         program,
         config=config,
         layers=witness,
-        smooth=_smooth(curves, config),
+        smooth=smooth_sections(curves, config),
         beads=True,
         metal=True,
         heat=True,
@@ -384,8 +385,3 @@ def _differences(program: Path, config: Config) -> list[str]:
     with suppress(EbamcheckError):  # a record that cannot be read says nothing of the program
         return differences(config, settings_beside(program))
     return []
-
-
-def _smooth(curves: Curves, config: Config) -> Layers | None:
-    """Sections with the curves that their chords stand for, where the method of the fit makes such."""
-    return curves.sample_tolerance(SMOOTH_MM) if config.curves.method in LIFTED else None

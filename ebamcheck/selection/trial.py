@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.backend import BackendSettings
-from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.comparison import Comparison
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.stages import compared_layers
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
+from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all
 
 ACCURACY_LAYERS = 48
 """Layers on which accuracy is judged: the exact sections of a model are dense."""
@@ -164,14 +165,8 @@ def _seconds(
 
 def _comparison(workpiece: Workpiece, config: Config, outcomes: Mapping[str, Outcome]) -> Comparison:
     done = {name: o for name, o in outcomes.items() if o.file is not None}
-    return compare_all(
-        {name: o.read() for name, o in done.items()},
-        workpiece.part,
-        {name: (o.error_bound_mm, o.height_bound_mm) for name, o in done.items()},
-        {name: registry.slicer(name).exact for name in done},
-        {name: registry.slicer(name).coplanar_rule for name in done},
-        config.comparison,
-    )
+    stacks = {name: outcome.read() for name, outcome in done.items()}
+    return compared_layers(stacks, workpiece.part, bounds_of(done), config, count_evidence=False)
 
 
 def _reference(outcomes: Mapping[str, Outcome]) -> str:

@@ -73,6 +73,11 @@ def slice_isolated(
         return slice_all(part, heights, {name: settings}, folder, limits or Limits(), told)[name].read()
 
 
+def bounds_of(outcomes: Mapping[str, Outcome]) -> dict[str, tuple[float, float]]:
+    """Error bound and height bound, mm, that slicers declared for what they made."""
+    return {name: (made.error_bound_mm, made.height_bound_mm) for name, made in outcomes.items()}
+
+
 def declared_bounds(
     part: Part, backends: Mapping[str, BackendSettings], limits: Limits = DEFAULT_LIMITS
 ) -> dict[str, tuple[float, float]]:

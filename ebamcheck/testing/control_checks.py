@@ -18,7 +18,7 @@ from ebamcheck.curves import Curves, fit
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.programming import bead_paths, smooth_layers
+from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.language.control import Control, control
