@@ -23,8 +23,7 @@ import pandas as pd
 from benchmarks.deposit import BACKENDS, MODEL_TOLERANCE_MM
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
-from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.job import RunResult
+from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.pipeline.verify import verify
 from ebamcheck.plugins.model import Model, models
 from ebamcheck.program import read_program

@@ -33,9 +33,8 @@ from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline import run_job
+from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.pipeline.gates import deposit_gate
-from ebamcheck.pipeline.job import RunResult
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program, write_program

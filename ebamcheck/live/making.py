@@ -35,13 +35,13 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.stages import (
-    compared_layers,
     judged_program,
     laid_out,
     smooth_layers,

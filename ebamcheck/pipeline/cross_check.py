@@ -13,16 +13,20 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.backend import BackendSettings
-from ebamcheck.comparison import Comparison
+from ebamcheck.comparison import Comparison, compare_all
+from ebamcheck.comparison.consensus import EVERY_AGREEMENT
+from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.blocks import count_kept, kept_blocks
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
-from ebamcheck.pipeline.independence import no_evidence
+from ebamcheck.mesh.part import Part
+from ebamcheck.pipeline.choice import primary_backend
+from ebamcheck.pipeline.independence import evidence_rule, no_evidence
 from ebamcheck.pipeline.noticed import lost
-from ebamcheck.pipeline.stages import compared_layers
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
+from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
 from ebamcheck.slicers.layer_forms import file_fault
 
@@ -54,6 +58,45 @@ def cross_check(
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
     outcomes = _slice(job, backends, borders, resume, meanwhile)
     return CrossCheck(outcomes, _compare(job, outcomes, borders))
+
+
+def compared_layers(
+    stacks: Mapping[str, LayerSource],
+    part: Part,
+    bounds: Mapping[str, tuple[float, float]],
+    config: Config,
+    *,
+    count_evidence: bool = True,
+    progress: Callable[[int], None] | None = None,
+    borders: NDArray[np.int64] | None = None,
+) -> Comparison:
+    """Compare what slicers made of a part, by what the registry says of each.
+
+    Parameters
+    ----------
+    stacks
+        Layers by slicer.
+    bounds
+        Error bound and height bound that each declares, mm.
+    count_evidence
+        Count an agreement as evidence only as ``comparison.evidence_share`` has it.
+    progress
+        Told how many layers are done.
+    borders
+        Edges of the blocks of layers that are compared at a time.
+    """
+    slicers = {name: registry.slicer(name) for name in stacks}
+    return compare_all(
+        stacks,
+        part,
+        bounds=bounds,
+        exact={name: slicer.exact for name, slicer in slicers.items()},
+        rules={name: slicer.coplanar_rule for name, slicer in slicers.items()},
+        settings=config.comparison,
+        progress=progress,
+        borders=borders,
+        evidence=evidence_rule(config, stacks) if count_evidence else EVERY_AGREEMENT,
+    )
 
 
 def _slice(
@@ -148,3 +191,9 @@ def layer_table(comparison: Comparison) -> pd.DataFrame:
         table[f"rings_{name}"] = figures["rings"]
         table[f"open_paths_{name}"] = figures["open_paths"]
     return table
+
+
+def primary_of(job: Job, checked: CrossCheck) -> str:
+    """Backend whose contours go on; none where it has found no contour."""
+    name = primary_backend(job.config, checked.done)
+    return name if name and checked.comparison.stacks[name]["rings"].any() else ""

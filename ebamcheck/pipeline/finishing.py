@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from ebamcheck.findings import has_fault
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import unavailable_backends
-from ebamcheck.pipeline.cross_check import CrossCheck
+from ebamcheck.pipeline.cross_check import CrossCheck, primary_of
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.record import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
@@ -22,28 +23,53 @@ from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.work import Job
 
 if TYPE_CHECKING:
-    from ebamcheck.pipeline.job import ProgramStage
+    from ebamcheck.pipeline.programming import ProgramResult
+
+ProgramStage: TypeAlias = "Callable[[Job, CrossCheck, bool], ProgramResult]"
+"""Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to."""
+
+    folder: RunFolder
+    gates: tuple[Gate, ...]
+    exit_code: ExitCode
+    manifest: Mapping[str, Any] = field(repr=False)
+
+
+def finished_result(run: RunFolder) -> RunResult:
+    """What a finished run came to, by its record."""
+    manifest = run.manifest()
+    found = tuple(Gate(**gate) for gate in manifest["gates"])
+    return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
+
+
+class SlabRecord(NamedTuple):
+    """What the record of a check in slabs says of them."""
+
+    settings: Mapping[str, Mapping[str, Any]]
+    """Settings of each backend."""
+    figures: Mapping[str, Any]
 
 
 def finish(
-    job: Job, checked: CrossCheck, primary: str, program: ProgramStage | None
-) -> tuple[RunFolder, tuple[Gate, ...], ExitCode, Mapping[str, Any]]:
+    job: Job, checked: CrossCheck, program: ProgramStage | None, slabs: SlabRecord | None = None
+) -> RunResult:
     """All stages from the gates of the cross-check to the finished folder.
 
     Parameters
     ----------
-    primary
-        Backend whose contours become the program; empty where none has found a contour.
     program
         Makes the program; None where none is wanted.
-
-    Returns
-    -------
-    The folder in its place, the gates, the exit code, and the record.
+    slabs
+        Of a part that was taken in slabs, whose mesh is never there as a whole.
     """
+    primary = primary_of(job, checked)
     outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
     judged = [
-        gates.input_gate(job.found, _volume_off(job, checked.comparison, primary)),
+        gates.input_gate(job.found, _volume_off(job, checked.comparison, primary) if slabs is None else ""),
         gates.agreement_gate(
             checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
         ),
@@ -60,13 +86,17 @@ def finish(
     if code is ExitCode.PASS and has_fault(job.findings):
         code = ExitCode.OUT_OF_TOLERANCE
     manifest = make_manifest(job, outcomes, checked.comparison, primary, made, judged, code)
+    if slabs is not None:
+        for name, settings in slabs.settings.items():
+            manifest["backends"][name]["settings"] = settings
+        manifest["slabs"] = slabs.figures
     job.folder.write_manifest(manifest)
     write_reports(job.folder.path, job.observer.note)
     if program is not None:
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
-    return job.folder.finish(), tuple(judged), code, manifest
+    return RunResult(job.folder.finish(), tuple(judged), code, manifest)
 
 
 def _volume_off(job: Job, comparison: Comparison, primary: str) -> str:

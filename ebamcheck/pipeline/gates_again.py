@@ -29,6 +29,7 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
@@ -39,7 +40,7 @@ from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.section_volume import volume_off
-from ebamcheck.pipeline.stages import compared_layers, judged_program, smooth_sections
+from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.pipeline.tables_again import of_comparison, order_of, sums_of, tables_check
 from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry

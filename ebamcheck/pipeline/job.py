@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING
 
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.pipeline import noticed
-from ebamcheck.pipeline.choice import chosen_backends, primary_backend
-from ebamcheck.pipeline.cross_check import CrossCheck, cross_check
+from ebamcheck.pipeline.choice import chosen_backends
+from ebamcheck.pipeline.cross_check import CrossCheck, cross_check, primary_of
 from ebamcheck.pipeline.live_program import check_waits
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.run_folder import RunFolder, finished_run, start_run
+from ebamcheck.pipeline.run_folder import finished_run, start_run
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs
@@ -29,24 +27,11 @@ from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.version import __version__
 
 if TYPE_CHECKING:
-    from ebamcheck.pipeline.gates import Gate
+    from ebamcheck.pipeline.finishing import ProgramStage, RunResult
     from ebamcheck.pipeline.programming import ProgramResult
 
 LATER_STAGES = "ebamcheck.pipeline.finishing"
 """Module of what comes after the cross-check."""
-
-ProgramStage: TypeAlias = "Callable[[Job, CrossCheck, bool], ProgramResult]"
-"""Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """What a run came to."""
-
-    folder: RunFolder
-    gates: tuple[Gate, ...]
-    exit_code: ExitCode
-    manifest: Mapping[str, Any] = field(repr=False)
 
 
 def run_job(
@@ -145,7 +130,7 @@ def check_job(
     """
     config = config or Config()
     if begun is None and (slabs := wanted_slabs(Path(part_path), config)) > 1:
-        from ebamcheck.pipeline.slab_check import check_in_slabs  # which builds on this module
+        from ebamcheck.pipeline.slab_check import check_in_slabs
 
         return check_in_slabs(part_path, target, config, slabs, resume, observer, yes, force)
     part = begun or ready(part_path, config, "check", yes)
@@ -180,6 +165,8 @@ def _job(
         [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
     )
     if resume and not force and (done := finished_run(Path(target), fingerprint)) is not None:
+        from ebamcheck.pipeline.finishing import finished_result
+
         observer.note(f"{target}: is finished already")
         return finished_result(done)
     folder = start_run(Path(target), fingerprint, resume, force)
@@ -198,8 +185,7 @@ def _job(
         checked = cross_check(job, backends, resume, _load_later_stages)
         from ebamcheck.pipeline.finishing import finish
 
-        finished, judged, code, manifest = finish(job, checked, primary_of(job, checked), program)
-        return RunResult(finished, judged, code, manifest)
+        return finish(job, checked, program)
     except OSError as error:
         raise SettingsError(f"{job.folder.path}: cannot be written: {error.strerror or error}") from error
     finally:
@@ -209,19 +195,3 @@ def _job(
 def _load_later_stages() -> None:
     """Load what is needed when the layers are there: half a second, in which the slicers work."""
     import_module(LATER_STAGES)
-
-
-def finished_result(run: RunFolder) -> RunResult:
-    """What a finished run came to, by its record."""
-
-    from ebamcheck.pipeline import gates
-
-    manifest = run.manifest()
-    found = tuple(gates.Gate(**gate) for gate in manifest["gates"])
-    return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
-
-
-def primary_of(job: Job, checked: CrossCheck) -> str:
-    """Backend whose contours go on; none where it has found no contour."""
-    name = primary_backend(job.config, checked.done)
-    return name if name and checked.comparison.stacks[name]["rings"].any() else ""

@@ -12,22 +12,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ebamcheck.backend import BackendSettings
-from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.findings import has_fault
+from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.mesh.slab_file import FacetFile, facet_count, read_once
 from ebamcheck.mesh.slab_inspection import SlabInspection
 from ebamcheck.mesh.slabs import Division, divided
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline import gates, noticed
-from ebamcheck.pipeline.choice import chosen_backends, unavailable_backends
+from ebamcheck.pipeline import noticed
+from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import write_comparison
-from ebamcheck.pipeline.job import RunResult, finished_result, primary_of
+from ebamcheck.pipeline.finishing import RunResult, SlabRecord, finish, finished_result
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.record import manifest as make_manifest
-from ebamcheck.pipeline.report_writers import write_reports
-from ebamcheck.pipeline.run_folder import FINGERPRINT, finished_run, start_run
+from ebamcheck.pipeline.run_folder import finished_run, start_run
 from ebamcheck.pipeline.slab_slicing import SlabRun, cut_slabs
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Preflight
@@ -125,31 +122,12 @@ def _finished(job: Job, division: Division, made: SlabRun) -> RunResult:
     job.add_finding(*noticed.of_part(job.found, config), *loose_limits(config))
     job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
     write_comparison(job, checked.comparison)
-    outcomes = {**checked.outcomes, **unavailable_backends(config)}
-    judged = (
-        gates.input_gate(job.found),
-        gates.agreement_gate(
-            checked.comparison, outcomes, len(job.heights), config.layer_height_mm, config.base_mm
-        ),
-    )
-    job.add_finding(*noticed.of_doubt(checked.comparison.pairs, config))
-    job.add_finding(*noticed.of_set_aside(checked.comparison.pairs))
-    job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
-    if code is ExitCode.PASS and has_fault(job.findings):
-        code = ExitCode.OUT_OF_TOLERANCE
-    manifest = make_manifest(job, outcomes, checked.comparison, primary_of(job, checked), None, judged, code)
-    for name, settings in made.settings.items():
-        manifest["backends"][name]["settings"] = settings
-    manifest["slabs"] = {
+    figures = {
         "count": len(division),
         "most_facets": division.most_facets,
         "borders_mm": division.borders_mm[1:-1].tolist(),
     }
-    job.folder.write_manifest(manifest)
-    write_reports(job.folder.path, job.observer.note)
-    (job.folder.path / FINGERPRINT).unlink()
-    return RunResult(job.folder.finish(), judged, code, manifest)
+    return finish(job, checked, None, SlabRecord(made.settings, figures))
 
 
 def _as_it_stands(config: Config) -> None:

@@ -22,9 +22,8 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slab_inspection import SlabInspection
 from ebamcheck.mesh.slabs import Division, Slab
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.pipeline.cross_check import CrossCheck
+from ebamcheck.pipeline.cross_check import CrossCheck, compared_layers
 from ebamcheck.pipeline.noticed import lost
-from ebamcheck.pipeline.stages import compared_layers
 from ebamcheck.pipeline.work import Job
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all
 from ebamcheck.slicers.worker_pool import WorkerPool

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
 
-from ebamcheck.comparison import Comparison, compare_all
-from ebamcheck.comparison.consensus import EVERY_AGREEMENT
-from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Ints
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.fit_evidence import FitVerdict
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.independence import evidence_rule
 from ebamcheck.pipeline.planned_power import bead_curves
-from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles
 from ebamcheck.program.language.control import control
 from ebamcheck.program.toolpath.bead_ends import planned_path
@@ -31,45 +25,6 @@ from ebamcheck.settings.config import Config
 SAMPLING_MM = 0.002
 """Beads are planned inside of polylines this near to the fitted curves, and their path is held against such: a tenth of the
 tolerance of the fit."""
-
-
-def compared_layers(
-    stacks: Mapping[str, LayerSource],
-    part: Part,
-    bounds: Mapping[str, tuple[float, float]],
-    config: Config,
-    *,
-    count_evidence: bool = True,
-    progress: Callable[[int], None] | None = None,
-    borders: Ints | None = None,
-) -> Comparison:
-    """Compare what slicers made of a part, by what the registry says of each.
-
-    Parameters
-    ----------
-    stacks
-        Layers by slicer.
-    bounds
-        Error bound and height bound that each declares, mm.
-    count_evidence
-        Count an agreement as evidence only as ``comparison.evidence_share`` has it.
-    progress
-        Told how many layers are done.
-    borders
-        Edges of the blocks of layers that are compared at a time.
-    """
-    slicers = {name: registry.slicer(name) for name in stacks}
-    return compare_all(
-        stacks,
-        part,
-        bounds=bounds,
-        exact={name: slicer.exact for name, slicer in slicers.items()},
-        rules={name: slicer.coplanar_rule for name, slicer in slicers.items()},
-        settings=config.comparison,
-        progress=progress,
-        borders=borders,
-        evidence=evidence_rule(config, stacks) if count_evidence else EVERY_AGREEMENT,
-    )
 
 
 def smooth_layers(curves: Curves) -> Layers:

@@ -14,7 +14,7 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.stages import compared_layers
+from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model
 from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
