@@ -76,7 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (options.folder / "golden.json").write_text(json.dumps(found, indent=1, sort_keys=True))
     if options.before is None:
         return 0
-    return _told(json.loads(options.before.read_text()), found)
+    before = {n: d for n, d in json.loads(options.before.read_text()).items() if options.only in n}
+    return _told(before, found)
 
 
 def _jobs(folder: Path, only: str, demo: bool) -> Iterator[tuple[str, dict[str, Any]]]:
