@@ -22,9 +22,8 @@ import pandas as pd
 from benchmarks.machine import machine
 from benchmarks.tables import markdown_table
 from ebamcheck.live.bed import Growth
-from ebamcheck.live.between_layers import BetweenLayers
 from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
+from ebamcheck.live.desk import BetweenLayers, answer_to
 from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
 

@@ -11,9 +11,9 @@ from ebamcheck.pipeline.certificate import (
     read_certificate,
     write_sealed,
 )
-from ebamcheck.pipeline.reports_again import reports_again
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.signing import make_key, read_private_key, trusted_keys
+from ebamcheck.pipeline.tables_again import reports_again
 from ebamcheck.pipeline.verify import verify_run
 
 

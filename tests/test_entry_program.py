@@ -15,7 +15,7 @@ from benchmarks.faults.subjects import CONTROLS, SUBJECTS
 from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.resumed import entry_of_whole
+from ebamcheck.pipeline.entry_program import entry_of_whole
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.verify import verify, verify_run
 

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
-from ebamcheck.pipeline.worst import worst_line
 from ebamcheck.plugins.model import models
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS

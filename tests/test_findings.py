@@ -24,11 +24,19 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.pipeline import noticed, noticed_in_program, run_job
-from ebamcheck.pipeline.certificate import certificate, seal, write_certificate
+from ebamcheck.pipeline.certificate import (
+    APPROVAL,
+    CODES_OF_THE_MAKER,
+    DRY_RUN,
+    PROVED,
+    certificate,
+    seal,
+    statement,
+    write_certificate,
+)
 from ebamcheck.pipeline.certificate_checks import run_certificate_checks
 from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
 from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.statement import APPROVAL, CODES_OF_THE_MAKER, DRY_RUN, PROVED, statement
 from ebamcheck.program import Check
 from ebamcheck.program.checking.remedies import REMEDIES
 from ebamcheck.settings.config import Config

@@ -13,8 +13,7 @@ from live_boxes import maker_of, run_of_box
 import ebamcheck
 from ebamcheck.live import released_layer
 from ebamcheck.live.building import Building
-from ebamcheck.live.heat_over_layers import LayerText
-from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.live.heat_so_far import HeatSoFar, LayerText
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.released_layer import Followed

@@ -9,8 +9,7 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.live.metal_checks import metal_checks
-from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.metal_so_far import MetalSoFar, metal_checks
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.consumables import FRESH

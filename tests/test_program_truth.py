@@ -9,7 +9,7 @@ from program_text import CONTROLS, ProgramText, near
 
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.program.checking.header_checks import Truth
-from ebamcheck.settings.differences import differences
+from ebamcheck.settings.files import differences
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 

@@ -20,8 +20,8 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.pipeline.certificate import write_certificate
-from ebamcheck.pipeline.reports_again import reports_again
 from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.tables_again import reports_again
 from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
 

@@ -15,8 +15,8 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import plain
 from ebamcheck.live.bed import Growth
-from ebamcheck.live.between_layers import BetweenLayers
 from ebamcheck.live.building import Answer, Building
+from ebamcheck.live.desk import BetweenLayers
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.loading import FinishedRun
 from ebamcheck.live.opcua.desk import PROFILE, desk_profile, faults_of, played

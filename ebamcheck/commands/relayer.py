@@ -19,8 +19,8 @@ from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.publishing import tilted
 from ebamcheck.live.relaying import Relayered, check_height, relayer
-from ebamcheck.live.tilting import tilted
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.turned import stands_of
 from ebamcheck.program.checking.metal_below import MetalBelow

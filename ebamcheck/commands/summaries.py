@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ebamcheck.backend import Slicer
 from ebamcheck.drawing.tables import text_table
-from ebamcheck.findings import in_words
+from ebamcheck.findings import at_layer, in_words
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import BrokenPlugin
 from ebamcheck.plugins.stranger import StrangerSlicer
@@ -80,7 +81,7 @@ def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[Broke
 
 def run_summary(manifest: Mapping[str, Any]) -> str:
     """What a run came to: slicers, pairs, gates, findings and verdict."""
-    from ebamcheck.pipeline.worst import worst_line
+    from ebamcheck.commands.summaries import worst_line
 
     slicers = [
         [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),
@@ -115,8 +116,47 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
 
 def _verdict(manifest: Mapping[str, Any]) -> str:
     """The last word on a job, of a program another than of a cross-check alone, and what it means."""
-    from ebamcheck.pipeline.statement import statement
+    from ebamcheck.pipeline.certificate import statement
 
     good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
     word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"
     return "\n".join([word, *statement(manifest).lines()])
+
+
+def worst_line(manifest: Mapping[str, Any]) -> str:
+    """The worst finding of a run that failed, with cause, size and place; empty for one that passed.
+
+    A part that is none goes first, then slicers that disagree, then faults, then the first gate that is shut.
+    """
+    if not manifest["exit_code"]:
+        return ""
+    shut = {gate["name"]: gate for gate in manifest["gates"] if not gate["passed"]}
+    disagreements = manifest["comparison"]["findings"]
+    faults = [f for f in manifest.get("findings", []) if f["severity"] == "fault"]
+    if "input" in shut:
+        said = shut["input"]["text"]
+    elif "agreement" in shut and disagreements:
+        said = _disagreement(max(disagreements, key=lambda f: (_excess(f), -f["layer"])))
+    elif faults and "agreement" not in shut:
+        said = in_words(faults[0])
+    elif shut:
+        gate = next(iter(shut.values()))
+        said = f"{gate['name']}: {gate['text']}"
+    else:
+        return ""
+    return f"WORST: {said}"
+
+
+def _excess(finding: Mapping[str, Any]) -> float:
+    value, limit = float(finding["value"]), float(finding["limit"])
+    return value / limit if limit > 0.0 else math.inf
+
+
+def _disagreement(f: Mapping[str, Any]) -> str:
+    """A disagreement of ``run.json`` in words."""
+    cause = f.get("cause_text") or f["cause"]
+    place = at_layer(f["layer"] - 1, f["height_mm"], program_z_mm=float(f.get("program_z_mm", math.nan)))
+    size = f"{float(f['value']):.4g} over {float(f['limit']):.4g}"
+    where = f"({float(f['x_mm']):.3f}, {float(f['y_mm']):.3f}) of {place}"
+    remedy = f"; {f['remedy']}" if f.get("remedy") else ""
+    return f"{f['backend']} against {f['against']}: {cause}; {f['metric']} {size} at {where}{remedy}"

@@ -17,8 +17,8 @@ from ebamcheck.kinematics.ramps import speeds_along
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program import NCProgram
-from ebamcheck.settings.bead import PARABOLA
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process import PARABOLA
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,10 @@ control gets is the text that was verified, and anybody can verify it again from
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -23,13 +25,9 @@ from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.stack import Layers
-from ebamcheck.live.clock import Clock
 from ebamcheck.live.heat_so_far import HeatSoFar
-from ebamcheck.live.layer_feed import at_layer_feed
-from ebamcheck.live.mesh_checks import mesh_and_metal
-from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.live.slower_beads import aimed_lower, with_feed_along
-from ebamcheck.live.warm_layer import height_under_mm, preheated_in_layers, scan_seconds
+from ebamcheck.live.layer_feed import aimed_lower, at_layer_feed, with_feed_along
+from ebamcheck.live.metal_so_far import MetalSoFar, mesh_and_metal
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
@@ -54,11 +52,13 @@ from ebamcheck.program import Check, ProgramFiles, verify_program
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.checking.matching import matched
+from ebamcheck.program.checking.preheat_way import scans_of
 from ebamcheck.program.language.control import control
+from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
-from ebamcheck.scan.plan.preheated import preheated
+from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
@@ -375,3 +375,41 @@ def failure_of(error: Exception) -> str:
     """One line for what ended the making of a layer."""
     text = " ".join(str(error).split())
     return text if isinstance(error, EbamcheckError) else f"internal error: {type(error).__name__}: {text}"
+
+
+class Clock:
+    """Times of named stages, s."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Time a block."""
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+
+
+def preheated_in_layers(config: Config) -> Config:
+    """Settings of layers that are released one by one: a scan that preheats is part of its layer's file."""
+    if config.preheat.when == "off":
+        return config
+    return config.model_copy(update={"preheat": config.preheat.model_copy(update={"scan_in": "layer"})})
+
+
+def height_under_mm(config: Config) -> float | None:
+    """Height over the plate at which the section of what a layer lies on is taken, half a layer under its bottom.
+
+    None where nothing is preheated there.
+    """
+    if config.base_mm == 0.0 or not asked_for(0, config):
+        return None
+    return max(config.base_mm - 0.5 * config.layer_height_mm, 0.0)
+
+
+def scan_seconds(program: NCProgram, config: Config) -> float:
+    """Time of the scan of a layer's program, with its wait."""
+    return sum(float(way.time_s.sum()) for way in scans_of(program, config).values())

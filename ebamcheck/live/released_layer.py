@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.live.heat_over_layers import heated, layer_text
+from ebamcheck.live.heat_so_far import heated, layer_text
 from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.settings.config import Config
 

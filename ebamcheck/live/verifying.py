@@ -11,9 +11,9 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
-from ebamcheck.live.heat_over_layers import heated, layer_text
+from ebamcheck.live.heat_so_far import heated, layer_text
 from ebamcheck.live.journal import read_journal
-from ebamcheck.live.metal_over_layers import MetalAgain
+from ebamcheck.live.metal_so_far import MetalAgain
 from ebamcheck.live.publishing import (
     CERTIFICATE,
     CURRENT,

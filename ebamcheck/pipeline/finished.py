@@ -18,7 +18,7 @@ from ebamcheck.program import Check, NCProgram, read_program
 from ebamcheck.program.checking.checks import check_of_record
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated
-from ebamcheck.settings.machines import for_this_machine
+from ebamcheck.settings.selection import for_this_machine
 from ebamcheck.showing import short_text
 
 REPORT = "report.html"

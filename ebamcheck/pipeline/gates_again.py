@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,11 +18,11 @@ import pyarrow as pa
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.curves import fit_for_program
+from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.curves.storage import table_of
 from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.json_values import plain
+from ebamcheck.json_values import plain, sha256_of_json
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
@@ -40,20 +40,34 @@ from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.section_volume import volume_off
+from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
-from ebamcheck.pipeline.tables_again import of_comparison, order_of, sums_of, tables_check
-from ebamcheck.pipeline.text_again import text_again
+from ebamcheck.pipeline.tables_again import (
+    order_of,
+    sums_of,
+    tables_check,
+    tables_of_comparison,
+    tables_of_metal,
+    tables_of_plan,
+    tables_of_program,
+)
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check
+from ebamcheck.program import Check, verify_program
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.program.checking.cold_entries import COLD
+from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.end_gaps import NAME as ENDS_OF_BEADS
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
+from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.checking.interpass_checks import AGAIN
 from ebamcheck.program.checking.metal_field import FIELD_FILE
+from ebamcheck.program.checking.narrow_features import NarrowFeature
+from ebamcheck.program.checking.verification import read_checked
+from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
@@ -173,7 +187,7 @@ def _tables(
 ) -> tuple[dict[str, pd.DataFrame | pa.Table], dict[str, str]]:
     """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
     done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
-    found: dict[str, pd.DataFrame | pa.Table] = {**of_comparison(comparison)}
+    found: dict[str, pd.DataFrame | pa.Table] = {**tables_of_comparison(comparison)}
     if done == set(comparison.stacks):
         return found, {}
     return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")
@@ -385,3 +399,70 @@ def _verdict(again: Again, manifest: Mapping[str, Any]) -> Check:
     )
     text = f"recorded as {'validated' if said else 'not validated'}, found {'validated' if found else 'not validated'}"
     return Check("verdict", said == found, float(said != found), 0.0, "faults", "run.json", text)
+
+
+class TextAgain(NamedTuple):
+    """What the text of a run's program came to."""
+
+    checks: list[Check]
+    plan: ScanPlan
+    tables: dict[str, pd.DataFrame | pa.Table]
+    """Tables of plan and text; of the plan alone where the text cannot be read."""
+    narrow: tuple[NarrowFeature, ...] = ()
+    """Features of the part that are narrower than beads can build."""
+
+
+def text_again(
+    run: RunFolder,
+    manifest: Mapping[str, Any],
+    config: Config,
+    part: Part,
+    fresh: Layers,
+    smooth: Layers | None,
+) -> TextAgain:
+    """Read, lay and check the text of a run's program.
+
+    Parameters
+    ----------
+    fresh
+        Sections of the part, cut anew.
+    smooth
+        The contours that the run fitted, with their curves, fitted anew; None where the method of the fit makes none.
+    """
+    record = manifest["program"]
+    plan = ScanPlan.from_parquet(run.path / "scan.parquet")
+    beads = Curves.from_parquet(run.path / "beads.parquet")
+    path = planned_path(beads, plan, config)
+    tables: dict[str, pd.DataFrame | pa.Table] = {**tables_of_plan(path, plan, config)}
+    nc, readable = read_checked(run.program_folder / record["files"][0]["name"], config)
+    if nc is None:
+        return TextAgain([readable], plan, tables)
+    z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
+    laid = deposit(nc, fresh, z_of, config)
+    checks = verify_program(
+        nc,
+        config=config,
+        curves=beads,
+        plan=plan,
+        path=path,
+        layers=fresh,
+        smooth=smooth,
+        beads=True,
+        laid=laid,
+        heat=True,
+        heights=fresh.heights,
+        sha256={file["name"]: file["sha256"] for file in record["files"]},
+        truth=truth_of(manifest),
+    )
+    tables |= tables_of_program(nc, path, run.read_layers(str(manifest["primary"])), config)
+    tables |= tables_of_metal(laid, z_of, config.base_mm)
+    return TextAgain([readable, *with_solid(checks, part, fresh, config)], plan, tables, laid.narrow)
+
+
+def truth_of(manifest: Mapping[str, Any]) -> Truth:
+    """What a run's record tells of its program, against which the program's header is held.
+
+    The settings are those that were recorded: a version that has more of them still reads the program of one that had fewer.
+    """
+    validated = bool(manifest["program"]["validated"])
+    return Truth(validated, manifest["part"]["sha256"], sha256_of_json(manifest["settings"]))

@@ -9,8 +9,11 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import fcntl
+import json
 import os
+import re
 import shutil
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +24,6 @@ from ebamcheck.json_values import read_json, write_json
 from ebamcheck.layers import blocks as layer_blocks
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
-from ebamcheck.pipeline.former_runs import TIMINGS, dated_name, finished_at
 from ebamcheck.pipeline.record_form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
 from ebamcheck.regular_file import regular_file
 
@@ -286,3 +288,40 @@ def _exchange(new: Path, old: Path) -> None:
     os.replace(old, aside)
     os.replace(new, old)
     os.replace(aside, new)
+
+
+TIMINGS = "timings.json"
+"""Times and dates of a run, which are all that differs from one run of the same input to the next."""
+
+_DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
+
+
+def finished_at(run: Path, record: str) -> str:
+    """When a finished run came to its end, UTC, as ``2026-11-22T14:15:00``; by its own record where that can be read.
+
+    Parameters
+    ----------
+    run
+        The run folder.
+    record
+        Name of its record, whose date counts where it names no time.
+    """
+    for name in (TIMINGS, record):
+        try:
+            told = json.loads((run / name).read_text(encoding="utf-8"))
+            found = _DATE.match(str((told if name == TIMINGS else told["timings"])["finished"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        if found:
+            return found[0]
+    return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime((run / record).stat().st_mtime))
+
+
+def dated_name(target: Path, finished: str) -> Path:
+    """Free name beside `target` for the run that stood there: ``RUN.2026-11-22T141500``, numbered where that is taken."""
+    plain = target.with_name(f"{target.name}.{finished.replace(':', '')}")
+    name, number = plain, 1
+    while os.path.lexists(name):
+        number += 1
+        name = plain.with_name(f"{plain.name}-{number}")
+    return name

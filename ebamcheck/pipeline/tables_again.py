@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import io
 import re
+import shutil
+import tempfile
 from collections.abc import Iterable, Mapping
+from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -16,13 +19,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ebamcheck.comparison import Comparison
+from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import layer_table
-from ebamcheck.pipeline.reports_again import reports_again
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.pipeline.run_folder import MANIFEST, TIMINGS, RunFolder
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.points import is_house
 from ebamcheck.program import Check, NCProgram, program_summary
 from ebamcheck.program.checking.deposit import Deposit
 from ebamcheck.program.checking.matching import matched
@@ -115,7 +120,7 @@ def order_of(run: RunFolder) -> list[str]:
     return [str(name).removeprefix(AREA) for name in columns if str(name).startswith(AREA)]
 
 
-def of_comparison(comparison: Comparison) -> dict[str, pd.DataFrame]:
+def tables_of_comparison(comparison: Comparison) -> dict[str, pd.DataFrame]:
     """Tables of a comparison."""
     return {
         "layers.csv": layer_table(comparison),
@@ -124,7 +129,7 @@ def of_comparison(comparison: Comparison) -> dict[str, pd.DataFrame]:
     }
 
 
-def of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, pd.DataFrame]:
+def tables_of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, pd.DataFrame]:
     """Tables of a plan, and of the tracks that were laid out of it."""
     events = process_events(path, plan, config)
     return {
@@ -134,7 +139,9 @@ def of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, pd.Data
     }
 
 
-def of_program(nc: NCProgram, path: Toolpath, contours: Layers, config: Config) -> dict[str, pd.DataFrame]:
+def tables_of_program(
+    nc: NCProgram, path: Toolpath, contours: Layers, config: Config
+) -> dict[str, pd.DataFrame]:
     """Tables of a program that was read; `contours` are those that it was made from."""
     nc, _ = matched(nc, path)
     return {
@@ -156,7 +163,7 @@ def sums_of(tables: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, pd.DataFrame | pa.Table]:
+def tables_of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, pd.DataFrame | pa.Table]:
     """Tables of the metal that a program lays; `z_of` are the tops of its layers."""
     if laid.worst < 0:
         return {"deposit.csv": laid.layers}
@@ -245,3 +252,44 @@ def _same(recorded: pd.Series[Any], found: pd.Series[Any]) -> np.ndarray[Any, np
         a, b = recorded.to_numpy(np.float64), found.to_numpy(np.float64)
         return np.asarray(np.isclose(a, b, rtol=SAME_FIGURE, atol=NOTHING, equal_nan=True))
     return np.asarray((recorded.astype(str) == found.astype(str)).to_numpy(), np.bool_)
+
+
+OF_RECORD = "OF_RECORD"
+"""Name of the tuple in which a package of ours tells which of its report writers read the record of a run alone."""
+
+
+def reports_again(run: RunFolder) -> dict[str, bytes]:
+    """Files that the house's writers of such reports make of the record of a run, by name.
+
+    They are given a folder with the record and no other file of the run: what they write depends on nothing else.
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be made from this record.
+    """
+    found: dict[str, bytes] = {}
+    for name, point in registry.points(registry.REPORTS).items():
+        if not is_house(point) or name not in _of_record(point.module.partition(".")[0]):
+            continue
+        with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as temporary:
+            bare = RunFolder(Path(temporary))
+            for file in (MANIFEST, TIMINGS):
+                if (run.path / file).is_file():
+                    shutil.copyfile(run.path / file, bare.path / file)
+            try:
+                written = registry.load(point)(bare)
+            except EbamcheckError:
+                raise
+            except Exception as error:  # A record that was tampered with may hold anything.
+                why = f"{type(error).__name__}: {error}"
+                raise InputError(
+                    f"{run.path / MANIFEST}: report {name!r} cannot be made from it: {why}"
+                ) from None
+            found |= {file: (bare.path / file).read_bytes() for file in written}
+    return found
+
+
+def _of_record(package: str) -> tuple[str, ...]:
+    """Names of such writers of a package."""
+    return tuple(getattr(import_module(package), OF_RECORD, ()))

@@ -28,15 +28,14 @@ from ebamcheck.pipeline.certificate_checks import (
     told_once,
 )
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.gates_again import compared, work_again
+from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
+from ebamcheck.pipeline.gates_again import compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import PLATE, plate_checks
-from ebamcheck.pipeline.resumed import begins_later, entry_of_whole
 from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.pipeline.signing import trusted_keys
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import smooth_sections
-from ebamcheck.pipeline.text_again import truth_of
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import Check, read_program, verify_file
@@ -47,7 +46,7 @@ from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
-from ebamcheck.settings.differences import differences
+from ebamcheck.settings.files import differences
 from ebamcheck.slicers.slicing import slice_part
 
 

@@ -27,8 +27,8 @@ from ebamcheck.settings.slicing import (
     LayerSettings,
     PartSettings,
     SlicingSettings,
+    WorkSettings,
 )
-from ebamcheck.settings.work import WorkSettings
 from ebamcheck.showing import short_text
 
 

@@ -1,9 +1,9 @@
-"""Settings files that are written without losing what stands in one: a new one, or new keys in an old one."""
+"""Settings files that are written without losing what stands in one: a new one, or new keys in an old one; and which settings of two sets differ."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -179,3 +179,27 @@ def _read(path: Path) -> str:
         raise SettingsError(f"{path}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None
+
+
+MISSING = "nothing"
+"""Stands for the value of a setting that one side lacks."""
+
+
+def differences(one: Config, other: Config) -> list[str]:
+    """Settings whose values differ, in their order: ``SECTION.NAME is VALUE, not OTHER VALUE``.
+
+    Examples
+    --------
+    >>> differences(Config().changed(scan={"seed": 4}), Config())
+    ['scan.seed is 4, not 0']
+    """
+    return list(_differing(one.model_dump(mode="json"), other.model_dump(mode="json"), ""))
+
+
+def _differing(one: Mapping[str, Any], other: Mapping[str, Any], within: str) -> Iterator[str]:
+    for name in dict.fromkeys([*one, *other]):
+        mine, its = one.get(name, MISSING), other.get(name, MISSING)
+        if isinstance(mine, Mapping) and isinstance(its, Mapping):
+            yield from _differing(mine, its, f"{within}{name}.")
+        elif mine != its:
+            yield f"{within}{name} is {mine}, not {its}"

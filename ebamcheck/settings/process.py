@@ -1,14 +1,14 @@
-"""Settings of the process: beam, wire, beads."""
+"""Settings of the process: beam, wire, beads; and the height of one bead by itself."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Angle, Between, Length, Place, Section, Share, Temperature
-from ebamcheck.settings.bead import PARABOLA, bead_height_mm
 
 Width = Annotated[float, Between(0.1, 100.0)]
 """Width of a bead, a wall or a hole, mm: a spot of 0.1 mm lays no wire."""
@@ -277,3 +277,21 @@ class ProcessSettings(Section):
         if self.current_ma > self.current_max_ma:
             raise ValueError(f"current_ma {self.current_ma} is over current_max_ma {self.current_max_ma}")
         return self
+
+
+PARABOLA = 2.0 / 3.0
+"""Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)."""
+
+
+def bead_height_mm(
+    wire_diameter_mm: float, wire_speed_mm_s: float, travel_speed_mm_s: float, bead_width_mm: float
+) -> float:
+    """Height of one bead from the mass balance ``v_wire pi d^2 / 4 = v_travel A`` with ``A = 2/3 w h``.
+
+    Examples
+    --------
+    >>> round(bead_height_mm(1.6, 2000 / 60, 10.0, 6.0), 2)
+    1.68
+    """
+    area_mm2 = wire_speed_mm_s * math.pi * wire_diameter_mm**2 / 4.0 / travel_speed_mm_s
+    return area_mm2 / (PARABOLA * bead_width_mm)

@@ -1,4 +1,4 @@
-"""Settings of the part, of the cuts, of the slicers and of their comparison."""
+"""Settings of the part, of the cuts, of the slicers, of their comparison, and of how much work a job may be."""
 
 from __future__ import annotations
 
@@ -91,3 +91,22 @@ class ComparisonSettings(Section):
     doubt_mm: Tolerance = 0.01
     """Most that a slicer's declared doubt may add to that limit, in the places that it declares and nowhere else; layers
     that agree by it are counted and told. 0: a doubt changes nothing."""
+
+
+Count = Annotated[int, Between(1, 10**12)]
+"""Number of things that a job makes."""
+
+
+class WorkSettings(Section):
+    """How much work a job may be without a question: it is estimated before it begins, and `--yes` lets it go on."""
+
+    most_layers: Count = 20_000
+    """Layers; the thinnest ones of wire are some tenths of a millimetre."""
+    most_points: Count = 1_000_000_000
+    """Points of the contours of all layers, as an exact slicer finds them."""
+    most_islands: Count = 500_000
+    """Islands of all layers."""
+    most_time_s: Annotated[float, Between(0.001, 1e8)] = 6 * 3600.0
+    """Time of the whole job on this machine, as estimated; it is right within a factor of three or so."""
+    most_memory_mb: Annotated[float, Between(1.0, 1e8)] | None = None
+    """Memory of the whole job, of 10^6 bytes, as estimated; None: that of this machine."""
