@@ -14,7 +14,7 @@ from scipy.interpolate import BSpline
 from ebamcheck.program import write_program
 from ebamcheck.settings.config import Config
 
-CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode", "3dthesis", "adamantine", "additivefoam")
+CONTROLS = ("sinumerik-840d-sl", "linuxcnc", "plain-gcode", "3dthesis")
 TEXT_CONTROLS = CONTROLS[:3]
 
 EXACT = {

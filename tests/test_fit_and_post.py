@@ -20,8 +20,6 @@ CONTROLS = {
     "linuxcnc": "MAIN.ngc",
     "plain-gcode": "MAIN.gcode",
     "3dthesis": "Path.txt",
-    "adamantine": "scan_path.txt",
-    "additivefoam": "constant/scanPath",
 }
 
 

@@ -85,6 +85,6 @@ def test_what_has_no_reference_is_refused(run: Path, tmp_path: Path) -> None:
 
 
 def test_a_run_for_a_heat_simulator_is_refused_at_the_start(tmp_path: Path) -> None:
-    settings = Config().changed(machine={"control": "adamantine"})
-    with pytest.raises(SettingsError, match="ebamcheck post RUN --control adamantine"):
+    settings = Config().changed(machine={"control": "3dthesis"})
+    with pytest.raises(SettingsError, match="ebamcheck post RUN --control 3dthesis"):
         run_job(tmp_path / "missing.stl", tmp_path / "run", settings)

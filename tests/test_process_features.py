@@ -110,11 +110,10 @@ def test_a_wrong_pause_is_found(tmp_path, control, fault):
     ] in check.text
 
 
-@pytest.mark.parametrize("control", ["3dthesis", "adamantine", "additivefoam"])
-def test_simulators_wait_too(tmp_path, control):
+def test_a_simulator_waits_too(tmp_path):
     times = []
     for seconds in (0.0, 30.0):
-        _, files = paused(tmp_path / str(seconds), control, seconds)
+        _, files = paused(tmp_path / str(seconds), "3dthesis", seconds)
         rows = [line.split() for line in files.main.read_text().splitlines()]
         spots = [row for row in rows if len(row) == 6 and row[0] == "1"]
         times.append([float(row[5]) for row in spots])

@@ -81,12 +81,7 @@ def test_animation_needs_nothing_else_and_paths_are_exported(plate, tmp_path):
     assert [int(np.argmax(row)) for row in frames] == order, "the island that was just scanned is the hottest"
     assert min(map(min, frames)) >= 0
     paths = tmp_path / "out" / "paths" / "thermal"
-    for name, file in (
-        ("3dthesis", "Path.txt"),
-        ("adamantine", "scan_path.txt"),
-        ("additivefoam", "constant/scanPath"),
-    ):
-        assert len((paths / name / file).read_text().splitlines()) > count
+    assert len((paths / "3dthesis" / "Path.txt").read_text().splitlines()) > count
 
 
 def rows_of(file):

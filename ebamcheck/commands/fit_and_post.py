@@ -43,7 +43,7 @@ from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import write_program
 from ebamcheck.program.language.control import control as control_named
-from ebamcheck.program.simulators.heat_paths import SCRIPTS, case_post
+from ebamcheck.program.simulators.heat_paths import SCRIPT, case_post
 from ebamcheck.program.writing.entry import begin_at_layer, check_entry
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.showing.short_text import counted
@@ -182,8 +182,7 @@ def post_command(
         f"{files.main}: {counted(len(files.names), 'file')}, {counted(blocks, 'block')} for {config.machine.control}"
     )
     if not is_read:
-        script = next(name for name in files.names if name in SCRIPTS)
-        typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / script} runs it")
+        typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / SCRIPT} runs it")
     elif from_layer > 1:
         same = (source / MANIFEST).is_file() and not control and not config_file
         typer.echo(f"NOT VALIDATED: {_resumed(source if same else None, output)}")

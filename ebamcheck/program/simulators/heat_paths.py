@@ -1,11 +1,9 @@
-"""Post-processors for heat simulators: whole cases around one table of spots and lines, with power and speed.
+"""Post-processor for the heat simulator 3DThesis: a whole case around one table of spots and lines, with power and speed.
 
-Each row is a mode, a position, a power and a parameter: mode 1 stays at the position for the parameter in
-seconds, mode 0 moves there from the last position at the parameter in m/s. Travel without beam is a spot of no
-power that lasts as long as the rapid move. Formats: 3DThesis (``Path.txt``: mm, power as a share of that of the
-beam), adamantine ("segment" scan path: m, share, blanks, number of rows in the second line), AdditiveFOAM
-(``scanPath``: m, W). All three skip what stands in the first line, where the status is. The other files of each case
-are those of :mod:`~ebamcheck.program.simulators.thesis_case` and its neighbours.
+Each row is a mode, a position in mm, a power as a share of the beam's, and a parameter: mode 1 stays at the position for the
+parameter in seconds, mode 0 moves there from the last position at the parameter in m/s. Travel without beam is a spot of no
+power that lasts as long as the rapid move. The first line, where the status is, is skipped. The other files of a case are those of
+:mod:`~ebamcheck.program.simulators.thesis_case`.
 """
 
 from __future__ import annotations
@@ -19,11 +17,9 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.language.control import Control
 from ebamcheck.program.language.control import control as control_named
 from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.program.simulators import adamantine_case, additivefoam_case
-from ebamcheck.program.simulators.adamantine_case import adamantine_files
-from ebamcheck.program.simulators.additivefoam_case import additivefoam_files
 from ebamcheck.program.simulators.thesis_case import thesis_files
 from ebamcheck.program.toolpath.bead_ends import driven_path
 from ebamcheck.program.toolpath.bead_power import power_shares
@@ -31,8 +27,8 @@ from ebamcheck.program.toolpath.inputs import CurveColumns, Interpass, ScanColum
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.settings.config import Config
 
-SCRIPTS = ("run.sh", "Allrun")
-"""What runs a case, one of these in each."""
+SCRIPT = "run.sh"
+"""What runs a case."""
 
 STATUS = "@status@"
 """Stands in the texts of a case where its status will be."""
@@ -43,10 +39,13 @@ LEAST_SPOT_S = 1e-6
 """Shortest time of a spot: simulators divide by the time of a row."""
 
 DECIMALS = 6
-"""Of a millimetre; a row in metres has three more."""
+"""Of a millimetre."""
 
 METRES = 1e-3
 """Metres in a millimetre; and m/s in a mm/s."""
+
+THESIS = Control("3dthesis", f"{__name__}:write_3dthesis")
+"""The simulator as a control, whose cases no reader proves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,50 +157,6 @@ def write_thesis(
     return _write({"Path.txt": f"{title}\n{text}", **others}, folder, validated)
 
 
-def write_adamantine(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    layer: int | None = None,
-) -> ProgramFiles:
-    """Write a case of adamantine, its path first, in the format "segment". `header` has no place in it.
-
-    Takes and raises what :func:`ebamcheck.program.controls.sinumerik.writing.write_program` does.
-    """
-    path = heat_path(curves, plan, config).of_layer(layer)
-    title = f"Number of path segments {STATUS}\n{len(path.rows)}\nMode x y z pmod param"
-    text = _table(_in_metres(path.rows), "%d %.9f %.9f %.9f %g %.9g\n")
-    case = {adamantine_case.PATH: f"{title}\n{text}", **adamantine_files(path.rows, _last_s(path), config)}
-    return _write(case, folder, validated)
-
-
-def write_additivefoam(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    layer: int | None = None,
-) -> ProgramFiles:
-    """Write a case of AdditiveFOAM, its ``constant/scanPath`` first. `header` has no place in it.
-
-    Takes and raises what :func:`ebamcheck.program.controls.sinumerik.writing.write_program` does.
-    """
-    path = heat_path(curves, plan, config).of_layer(layer)
-    rows = _in_metres(path.rows)
-    rows[:, 4] *= config.process.power_w
-    title = f"Mode X(m) Y(m) Z(m) Power(W) Parameter {STATUS}"
-    text = _table(rows, "%d %.9f %.9f %.9f %.9g %.9g\n")
-    files = additivefoam_files(path.rows, _last_s(path), config)
-    return _write({additivefoam_case.PATH: f"{title}\n{text}", **files}, folder, validated)
-
-
 def fill_case(texts: Mapping[str, str], *, validated: bool = False) -> dict[str, str]:
     """Texts of a case with their status."""
     status = VALIDATED if validated else NOT_VALIDATED
@@ -210,15 +165,6 @@ def fill_case(texts: Mapping[str, str], *, validated: bool = False) -> dict[str,
 
 def _write(texts: Mapping[str, str], folder: str | Path, validated: bool) -> ProgramFiles:
     return write_files(fill_case(texts, validated=validated), Path(folder), validated=validated)
-
-
-def _last_s(path: HeatPath) -> float:
-    """Time of a whole path; that of the shortest spot where there is none."""
-    return float(path.end_s[-1]) if len(path.rows) else LEAST_SPOT_S
-
-
-def _in_metres(rows: Floats) -> Floats:
-    return np.asarray(rows * [1.0, METRES, METRES, METRES, 1.0, 1.0], np.float64)
 
 
 def _table(rows: Floats, line: str) -> str:
