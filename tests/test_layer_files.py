@@ -160,7 +160,7 @@ CASES = {
         {**b.schema.metadata, b"ebamcheck.layers.version": b"2"}
     ),
     "no version": lambda b: b.replace_schema_metadata(None),
-    "labels": lambda b: b.replace_schema_metadata({layer_batches.VERSION_KEY: b"1"}),
+    "labels": lambda b: b.replace_schema_metadata({b"ebamcheck.layers.version": b"1"}),
     "'closed' is missing": lambda b: b.drop_columns(["closed"]),
     "'edge_t' is missing": lambda b: b.drop_columns(["edge_t"]),
     "'height_mm' is string": lambda b: with_column(b, "height_mm", pa.array(list("abcde"))),

@@ -22,6 +22,7 @@ from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.showing import short_text
+from ebamcheck.showing.columns import Columns
 from ebamcheck.showing.plotting import ExtraMissing
 from ebamcheck_models import BLADE, CUBE
 
@@ -190,6 +191,42 @@ def test_motions_come_in_the_order_of_execution(program: NCProgram) -> None:
     assert program[-1] == motions[-1]
     with pytest.raises(IndexError, match="no motion"):
         program[len(program)]
+
+
+class Bottles(Columns[str]):
+    _item_in = ("bottle", "crate")
+
+    def __init__(self, *names: str, owner: str = "") -> None:
+        self.names, self.owner = names, owner
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def _item(self, index: int) -> str:
+        return self.names[index]
+
+    def _facts(self) -> dict[str, int | str]:
+        return {"bottles": len(self), "owner": self.owner}
+
+    def _more(self) -> dict[str, int | str]:
+        return {"letters": sum(map(len, self.names))}
+
+
+def test_columns_are_counted_taken_and_shown_in_one_way() -> None:
+    names = ("a", "bb", "ccc")
+    bottles = Bottles(*names, owner="Ann")
+    assert tuple(bottles) == names
+    assert [bottles[k] for k in range(-3, 3)] == [names[k] for k in range(-3, 3)]
+    with pytest.raises(SettingsError, match="no bottle 3: the crate has 3 bottles, from 0"):
+        bottles[3]
+    with pytest.raises(IndexError):
+        bottles[-4]
+    assert repr(bottles) == "<Bottles: 3 bottles, Ann>"
+    assert repr(Bottles("a")) == "<Bottles: 1 bottle>"
+    cells = [
+        e.text for e in ElementTree.fromstring(Bottles("a")._repr_html_()).iter() if e.tag in ("th", "td")
+    ]
+    assert cells == ["bottles", "1", "owner", "not named", "letters", "1"]
 
 
 # -- runs ------------------------------------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.curves import bezier
-from ebamcheck.curves import items as curve_items
 from ebamcheck.curves.arcs import arc_point, arc_through
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.splitting import ARC, LINE
@@ -22,12 +21,16 @@ from ebamcheck.layers.stack import UP, Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
+from ebamcheck.showing.columns import LayerColumns
 
 if TYPE_CHECKING:
     from ebamcheck.curves.evidence import Evidence
 
 MOST_SAMPLES = 2**31
 """Most points of a sampling: more come from a mistyped step."""
+
+DRAWN_TOLERANCE_MM = 0.005
+"""Chord error of the polylines as which curves are drawn: far below what a screen shows of a part."""
 
 
 class Piece(NamedTuple):
@@ -57,8 +60,51 @@ class SampledRings(NamedTuple):
     """(R + 1,) into `points`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Curves:
+@dataclass(frozen=True, eq=False, repr=False)
+class CurveLayer:
+    """The fitted contours of one layer; iterating over it gives their pieces in the order of travel."""
+
+    curves: Curves
+    index: int
+
+    @property
+    def height_mm(self) -> float:
+        """Absolute z."""
+        return float(self.curves.heights[self.index])
+
+    @property
+    def pieces(self) -> tuple[Piece, ...]:
+        """Pieces of all rings, ring by ring."""
+        found = self.curves
+        return tuple(found.piece(p) for ring in found.rings_of(self.index) for p in found.pieces_of(ring))
+
+    def __iter__(self) -> Iterator[Piece]:
+        """Go through the pieces."""
+        return iter(self.pieces)
+
+    def __len__(self) -> int:
+        """Return the number of pieces."""
+        return sum(len(self.curves.pieces_of(ring)) for ring in self.curves.rings_of(self.index))
+
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Draw the curves of the layer on matplotlib axes; `style` is of its lines."""
+        block = self.curves.block(self.index, self.index + 1)
+        ax = block.sample_tolerance(DRAWN_TOLERANCE_MM)[0].plot(ax, **style)
+        ax.set_title(f"curves of layer {self.index + 1}, z = {self.height_mm:.6g} mm")
+        return ax
+
+    def __repr__(self) -> str:
+        return short_text.line(
+            f"CurveLayer [{self.index}]",
+            f"z = {self.height_mm:.6g} mm",
+            short_text.counted(len(self.curves.rings_of(self.index)), "ring"),
+            short_text.counted(len(self), "piece"),
+            short_text.counted(self.curves.block(self.index, self.index + 1).block_count(), "NC block"),
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Curves(LayerColumns[CurveLayer]):
     """The fitted contours of a stack of layers.
 
     Rings are those of the layers that were fitted, in their order and direction. A ring is a chain of
@@ -116,16 +162,23 @@ class Curves:
     backend: str = ""
     evidence: Evidence | None = field(default=None, repr=False)
 
-    def __len__(self) -> int:
-        """Return the number of layers."""
-        return int(self.heights.size)
+    # -- layer by layer, and shown -----------------------------------------------------------------
 
-    # Iteration, indexing and display, layer by layer.
-    __iter__ = curve_items.curve_iterator
-    __getitem__ = curve_items.curve_item
-    __repr__ = curve_items.curves_line
-    _repr_html_ = curve_items.curves_html
-    plot = curve_items.curves_plot
+    def _item(self, index: int) -> CurveLayer:
+        return CurveLayer(self, index)
+
+    def _facts(self) -> dict[str, int | str]:
+        counts = {"rings": int(self.closed.size), "pieces": int(self.kind.size)}
+        return {**self._heights(), **counts, "method": self.method}
+
+    def _more(self) -> dict[str, int | str]:
+        return {"NC blocks": self.block_count()}
+
+    def plot(self, layer: int, ax: Any = None, **style: Any) -> Any:
+        """Draw the curves of one layer on matplotlib axes."""
+        return self[layer].plot(ax, **style)
+
+    # -- parts of a stack --------------------------------------------------------------------------
 
     @property
     def ring_layer(self) -> Ints:

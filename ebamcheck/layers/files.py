@@ -6,26 +6,25 @@ of layers that was written at once. A stack that does not fit in memory is writt
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import COMPRESSION, replacing
+from ebamcheck.atomic_file import replacing
+from ebamcheck.columns_file import NUMBERS, open_table, readable, starts_of
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers import common_layer_interface, contour_table, dxf, slices_3mf, svg, vtp
-from ebamcheck.layers.batches import CONTOUR_COLUMNS, column_of, from_arrow, labels_of, to_arrow
+from ebamcheck.layers.batches import CONTOUR_COLUMNS, from_arrow, heights_of, layer_labels, to_arrow
 from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck.numeric.rings import Ints
-from ebamcheck.regular_file import regular_file
 
 # -- by suffix -------------------------------------------------------------------------------------
 
@@ -120,7 +119,7 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
             rows = len(block)
             del block  # the batch that is written has its own columns
             if file is None:
-                file = opened.enter_context(_writer(temporary, batch.schema))
+                file = opened.enter_context(pq.ParquetWriter(temporary, batch.schema, **NUMBERS))
                 aside = opened.enter_context(ThreadPoolExecutor(1))
             elif not batch.schema.equals(file.schema, check_metadata=True):
                 raise SettingsError(
@@ -135,18 +134,6 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
             raise SettingsError(f"{path}: no layers to write: give at least one block")
         writing.result()
     return count
-
-
-def _writer(path: Path, schema: pa.Schema) -> pq.ParquetWriter:
-    # Coordinates hardly repeat: a dictionary would only cost time. Checksums find flipped bits.
-    return pq.ParquetWriter(
-        path,
-        schema,
-        compression=COMPRESSION,
-        use_dictionary=False,
-        write_statistics=False,
-        write_page_checksum=True,
-    )
 
 
 def read_parquet(path: str | Path) -> Layers:
@@ -181,12 +168,12 @@ class LayerFile:
     def __init__(self, path: str | Path, edges: bool = True) -> None:
         self.path = Path(path)
         self._columns = None if edges else CONTOUR_COLUMNS
-        with self._readable():
-            self._file = pq.ParquetFile(regular_file(self.path), page_checksum_verification=True)
-        self._labels = labels_of(self._file.schema_arrow, str(self.path))
+        with readable(self.path):
+            self._file = open_table(self.path)
+        self._labels = layer_labels(self._file.schema_arrow, str(self.path))
         groups = self._file.metadata
         sizes = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
-        self._starts: Ints = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+        self._starts = starts_of(np.array(sizes, np.int64))
 
     def __enter__(self) -> Self:
         """Return itself."""
@@ -227,11 +214,9 @@ class LayerFile:
     @cached_property
     def heights(self) -> NDArray[np.float64]:
         """Heights of all layers, (L,) mm."""
-        name = "height_mm"
-        with self._readable():
-            table = self._file.read(columns=[name])
-        columns = [column_of(batch, name, str(self.path)) for batch in table.to_batches()]
-        return np.concatenate([np.zeros(0), *columns])
+        with readable(self.path):
+            table = self._file.read(columns=["height_mm"])
+        return heights_of(table, str(self.path))
 
     def read(self) -> Layers:
         """Read the whole stack."""
@@ -241,24 +226,14 @@ class LayerFile:
         """Read layers ``start .. stop - 1``."""
         first = max(0, int(np.searchsorted(self._starts, start, side="right")) - 1)
         past = int(np.searchsorted(self._starts, stop, side="left"))
-        with self._readable():
+        with readable(self.path):
             table = self._file.read_row_groups(list(range(first, past)), columns=self._columns)
         blocks = [from_arrow(batch, str(self.path)) for batch in table.to_batches()]
         if not blocks:
-            empty = pa.RecordBatch.from_pylist([], schema=table.schema)
-            return from_arrow(empty, str(self.path))
+            return from_arrow(table, str(self.path))
         joined = blocks[0] if len(blocks) == 1 else concatenate(blocks)
         begin = int(self._starts[first])
         return joined if len(joined) == stop - start else joined.block(start - begin, stop - begin)
-
-    @contextmanager
-    def _readable(self) -> Iterator[None]:
-        """Name the file in errors of reading."""
-        try:
-            yield
-        except (OSError, pa.ArrowException) as error:
-            line = (str(error).splitlines() or [type(error).__name__])[0]
-            raise InputError(f"{self.path}: cannot be read as Parquet: {line}") from None
 
 
 class LayerFormat(NamedTuple):

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import canonical_form
-from ebamcheck.layers import items as stack_items
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.columns import joined
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.showing import short_text
+from ebamcheck.showing.columns import LayerColumns, outline_svg
 
 if TYPE_CHECKING:
     # Loaded only where polygons are made; most commands make none.
@@ -33,9 +34,137 @@ UP = (0.0, 0.0, 1.0)
 RINGS_A_BLOCK = 256
 """Fewest rings worth a thread that brings them into canonical form."""
 
+KIND_COLOURS = {"outer": "#0072b2", "hole": "#d55e00", "open path": "#cc79a7"}
+"""Okabe and Ito's colours, which colour-blind people can tell apart."""
 
-@dataclass(frozen=True, eq=False)
-class Layers:
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Ring:
+    """One contour of a layer: an outer ring, a hole, or an open path."""
+
+    points: Floats
+    """(n, 2) mm, without a repeated end point."""
+    closed: bool
+    area_mm2: float
+    """Positive for an outer ring, negative for a hole, 0 for an open path."""
+    length_mm: float
+
+    @property
+    def is_hole(self) -> bool:
+        """Whether the ring bounds a hole."""
+        return self.area_mm2 < 0.0
+
+    @property
+    def kind(self) -> str:
+        """Name the ring: ``outer``, ``hole`` or ``open path``."""
+        if not self.closed:
+            return "open path"
+        return "hole" if self.is_hole else "outer"
+
+    def __len__(self) -> int:
+        """Return the number of points."""
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        return short_text.line(
+            "Ring",
+            self.kind,
+            short_text.counted(len(self), "point"),
+            f"{self.length_mm:.6g} mm long",
+            f"{self.area_mm2:.6g} mm2" if self.closed else "",
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Layer:
+    """One layer of a stack; iterating over it gives its rings."""
+
+    stack: Layers
+    index: int
+
+    @property
+    def height_mm(self) -> float:
+        """Absolute z."""
+        return float(self.stack.heights[self.index])
+
+    @property
+    def rings(self) -> tuple[Ring, ...]:
+        """Contours in their order in the stack."""
+        stack = self.stack
+        return tuple(
+            Ring(
+                stack.ring(r),
+                bool(stack.closed[r]),
+                float(stack.ring_areas[r]),
+                float(stack.ring_lengths[r]),
+            )
+            for r in stack.rings_of(self.index)
+        )
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of the section: outer rings less holes."""
+        of = self.stack.rings_of(self.index)
+        return float(self.stack.ring_areas[of.start : of.stop].sum())
+
+    @property
+    def perimeter_mm(self) -> float:
+        """Length of all closed rings."""
+        of = slice(self.stack.rings_of(self.index).start, self.stack.rings_of(self.index).stop)
+        return float(self.stack.ring_lengths[of][self.stack.closed[of]].sum())
+
+    @property
+    def polygons(self) -> list[shapely.Polygon]:
+        """Solid regions as valid polygons, holes included."""
+        return self.stack.polygons(self.index)
+
+    def __iter__(self) -> Iterator[Ring]:
+        """Go through the rings."""
+        return iter(self.rings)
+
+    def __len__(self) -> int:
+        """Return the number of rings."""
+        return len(self.stack.rings_of(self.index))
+
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Draw the contours on matplotlib axes, each kind of ring in its colour; `style` is of its lines."""
+        from ebamcheck.showing.plotting import Lines, plot_lines
+
+        rings = self.rings
+        groups = [
+            Lines([_outline(ring) for ring in rings if ring.kind == kind], colour)
+            for kind, colour in KIND_COLOURS.items()
+        ]
+        return plot_lines(groups, f"layer {self.index + 1}, z = {self.height_mm:.6g} mm", ax, **style)
+
+    def __repr__(self) -> str:
+        kinds = [ring.kind for ring in self.rings] if len(self) <= 1000 else []
+        return short_text.line(
+            f"Layer [{self.index}]",
+            f"z = {self.height_mm:.6g} mm",
+            *(f"{kinds.count(k)} {k}" for k in ("outer", "hole", "open path") if k in kinds),
+            "" if kinds else short_text.counted(len(self), "ring"),
+            f"{self.area_mm2:.6g} mm2",
+        )
+
+    def _repr_html_(self) -> str:
+        """Show the layer in a notebook."""
+        facts = {"z": f"{self.height_mm:.6g} mm", "rings": len(self), "area": f"{self.area_mm2:.6g} mm2"}
+        return short_text.html(f"Layer [{self.index}]", facts, _picture(self))
+
+
+def _picture(layer: Layer) -> str:
+    rings = layer.rings
+    return outline_svg([r.points for r in rings if r.closed], [r.points for r in rings if not r.closed])
+
+
+def _outline(ring: Ring) -> Floats:
+    """Points of a ring; a closed one repeats its first point at the end."""
+    return np.vstack([ring.points, ring.points[:1]]) if ring.closed else ring.points
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Layers(LayerColumns[Layer]):
     """The contours of a stack of layers, as columns.
 
     Outer rings run counter-clockwise, holes clockwise. No ring repeats its first point at its end or has
@@ -94,18 +223,44 @@ class Layers:
         if self.dropped.size != self.heights.size:
             object.__setattr__(self, "dropped", np.zeros(self.heights.size, np.int64))
 
-    # Iteration, indexing and display, layer by layer.
-    __iter__ = stack_items.layer_iterator
-    __getitem__ = stack_items.layer_item
-    __repr__ = stack_items.layers_line
-    _repr_html_ = stack_items.layers_html
-    plot = stack_items.layers_plot
+    # -- item by item, and shown -------------------------------------------------------------------
+
+    @overload
+    def __getitem__(self, which: int) -> Layer: ...
+    @overload
+    def __getitem__(self, which: slice) -> Layers: ...
+    def __getitem__(self, which: int | slice) -> Layer | Layers:
+        """One layer by its index (a negative one counts from the top), or a part of the stack by a slice."""
+        if not isinstance(which, slice):
+            return super().__getitem__(which)
+        start, stop, step = which.indices(len(self))
+        if step == 1:
+            return self.block(start, max(start, stop))
+        return self.take(np.arange(start, stop, step))
+
+    def _item(self, index: int) -> Layer:
+        return Layer(self, index)
+
+    def _facts(self) -> dict[str, int | str]:
+        counts = {"rings": int(self.closed.size), "points": len(self.points)}
+        return {**self._heights(), **counts, "slicer": self.backend}
+
+    def _picture(self) -> str:
+        return _picture(self[len(self) // 2]) if len(self) else ""
+
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Draw every contour at its height, on three-dimensional matplotlib axes; `style` is of its lines."""
+        from ebamcheck.showing.plotting import Lines, plot_in_space
+
+        lines = [
+            np.column_stack([outline, np.full(len(outline), layer.height_mm)])
+            for layer in self
+            for outline in map(_outline, layer)
+        ]
+        title = short_text.counted(len(self), "layer")
+        return plot_in_space(Lines(lines, KIND_COLOURS["outer"], 0.5), title, ax, **style)
 
     # -- counts and measures -----------------------------------------------------------------------
-
-    def __len__(self) -> int:
-        """Return the number of layers."""
-        return int(self.heights.size)
 
     @property
     def ring_layer(self) -> Ints:

@@ -17,10 +17,10 @@ import numpy as np
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers.items import index_of
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.colours import COLOURS, DASHES
+from ebamcheck.showing.columns import index_of
 from ebamcheck.showing.markup import NAMESPACE, Markup, element, svg_file, text
 
 REDUCTION_PX = 0.2

@@ -8,14 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from ebamcheck.atomic_file import COMPRESSION
+from ebamcheck.columns_file import open_table, write_table
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
 from ebamcheck.metal import Target
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.regular_file import regular_file
 
 FIELD_FILE = "deposit_worst.parquet"
 """Name of the field of the worst layer in a run folder."""
@@ -44,7 +42,9 @@ class LayerField:
 
 def write_field(path: Path, field: LayerField, layer: int, thickness_mm: float) -> None:
     """Write the field of a layer, one row a cell, in single precision."""
-    pq.write_table(field_table(field, layer, thickness_mm), path, version="2.6", compression=COMPRESSION)
+    # Many cells are alike, and a field is looked at, not computed with.
+    table = field_table(field, layer, thickness_mm)
+    write_table(table, path, use_dictionary=True, write_statistics=True, write_page_checksum=False)
 
 
 def field_table(field: LayerField, layer: int, thickness_mm: float) -> pa.Table:
@@ -71,7 +71,8 @@ def read_field(path: Path) -> tuple[LayerField, int, float]:
         If the file is none that :func:`write_field` wrote.
     """
     try:
-        table = pq.read_table(regular_file(path))
+        with open_table(path) as file:
+            table = file.read()
         header = parsed_json((table.schema.metadata or {})[b"ebamcheck"])
         shape = tuple(header["shape"])
         share, laid, over = (

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,13 +15,18 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.reading import motion_items
 from ebamcheck.program.reading.table_columns import TableColumns
 from ebamcheck.showing import short_text
+from ebamcheck.showing.columns import Columns, index_of
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
 KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
 """Kinds of motions; a BSPLINE gives one row for each knot span."""
+
+Place = tuple[float, float, float]
+
+DRAWN_STEP_MM = 0.25
+"""Curved motions are drawn as straight parts of at most this length."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +64,46 @@ class Events:
         return short_text.line("Events", short_text.counted(len(self.name), "event"))
 
 
-@dataclass(frozen=True, eq=False)
-class NCProgram:
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One motion that a block of the program commands."""
+
+    index: int
+    where: str
+    """``FILE:line`` of its block."""
+    kind: str
+    """``rapid``, ``line``, ``poly``, ``bspline span`` or ``arc``."""
+    layer: int
+    """-1 outside of the layers."""
+    start_mm: Place
+    end_mm: Place
+    length_mm: float
+    feed_mm_min: float
+    beam: bool
+    wire: bool
+    power_w: float
+    wire_mm_s: float
+
+    @property
+    def deposits(self) -> bool:
+        """Whether metal is laid: at feed with the beam on."""
+        return self.beam and self.kind != "rapid"
+
+    def __repr__(self) -> str:
+        to = ", ".join(f"{value:.3f}" for value in self.end_mm)
+        states = [name for name, on in (("beam", self.beam), ("wire", self.wire)) if on]
+        return short_text.line(
+            f"Motion {self.index}",
+            f"{self.kind} to ({to}) mm",
+            f"{self.length_mm:.6g} mm long",
+            f"{self.feed_mm_min:g} mm/min" if self.kind != "rapid" else "",
+            " and ".join(states) + " on" if states else "beam off",
+            self.where,
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NCProgram(Columns[Motion]):
     """A program as its text says it, one row for each motion (B,), in the order of execution.
 
     Parameters
@@ -131,16 +175,41 @@ class NCProgram:
     dialect: str = "sinumerik-840d-sl"
     """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
 
+    _item_in = ("motion", "program")
+
     def __len__(self) -> int:
         """Return the number of motions."""
         return int(self.kind.size)
 
-    # How a program shows itself, motion by motion.
-    __iter__ = motion_items.motion_iterator
-    __getitem__ = motion_items.motion
-    __repr__ = motion_items.program_line
-    _repr_html_ = motion_items.program_html
-    plot = motion_items.program_plot
+    def _item(self, index: int) -> Motion:
+        x0, y0, z0 = self.start[index].tolist()
+        x1, y1, z1 = self.end[index].tolist()
+        return Motion(
+            index=index,
+            where=self.where(index),
+            kind=KIND_NAMES[int(self.kind[index])],
+            layer=int(self.layer[index]),
+            start_mm=(x0, y0, z0),
+            end_mm=(x1, y1, z1),
+            length_mm=float(self.lengths[index]),
+            feed_mm_min=float(self.feed_mm_min[index]),
+            beam=bool(self.beam[index]),
+            wire=bool(self.wire[index]),
+            power_w=float(self.power_w[index]),
+            wire_mm_s=float(self.wire_mm_s[index]),
+        )
+
+    def _facts(self) -> dict[str, int | str]:
+        return {
+            "main program": self.files[0].name if self.files else "no file",
+            "files": len(self.files),
+            "layers": len(self.layer_files),
+            "motions": len(self),
+            "control": self.dialect,
+        }
+
+    def _more(self) -> dict[str, int | str]:
+        return {"beam on": f"{self.lengths[self.deposit].sum() / 1000.0:.6g} m", **self.header}
 
     def where(self, row: int) -> str:
         """``FILE:line`` of a motion."""
@@ -283,3 +352,41 @@ class NCProgram:
                 "row": rows,
             }
         )
+
+    # -- drawn -------------------------------------------------------------------------------------
+
+    def plot(self, layer: int | None = None, ax: Any = None) -> Any:
+        """Draw the path of a program, or of one of its layers, as its text commands it, on matplotlib axes.
+
+        Raises
+        ------
+        SettingsError
+            If the program has no such layer.
+        """
+        from ebamcheck.showing.plotting import Lines, plot_lines
+
+        count = len(self.layer_files)
+        if layer is not None:
+            layer = index_of(layer, count)
+        chosen = np.isfinite(self.start[:, :2]).all(axis=1) & np.isfinite(self.end[:, :2]).all(axis=1)
+        if layer is not None:
+            chosen &= self.layer == layer
+        kinds = (
+            ("beam off", ~self.deposit, "#999999", 0.6, ":"),
+            ("hatch, beam on", self.deposit & (self.island >= 0), "#0072b2", 0.8, "-"),
+            ("contour, beam on", self.deposit & (self.island < 0), "#d55e00", 1.5, "-"),
+        )
+        groups = [
+            Lines(self._polylines(np.flatnonzero(which & chosen)), colour, width, dashes, name)
+            for name, which, colour, width, dashes in kinds
+        ]
+        title = "whole program" if layer is None else f"layer {layer + 1}: {self.layer_files[layer]}"
+        return plot_lines(groups, title, ax)
+
+    def _polylines(self, rows: Ints) -> list[Floats]:
+        """Points (n, 2) along each motion."""
+        if not rows.size:
+            return []
+        row, points = self.samples(rows, DRAWN_STEP_MM)
+        parts = np.split(points, np.searchsorted(row, rows)[1:])
+        return [np.vstack([start, part]) for start, part in zip(self.start[rows, :2], parts, strict=True)]

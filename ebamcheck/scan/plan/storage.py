@@ -35,16 +35,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 import shapely
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import COMPRESSION, replacing
+from ebamcheck.columns_file import (
+    Column,
+    ReadTable,
+    arrow_columns,
+    open_table,
+    readable,
+    starts_of,
+    write_table,
+)
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
-from ebamcheck.list_columns import flat_column, list_column, plain_column, starts_of
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.regular_file import regular_file
 from ebamcheck.scan.plan.columns import METRICS, VECTOR_COLUMNS, PlanOfLayers, ScanPlan
 
 NAME, VERSION = "ebamcheck scan plan", 3
@@ -54,19 +59,22 @@ HEADER_KEY = b"ebamcheck"
 LINE_COLUMNS = VECTOR_COLUMNS[1:]
 
 _OF_LAYER = ("height_mm", "section", "metrics")
+_NUMBER, _NUMBERS, _COUNTS = pa.float64(), pa.large_list(pa.float64()), pa.large_list(pa.int64())
+_REGION = pa.large_binary()
 _OF_ISLAND = {
-    "island_rank": pa.int64(),
-    "island_kind": pa.string(),
-    "island_polygon": pa.large_binary(),
-    "island_area_mm2": pa.float64(),
-    "island_x_mm": pa.float64(),
-    "island_y_mm": pa.float64(),
-    "island_wait_s": pa.float64(),
-    "island_inner_wait_s": pa.float64(),
-    "island_lines": pa.int64(),
+    "island_rank": _COUNTS,
+    "island_kind": pa.large_list(pa.string()),
+    "island_polygon": pa.large_list(_REGION),
+    "island_area_mm2": _NUMBERS,
+    "island_x_mm": _NUMBERS,
+    "island_y_mm": _NUMBERS,
+    "island_wait_s": _NUMBERS,
+    "island_inner_wait_s": _NUMBERS,
+    "island_lines": _COUNTS,
 }
-_OF_LINE = dict.fromkeys(LINE_COLUMNS, pa.float64())
-_OF_BORDER = {"border_first": pa.int64(), "border_second": pa.int64(), "border_mm": pa.float64()}
+_OF_LINE = dict.fromkeys(LINE_COLUMNS, _NUMBERS)
+_OF_BORDER = {"border_first": _COUNTS, "border_second": _COUNTS, "border_mm": _NUMBERS}
+_LISTS = {**_OF_ISLAND, **_OF_LINE, **_OF_BORDER}
 
 
 def write(plan: ScanPlan, path: Path) -> None:
@@ -81,17 +89,7 @@ def write(plan: ScanPlan, path: Path) -> None:
     table = pa.table(_columns(plan)).replace_schema_metadata(
         {HEADER_KEY: json.dumps(header, sort_keys=True).encode()}
     )
-    with replacing(path) as temporary:
-        # Coordinates hardly repeat, so a dictionary would only cost time; checksums find flipped bits.
-        pq.write_table(
-            table,
-            temporary,
-            version="2.6",
-            compression=COMPRESSION,
-            use_dictionary=["island_kind.list.element"],
-            write_statistics=False,
-            write_page_checksum=True,
-        )
+    write_table(table, path, use_dictionary=["island_kind.list.element"])
 
 
 def read(path: Path) -> ScanPlan:
@@ -103,27 +101,27 @@ def read(path: Path) -> ScanPlan:
         If the file is missing, damaged, not Parquet, no plan or one of another version, or its columns do not match.
     """
     table, settings = _table(path, None)
-    layers = _layers(table, path)
-    islands, starts = _flat_columns(table, _OF_ISLAND, path)
-    island_layer = np.repeat(np.arange(table.num_rows), np.diff(starts)).astype(np.int64)
+    layers = _layers(table)
+    islands, (starts,) = table.alike(_OF_ISLAND)
+    island_layer = np.repeat(np.arange(len(layers.heights)), np.diff(starts)).astype(np.int64)
     rank = _ranks(islands["island_rank"], starts, island_layer, path)
-    neighbours, border_mm = _borders(table, starts, path)
+    neighbours, border_mm = _borders(table, starts)
     return ScanPlan(
         heights=layers.heights,
-        contours=_regions(plain_column(table, "contour", pa.large_binary(), path).to_pylist(), path),
+        contours=_regions(table.plain("contour", _REGION), path),
         islands=_regions(islands["island_polygon"], path),
         island_layer=island_layer,
         island_kind=np.asarray(islands["island_kind"].tolist(), np.str_),
-        island_area_mm2=islands["island_area_mm2"],
+        island_area_mm2=islands["island_area_mm2"].copy(),
         island_centroid=np.column_stack([islands["island_x_mm"], islands["island_y_mm"]]),
         neighbours=neighbours,
         border_mm=border_mm,
         order=np.argsort(rank, kind="stable").astype(np.int64),
-        vectors=_vectors(table, islands["island_lines"], starts, rank, path),
+        vectors=_vectors(table, islands["island_lines"], starts, rank),
         metrics=layers.metrics,
         settings=settings,
-        island_wait_s=islands["island_wait_s"],
-        inner_wait_s=islands["island_inner_wait_s"],
+        island_wait_s=islands["island_wait_s"].copy(),
+        inner_wait_s=islands["island_inner_wait_s"].copy(),
         sections=layers.sections,
     )
 
@@ -131,7 +129,7 @@ def read(path: Path) -> ScanPlan:
 def read_layers(path: Path) -> PlanOfLayers:
     """Read what a plan knows of its layers, and nothing else of the file; raises as :func:`read`."""
     table, _ = _table(path, _OF_LAYER)
-    return _layers(table, path)
+    return _layers(table)
 
 
 # -- columns of a plan -------------------------------------------------------------------------------
@@ -170,13 +168,11 @@ def _columns(plan: ScanPlan) -> dict[str, pa.Array]:
     }
     if plan.sections is not None:
         columns["section"] = _well_known(plan.sections)
-    columns |= {f"island_{name}": list_column(starts, values) for name, values in of_island.items()}
-    for name in LINE_COLUMNS:
-        columns[name] = list_column(line_starts, plan.vectors[name].to_numpy()[by_island])
-    columns["border_first"] = list_column(pair_starts, pairs[:, 0])
-    columns["border_second"] = list_column(pair_starts, pairs[:, 1])
-    columns["border_mm"] = list_column(pair_starts, plan.border_mm)
-    return columns
+    lists: dict[str, Column] = {f"island_{name}": (values, starts) for name, values in of_island.items()}
+    lists |= {name: (plan.vectors[name].to_numpy()[by_island], line_starts) for name in LINE_COLUMNS}
+    borders = (pairs[:, 0], pairs[:, 1], plan.border_mm)
+    lists |= {name: (values, pair_starts) for name, values in zip(_OF_BORDER, borders, strict=True)}
+    return columns | arrow_columns(lists, _LISTS)
 
 
 def _well_known(regions: NDArray[np.object_]) -> pa.LargeBinaryArray:
@@ -187,16 +183,12 @@ def _well_known(regions: NDArray[np.object_]) -> pa.LargeBinaryArray:
 # -- columns of a table ------------------------------------------------------------------------------
 
 
-def _table(path: Path, names: Sequence[str] | None) -> tuple[pa.Table, dict[str, Any]]:
+def _table(path: Path, names: Sequence[str] | None) -> tuple[ReadTable, dict[str, Any]]:
     """Columns of a file, all of them or those of `names` that it has, and the plan's settings."""
-    try:
-        with pq.ParquetFile(regular_file(path), page_checksum_verification=True) as file:
-            settings = _settings(path, file.schema_arrow.metadata or {})
-            there = [name for name in file.schema_arrow.names if names is None or name in names]
-            return file.read(there), settings
-    except (OSError, pa.ArrowException) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise InputError(f"{path}: cannot be read as a scan plan: {reason}") from None
+    with readable(path, "a scan plan"), open_table(path) as file:
+        settings = _settings(path, file.schema_arrow.metadata or {})
+        there = [name for name in file.schema_arrow.names if names is None or name in names]
+        return ReadTable(file.read(there), path), settings
 
 
 def _settings(path: Path, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
@@ -218,37 +210,25 @@ def _settings(path: Path, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
     raise InputError(f"{path}: is not a scan plan (format {said[:40]!r}, expected '{NAME} {VERSION}')")
 
 
-def _layers(table: pa.Table, path: Path) -> PlanOfLayers:
+def _layers(table: ReadTable) -> PlanOfLayers:
     """What a plan knows of its layers."""
     sections = None
-    if "section" in table.schema.names:
-        sections = _regions(plain_column(table, "section", pa.large_binary(), path).to_pylist(), path)
-    heights = plain_column(table, "height_mm", pa.float64(), path).to_numpy(zero_copy_only=False)
-    return PlanOfLayers(heights.astype(np.float64), _metrics(table, path), sections)
+    if "section" in table.table.schema.names:
+        sections = _regions(table.plain("section", _REGION), table.where)
+    return PlanOfLayers(table.plain("height_mm", _NUMBER), _metrics(table), sections)
 
 
-def _metrics(table: pa.Table, path: Path) -> pd.DataFrame:
+def _metrics(found: ReadTable) -> pd.DataFrame:
     """Figures of the layers: those of :data:`METRICS`, then what a plan has beside them."""
+    table = found.table
     fields: dict[str, pa.Array] = {}
     if "metrics" in table.schema.names and pa.types.is_struct(table.schema.field("metrics").type):
-        found = table.column("metrics").combine_chunks()
-        fields = {field.name: found.field(field.name) for field in found.type}
+        metrics = table.column("metrics").combine_chunks()
+        fields = {field.name: metrics.field(field.name) for field in metrics.type}
     if missing := [name for name in METRICS if name not in fields]:
-        raise InputError(f"{path}: its metrics lack {', '.join(missing)}")
+        raise InputError(f"{found.where}: its metrics lack {', '.join(missing)}")
     columns = {name: values.to_numpy(zero_copy_only=False) for name, values in fields.items()}
     return pd.DataFrame(columns, columns=[*METRICS, *(name for name in fields if name not in METRICS)])
-
-
-def _flat_columns(
-    table: pa.Table, kinds: Mapping[str, pa.DataType], path: Path
-) -> tuple[dict[str, NDArray[Any]], Ints]:
-    """Flat values of list columns whose lists are equally long in every row, and where each list starts."""
-    found = {name: flat_column(table, name, kind, path) for name, kind in kinds.items()}
-    (first, (_, starts)), *others = found.items()
-    for name, (_, its) in others:
-        if not np.array_equal(its, starts):
-            raise InputError(f"{path}: columns {first!r} and {name!r} differ in length in a layer")
-    return {name: values for name, (values, _) in found.items()}, starts
 
 
 def _ranks(of_layer: Ints, starts: Ints, island_layer: Ints, path: Path) -> Ints:
@@ -262,31 +242,31 @@ def _ranks(of_layer: Ints, starts: Ints, island_layer: Ints, path: Path) -> Ints
     return rank
 
 
-def _vectors(table: pa.Table, lines: Ints, starts: Ints, rank: Ints, path: Path) -> pd.DataFrame:
+def _vectors(table: ReadTable, lines: Ints, starts: Ints, rank: Ints) -> pd.DataFrame:
     """Lines in scan order."""
-    found, line_starts = _flat_columns(table, _OF_LINE, path)
+    found, (line_starts,) = table.alike(_OF_LINE)
     if (lines < 0).any() or not np.array_equal(starts_of(lines)[starts], line_starts):
-        raise InputError(f"{path}: a layer has other lines than its islands")
+        raise InputError(f"{table.where}: a layer has other lines than its islands")
     island = np.repeat(np.arange(rank.size), lines).astype(np.int64)
     scanned = np.argsort(rank[island], kind="stable")
     return pd.DataFrame({"island": island[scanned], **{n: found[n][scanned] for n in LINE_COLUMNS}})
 
 
-def _borders(table: pa.Table, starts: Ints, path: Path) -> tuple[Ints, Floats]:
+def _borders(table: ReadTable, starts: Ints) -> tuple[Ints, Floats]:
     """(P, 2) pairs of islands with a common border, and its length."""
-    found, pair_starts = _flat_columns(table, _OF_BORDER, path)
-    layer = np.repeat(np.arange(table.num_rows), np.diff(pair_starts))
+    found, (pair_starts,) = table.alike(_OF_BORDER)
+    layer = np.repeat(np.arange(len(pair_starts) - 1), np.diff(pair_starts))
     pairs = np.column_stack([found["border_first"], found["border_second"]])
     if ((pairs < 0) | (pairs >= np.diff(starts)[layer][:, None])).any():
-        raise InputError(f"{path}: a common border is one of islands that its layer does not have")
-    return pairs + starts[layer][:, None], found["border_mm"]
+        raise InputError(f"{table.where}: a common border is one of islands that its layer does not have")
+    return pairs + starts[layer][:, None], found["border_mm"].copy()
 
 
-def _regions(well_known: Sequence[bytes] | NDArray[np.object_], path: Path) -> NDArray[np.object_]:
+def _regions(well_known: NDArray[np.object_], path: str | Path) -> NDArray[np.object_]:
     """Regions of well-known binary."""
     found = np.empty(len(well_known), object)
     try:
-        found[:] = shapely.from_wkb(np.asarray(well_known, object))
+        found[:] = shapely.from_wkb(well_known)
     except (shapely.errors.ShapelyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: holds a region that cannot be read: {error}") from None
     return found
