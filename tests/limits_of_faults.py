@@ -25,7 +25,7 @@ def edited(name: str, begins: str, change: Callable[[str], str | None]) -> Subje
 
 def without_a_bead() -> Subject:
     rows = cube().of_layer(1)
-    bead = cube().nc.tracks(rows)
+    bead = cube().nc.beads.among(rows).bead
     return cube().with_columns(rows[bead == bead[-1]], beam=False, wire=False)
 
 

@@ -130,7 +130,7 @@ def squares(tmp_path, process, layers=6, side=40.0, shift=(0.0, 0.0)):
 
 def starts_of(nc):
     rows = np.flatnonzero(nc.deposit)
-    return nc.start[rows[np.flatnonzero(np.diff(nc.tracks(rows), prepend=-1))], :2]
+    return nc.start[nc.beads.among(rows).first, :2]
 
 
 def test_a_seam_moves_along_the_contour_from_layer_to_layer(tmp_path):
@@ -171,7 +171,7 @@ def test_an_overlap_goes_once_around_at_most(tmp_path):
 def test_the_beam_ramps_along_every_bead(tmp_path):
     config, *_, nc = made(tmp_path, {"ramp_up_mm": 3.0, "crater_fill_mm": 5.0, "ramp_power": 0.4})
     rows = np.flatnonzero(nc.deposit)
-    bead = nc.tracks(rows)
+    bead = nc.beads.among(rows).bead
     share = nc.power_w[rows] / config.process.power_w
     for k in range(bead.max() + 1):
         mine = bead == k

@@ -8,7 +8,7 @@ import shapely
 from prism_program import Made
 
 from ebamcheck.program.checking.bead_wire import NAME, bead_wire_check, most_off
-from ebamcheck.program.reading.roles import beads_of, by_height, by_section
+from ebamcheck.program.reading.roles import by_height, by_section
 
 LAYERS = 22
 
@@ -41,7 +41,7 @@ def test_a_sound_program_of_a_taper_passes_on_a_surface_that_heaps_up(tapered):
 @pytest.mark.parametrize("layer", [1, LAYERS // 2, LAYERS - 2])
 def test_a_bead_of_other_wire_is_found_on_it(tapered, layer, factor):
     made, nc = tapered
-    beads = beads_of(nc)
+    beads = nc.beads
     length = np.bincount(beads.bead, nc.lengths[beads.rows], minlength=beads.first.size)
     mine = np.flatnonzero((nc.layer[beads.first] == layer) & (nc.ring[beads.first] < 0))
     longest = mine[np.argmax(length[mine])]
@@ -92,7 +92,7 @@ def plate(tmp_path_factory):
 
 
 def contour_of(nc, layer):
-    beads = beads_of(nc)
+    beads = nc.beads
     k = int(np.flatnonzero((nc.layer[beads.first] == layer) & (nc.ring[beads.first] >= 0))[0])
     return beads.rows[beads.bead == k]
 

@@ -8,7 +8,7 @@ from prism_program import CONFIG, Made
 import ebamcheck
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.end_gaps import NAME, end_gaps_check, most_on_average_mm
-from ebamcheck.program.reading.roles import beads_of, by_height, by_section
+from ebamcheck.program.reading.roles import by_height, by_section
 from ebamcheck_models import MODELS
 
 
@@ -27,7 +27,7 @@ def moved(made, folder, late_mm=0.0, early_mm=0.0, only=None):
     """The check of the program whose hatch beads start or end later or earlier along their first or last line, in the text."""
     nc = read(made)
     texts = {file.name: file.data.split(b"\n") for file in nc.files}
-    beads = beads_of(nc)
+    beads = nc.beads
     for a, b in zip(beads.first.tolist(), beads.last.tolist(), strict=True):
         if nc.ring[a] >= 0 or only not in (None, a):
             continue

@@ -18,7 +18,7 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import noticed, noticed_in_program
 from ebamcheck.program import Check, read_program, write_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS
-from ebamcheck.program.checking.seam_corners import seam_turns
+from ebamcheck.program.checking.process_checks import seam_turns
 from ebamcheck.settings.config import Config
 
 ROOT = Path(__file__).resolve().parent.parent

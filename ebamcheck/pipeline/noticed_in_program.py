@@ -17,6 +17,7 @@ from ebamcheck.program.checking.consumables import consumed
 from ebamcheck.program.checking.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
 from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
 from ebamcheck.program.checking.narrow_features import NarrowFeature
+from ebamcheck.program.checking.process_checks import seam_turns
 from ebamcheck.program.checking.remedies import (
     COARSE,
     FLAT,
@@ -28,7 +29,6 @@ from ebamcheck.program.checking.remedies import (
     OFF_MESH,
     TOO_THIN,
 )
-from ebamcheck.program.checking.seam_corners import seam_turns
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan

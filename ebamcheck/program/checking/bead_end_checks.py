@@ -1,10 +1,14 @@
-"""Checks of where and how beads start and end: power along its ramps, overlap of contours, wire drawn back."""
+"""Checks of where and how beads start and end: power along its ramps and their time, overlap of contours, wire drawn back.
+
+A ramp is programmed by its length; what the pool sees is how long it takes, by the feed. The wire runs along all of a bead (check
+``wire``), so that its lead-in is that of the beam.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, event_place, worst_check
 from ebamcheck.program.checking.melting_check import own_shares
 from ebamcheck.program.language.increments import power_slack_w
@@ -20,6 +24,12 @@ PLACE_MM = 1e-3
 
 RETRACT_TOLERANCE_MM = 1e-6
 """Decimals of a process value."""
+
+FULL = 1e-3
+"""Power over the greatest of its bead from which on it is full, less than 1: the decimals of volts and milliamperes."""
+
+ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM
+"""Length by which a ramp is shorter or longer, since it ends with a block that is near."""
 
 
 def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check]:
@@ -68,16 +78,12 @@ def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Float
     process = config.process
     if not process.ramps_beam:
         return np.ones(rows.size), np.zeros(rows.size)
-    length = nc.lengths[rows]
-    bead = nc.tracks(rows)
-    whole = np.asarray(np.bincount(bead, length), np.float64)
-    after = np.cumsum(length)
-    before_bead = np.concatenate([[0.0], np.cumsum(whole)])[bead]
-    middle = after - 0.5 * length - before_bead
+    beads = nc.beads.among(rows)
+    middle, whole = beads.middles(nc.lengths[rows])
     # Written anew here: a fault of the writer's ramps would else confirm itself.
-    share = np.minimum(1.0, whole / (process.ramp_up_mm + process.crater_fill_mm))[bead]
+    share = np.minimum(1.0, whole / (process.ramp_up_mm + process.crater_fill_mm))[beads.bead]
     up, down = share * process.ramp_up_mm, share * process.crater_fill_mm
-    to_end = whole[bead] - middle
+    to_end = whole[beads.bead] - middle
     wanted = np.ones(rows.size)
     for along, length in ((middle, up), (to_end, down)):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -92,22 +98,67 @@ def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Float
     return wanted, np.where(on_ramp, allowed, 0.0)
 
 
+def ramp_check(nc: NCProgram, config: Config) -> Check:
+    """Check how long the beam of each bead rises and falls, by feed and length of its blocks, against the windows of the process."""
+    process = config.process
+    rows = np.flatnonzero(nc.deposit)
+    beads = nc.beads.among(rows)
+    if not rows.size:
+        return count_check("ramps in time", [], "nothing is laid")
+    with np.errstate(divide="ignore", invalid="ignore"):
+        time_s = np.nan_to_num(60.0 * nc.lengths[rows] / nc.feed_mm_min[rows], posinf=0.0)
+    rise, fall = _times(nc.power_w[rows], time_s, beads.bead)
+    long = beads.total(nc.lengths[rows]) >= process.ramp_up_mm + process.crater_fill_mm
+    slack_s = ROUNDING_MM / process.travel_speed_mm_s
+    faults = [
+        *_outside(nc, beads.first, rise, long, process.ramp_up_window_s, slack_s, "the beam rises to its full power in"),
+        *_outside(nc, beads.last, fall, long, process.crater_fill_window_s, slack_s, "the beam falls to the end of its bead in"),
+    ]  # fmt: skip
+    faults.sort(key=lambda fault: fault[0])
+    good = f"the beam rises in {rise.min():.3g} .. {rise.max():.3g} s and falls in {fall.min():.3g} .. {fall.max():.3g} s"
+    return count_check("ramps in time", [(nc.where(row), what) for row, what in faults], good)
+
+
+def _times(power_w: Floats, time_s: Floats, bead: Ints) -> tuple[Floats, Floats]:
+    """Seconds (P,) of each bead before its first motion at full power, and after the last one."""
+    first, stop = (np.searchsorted(bead, np.arange(bead[-1] + 1), side=side) for side in ("left", "right"))
+    full = np.flatnonzero(power_w >= np.fmax.reduceat(power_w, first)[bead] * (1.0 - FULL))
+    begins, ends = first.copy(), stop - 1
+    begins[bead[full][::-1]] = full[::-1]
+    ends[bead[full]] = full
+    sums = np.concatenate([[0.0], np.cumsum(time_s)])
+    return sums[begins] - sums[first], sums[stop] - sums[ends + 1]
+
+
+def _outside(
+    nc: NCProgram,
+    row: Ints,
+    times_s: Floats,
+    long: Bools,
+    window_s: tuple[float, float] | None,
+    slack_s: float,
+    what: str,
+) -> list[tuple[int, str]]:
+    """Beads whose time is outside of a window; one that is shorter than both ramps may take less."""
+    if window_s is None:
+        return []
+    low, high = window_s
+    bad = (times_s > high + slack_s) | (long & (times_s < low - slack_s))
+    return [
+        (int(row[k]), f"{what} {times_s[k]:.3g} s, allowed are {low:g} .. {high:g} s")
+        for k in np.flatnonzero(bad)
+    ]
+
+
 def _overlap(nc: NCProgram, config: Config) -> Check:
     """Length by which each closed contour runs on over its start, against the one set or once around."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
-    bead = nc.tracks(rows)
-    over = nc.overlap[rows]
-    length = nc.lengths[rows]
-    count = int(bead.max(initial=-1)) + 1
-    first = np.searchsorted(bead, np.arange(count))
-    driven = np.bincount(bead, np.where(over, length, 0.0), minlength=count)
-    whole = np.bincount(bead, np.where(over, 0.0, length), minlength=count)
-    last = np.searchsorted(bead, np.arange(count), side="right") - 1
-    closed = (nc.end[rows[last], :2] == nc.start[rows[first], :2]).all(axis=1)
-    closed |= driven > 0.0
+    beads, over, length = nc.beads.among(rows), nc.overlap[rows], nc.lengths[rows]
+    driven, whole = beads.total(np.where(over, length, 0.0)), beads.total(np.where(over, 0.0, length))
+    closed = (nc.end[beads.last, :2] == nc.start[beads.first, :2]).all(axis=1) | (driven > 0.0)
     off = np.where(closed, np.abs(driven - np.minimum(config.process.overlap_mm, whole)), 0.0)
     what = f"off {config.process.overlap_mm:g} mm of overlap of {int(closed.sum())} closed contours"
-    return worst_check("overlap of contours", nc, rows[last], off, 2.0 * SHORTEST_BLOCK_MM, "mm", what)
+    return worst_check("overlap of contours", nc, beads.last, off, 2.0 * SHORTEST_BLOCK_MM, "mm", what)
 
 
 def _parts_of_lines(nc: NCProgram) -> Check:

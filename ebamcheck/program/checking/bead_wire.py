@@ -26,7 +26,6 @@ from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_regi
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import STEP_SHARE, metal_places, pool_of, spread
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import beads_of
 from ebamcheck.program.toolpath.wire import width_limits_mm
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
@@ -128,8 +127,7 @@ def bead_wire_check(nc: NCProgram, config: Config, z_of: Floats, layers: Layers)
         return Check(NAME, True, 0.0, MOST, "of the wire", "", "no bead has a place of its own")
     on_contour = nc.ring[found.row] >= 0
     sums, bead_mm = _Sums(found, on_contour), config.process.bead_width_mm
-    beads = beads_of(nc)
-    bead = beads.spread(np.arange(len(beads)), len(nc))[found.row]
+    bead = nc.beads.group[found.row]
     first = np.flatnonzero(np.diff(bead, prepend=-1))
     stop = np.append(first[1:], bead.size)
     judged = [sums.between(first, stop), _changes(nc, config, found, sums, first, stop)]

@@ -10,8 +10,8 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.in_the_air import beads_in_the_air
 from ebamcheck.program.checking.standing import Standing, run_over
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import Beads, beads_of
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
@@ -34,7 +34,7 @@ def clearance_checks(
     layers
         (L,) sections of the part: where it has metal under a bead, metal has to stand.
     """
-    beads = beads_of(nc)
+    beads = nc.beads
     below = _below(nc, z_of, config.base_mm)
     found = run_over(nc, beads, below, config, HOP_SPACINGS * config.process.hatch_spacing_mm)
     in_air = beads_in_the_air(nc, beads, found.bare_mm, below, config.process.bead_width_mm)
@@ -110,7 +110,7 @@ def _support(nc: NCProgram, beads: Beads, found: Standing, config: Config, layer
     if layers is not None and bare.size:
         missing[bare] = found.bare_mm[bare] * _over_metal(nc, bare, found, layers)
         hangs -= float(missing.sum())
-    of_bead = np.bincount(beads.bead, missing[beads.rows], minlength=len(beads))
+    of_bead = beads.total(missing[beads.rows])
     over = np.flatnonzero(of_bead > limit)
     value = float(of_bead.max(initial=0.0))
     text = f"{hangs:.4g} mm of beads overhang with the part"

@@ -21,7 +21,6 @@ from ebamcheck.program.checking.bead_metal import wanted_region
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import STEP_SHARE
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import beads_of
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
@@ -112,10 +111,10 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
     """Starts and ends of all hatch beads: `gap_mm`, whether the border of the part is what they face (`free`), place and motion."""
     bead_mm = config.process.bead_width_mm
     reach_mm = REACH_BEADS * bead_mm
-    beads = beads_of(nc)
+    beads = nc.beads
     rows = beads.rows[np.isfinite(nc.start[beads.rows]).all(axis=1) & (nc.lengths[beads.rows] > 0.0)]
     row, place = nc.samples(rows, STEP_SHARE * bead_mm)
-    bead = np.searchsorted(beads.first, row, side="right") - 1
+    bead = beads.group[row]
     along = np.cumsum(nc.lengths[row] / np.bincount(row, minlength=len(nc))[row])
     first = np.flatnonzero(np.diff(bead, prepend=-1))
     last = np.append(first[1:], bead.size)[: first.size] - 1

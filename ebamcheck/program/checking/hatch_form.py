@@ -18,7 +18,6 @@ from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.program.reading.roles import beads_of
 from ebamcheck.scan.filling.turns import TURN_SPACINGS
 from ebamcheck.settings.config import Config
 
@@ -85,8 +84,8 @@ def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
     row, way
         (n,) first motion of each line, and (n, 2) from its start to its end, mm.
     """
-    beads = beads_of(nc)
-    curved = np.bincount(beads.bead, nc.kind[beads.rows] != STRAIGHT, minlength=len(beads)) > 0
+    beads = nc.beads
+    curved = beads.any(nc.kind[beads.rows] != STRAIGHT)
     mine = ~curved[beads.bead] & (nc.island[beads.rows] >= 0)
     rows, bead = beads.rows[mine], beads.bead[mine]
     begins = ~nc.goes_on[rows]
@@ -251,8 +250,7 @@ def _crossings(nc: NCProgram, pool_mm: float) -> Check:
         nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
     )
     rows = np.flatnonzero(metal & (nc.layer >= 0))
-    beads = beads_of(nc)
-    bead = beads.spread(np.arange(len(beads)), len(nc))
+    bead = nc.beads.group
 
     layers = range(len(nc.layer_files)) if rows.size else ()
     crossed = run_each(lambda k: _crossed(nc, rows[nc.layer[rows] == k], bead, pool_mm), layers)

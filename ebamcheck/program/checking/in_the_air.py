@@ -8,8 +8,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.standing import TOUCH_MM
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import Beads
 
 WHOLLY = 0.99
 """Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding."""
@@ -32,8 +32,8 @@ def beads_in_the_air(
     below_mm
         (B,) Z of the layer below that of each motion.
     """
-    long = np.bincount(beads.bead, np.nan_to_num(nc.lengths[beads.rows]), len(beads))
-    bare = np.bincount(beads.bead, bare_mm[beads.rows], len(beads))
+    long = beads.total(np.nan_to_num(nc.lengths[beads.rows]))
+    bare = beads.total(bare_mm[beads.rows])
     alone = (long > 0.0) & (bare >= WHOLLY * long)
     layer, top = nc.layer[beads.first], nc.end[beads.first, 2]
     result = np.zeros(len(beads), np.bool_)

@@ -18,8 +18,9 @@ from scipy.spatial import cKDTree
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check, count_check, worst_check
 from ebamcheck.program.checking.shapes import shape_distance
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import Beads, beads_of, nearest_layer
+from ebamcheck.program.reading.roles import nearest_layer
 from ebamcheck.program.toolpath.bead_ends import with_bead_ends
 from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
 from ebamcheck.program.toolpath.tracks import Toolpath, toolpath
@@ -106,7 +107,7 @@ def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
     The program with the plan's numbers of rings and islands, its turns and further parts of lines; and what is matched
     with what. A bead that nobody planned has no role.
     """
-    beads = beads_of(nc)
+    beads = nc.beads
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
     ends = np.hstack([path.start[known], path.end[path.track_starts[known + 1] - 1]])

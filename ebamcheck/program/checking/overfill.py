@@ -19,8 +19,8 @@ from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2
 from ebamcheck.program.checking.checks import Check
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import Beads, beads_of
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
@@ -59,7 +59,7 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
     z_of
         (L,) Z of each of the `layers`.
     """
-    beads = beads_of(nc)
+    beads = nc.beads
     mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
     known = np.isfinite(nc.start[beads.rows]).all(axis=1) & nc.deposit[beads.rows] & nc.wire[beads.rows]
     rows = beads.rows[known]
@@ -121,7 +121,7 @@ def _fullest(
 
 def _along(beads: Beads, row: Ints, excess: Floats, along_mm: Floats, stretch_mm: float) -> Floats:
     """Mean excess (n,) of the stretch of a bead that ends at each place; what a short bead lacks of a stretch has none."""
-    bead = np.searchsorted(beads.first, row, side="right") - 1
+    bead = beads.group[row]
     ends = np.cumsum(along_mm)
     sums = np.concatenate([[0.0], np.cumsum(excess * along_mm)])
     begins = np.searchsorted(bead, bead)

@@ -130,7 +130,7 @@ def _seams(nc: NCProgram, config: Config) -> Check:
     """Distance of each contour's start from the nearest one in the layer below."""
     least = config.process.least_seam_distance_mm
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & (nc.layer >= 0))
-    starts = rows[np.flatnonzero(np.diff(nc.tracks(rows), prepend=-1))]
+    starts = nc.beads.among(rows).first
     layer, at = nc.layer[starts], nc.start[starts, :2]
     worst, where = math.inf, ""
     for k in np.unique(layer).tolist():
@@ -143,3 +143,21 @@ def _seams(nc: NCProgram, config: Config) -> Check:
         return Check("seams", True, 0.0, least, "mm", "", "no contour starts over another layer's")
     text = f"starts of contours at least {worst:.6g} mm from those of the layer below"
     return Check("seams", worst >= least, worst, least, "mm", where, text)
+
+
+def seam_turns(nc: NCProgram) -> tuple[Ints, Floats]:
+    """Turn of the path at the seam of each closed contour.
+
+    Returns
+    -------
+    row, turn_deg
+        (n,) first motion of each contour that comes back to its start, and the angle (n,) from 0 to 180 degrees between the
+        directions in which it arrives there and sets out.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
+    beads = nc.beads.among(rows)
+    first, last = beads.first, beads.last
+    closed = (nc.end[last, :2] == nc.start[first, :2]).all(axis=1)
+    first, last = first[closed], last[closed]
+    turn = directions(nc, first, 0.0) - directions(nc, last, 1.0)
+    return first, np.abs((turn + 180.0) % 360.0 - 180.0)

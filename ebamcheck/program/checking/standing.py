@@ -18,8 +18,8 @@ import shapely
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.language.control import control
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
-from ebamcheck.program.reading.roles import Beads
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 

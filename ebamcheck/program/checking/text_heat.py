@@ -108,11 +108,8 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     """Find the beads of a program, and the waits before them."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     seconds = motion_seconds(nc, config)
-    columns = (nc.layer, nc.ring, nc.island)
-    bead = nc.tracks(rows)
-    changes = np.diff(bead, prepend=-1) != 0
-    first = rows[changes]
-    last = rows[np.append(np.flatnonzero(changes)[1:] - 1, rows.size - 1)] if rows.size else first
+    found = nc.beads.among(rows)
+    first, last = found.first, found.last
     clock = np.concatenate([[0.0], np.cumsum(seconds)])
     power_w = np.nan_to_num(nc.power_w[rows])
     waits, stray = np.zeros(first.size), []
@@ -125,17 +122,16 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
             stray.append((event, "waits after the last bead"))
         else:
             waits[following] += nc.events.value[event]
-    layer, ring, island = (column[first] for column in columns)
     return TextBeads(
-        layer=layer,
-        ring=ring,
-        island=island,
+        layer=nc.layer[first],
+        ring=nc.ring[first],
+        island=nc.island[first],
         row=first,
         wait_s=waits,
         move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
         time_s=_between(clock[last + 1], clock[first]),
-        energy_j=np.bincount(bead, power_w * seconds[rows], minlength=first.size).astype(np.float64),
-        peak_w=np.maximum.reduceat(power_w, np.flatnonzero(changes)) if first.size else np.zeros(0),
+        energy_j=found.total(power_w * seconds[rows]),
+        peak_w=found.greatest(power_w),
         stray=tuple(stray),
         scans=scans_of(nc, config),
     )

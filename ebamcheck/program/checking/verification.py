@@ -15,7 +15,7 @@ from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.program.checking.bead_checks import bead_checks, repeated_blocks
-from ebamcheck.program.checking.bead_end_checks import bead_end_checks
+from ebamcheck.program.checking.bead_end_checks import bead_end_checks, ramp_check
 from ebamcheck.program.checking.checks import Check, CheckGroup, checks_of
 from ebamcheck.program.checking.clearance import clearance_checks
 from ebamcheck.program.checking.consumables import consumables_checks
@@ -42,7 +42,6 @@ from ebamcheck.program.checking.path_checks import (
 from ebamcheck.program.checking.plugged import plugged_checks
 from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.program.checking.process_checks import process_checks
-from ebamcheck.program.checking.ramp_check import ramp_check
 from ebamcheck.program.checking.released import released_checks
 from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import far_away, state_checks

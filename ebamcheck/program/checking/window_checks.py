@@ -23,7 +23,9 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     feed_mm_s = nc.feed_mm_min[rows] / 60.0
-    power_w = _bead_power_w(nc, rows)
+    # That of the bead: its greatest, which ramps rise to and fall from. One that is not known makes that of its bead one, too.
+    beads = nc.beads.among(rows)
+    power_w = beads.greatest(nc.power_w[rows])[beads.bead]
     fed = nc.wire[rows]
     laid = rows[fed]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -80,16 +82,6 @@ def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
 def layer_steps_mm(nc: NCProgram, config: Config) -> Floats:
     """Height of each layer by the steps of Z, (L,) mm; NaN where it or the one below it has no bead."""
     return np.diff(nc.layer_heights, prepend=config.base_mm)
-
-
-def _bead_power_w(nc: NCProgram, rows: Ints) -> Floats:
-    """Power of the bead that each motion belongs to, (n,) W: its greatest, which ramps rise to and fall from."""
-    power = nc.power_w[rows]
-    bead = nc.tracks(rows)
-    greatest = np.full(int(bead.max(initial=-1)) + 1, -np.inf)
-    with np.errstate(invalid="ignore"):  # A power that is not known makes that of its bead one, too.
-        np.maximum.at(greatest, bead, power)
-    return np.asarray(greatest[bead])
 
 
 def _outside(rows: Ints, values: Floats, limits: tuple[float, float], what: str) -> list[tuple[int, str]]:

@@ -82,15 +82,14 @@ def _wanted_mm2(nc: NCProgram, rows: Ints, path: Toolpath) -> Floats | None:
         path.track_starts[np.concatenate([[True], np.diff(path.track_starts) > 0])]
     ]
     height = np.repeat(path.thickness, np.diff(path.layer_starts))[np.diff(path.track_starts) > 0]
-    track = nc.tracks(rows)
-    length = nc.lengths[rows]
-    whole = np.bincount(track, length)
+    beads = nc.beads.among(rows)
+    middle, whole = beads.middles(nc.lengths[rows])
     if whole.size != bounds.size - 1:
         return None
-    before = np.cumsum(length) - 0.5 * length - (np.cumsum(whole) - whole)[track]
     # Forms of curves differ in length by their tolerance: places are compared as shares of the bead.
     scale = np.diff(bounds) / np.maximum(whole, np.finfo(float).tiny)
-    at = bounds[:-1][track] + before * scale[track]
+    track = beads.bead
+    at = bounds[:-1][track] + middle * scale[track]
     beside = np.stack([at - NEAR_MM, at, at + NEAR_MM], axis=1)
     beside = np.clip(beside, bounds[:-1][track][:, None] + 1e-9, bounds[1:][track][:, None] - 1e-9)
     segment = np.minimum(np.searchsorted(ends, beside), ends.size - 1)

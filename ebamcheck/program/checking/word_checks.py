@@ -12,7 +12,6 @@ import numpy as np
 
 from ebamcheck.program.checking.checks import Check, count_check, lines_of
 from ebamcheck.program.reading.motions import RAPID, NCProgram
-from ebamcheck.program.reading.roles import beads_of
 
 NAME = "words of motions"
 
@@ -82,7 +81,7 @@ def _half_ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]
 
 def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
     """Beads to which the tool rises and descends without a rapid in X or Y between."""
-    beads = beads_of(nc)
+    beads = nc.beads
     before = np.concatenate([[-1], beads.last[:-1]]) if len(beads) else beads.last
     bare, hops = [], 0
     for after, first in zip(before.tolist(), beads.first.tolist(), strict=True):

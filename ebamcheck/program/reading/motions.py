@@ -15,6 +15,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.table_columns import TableColumns
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
@@ -220,6 +221,15 @@ class NCProgram(Columns[Motion]):
         """Motions with feed and beam (B,)."""
         return np.asarray(self.beam & (self.kind != RAPID))
 
+    @cached_property
+    def beads(self) -> Beads:
+        """Beads of all motions with beam or wire on; ``beads.among(rows)`` are those of some."""
+        metal, begins = self.beam | self.wire, np.zeros(len(self) + 1, np.bool_)
+        for column in (metal, self.end[:, 2], self.layer):
+            begins[1:-1] |= column[1:] != column[:-1]
+        begins[self.events.row[[name in ("beam_on", "wire_start") for name in self.events.name]]] = True
+        return Beads.of(np.flatnonzero(metal), np.cumsum(begins[:-1]))
+
     def evaluate(self, rows: Ints, t: Floats) -> Floats:
         """Positions X, Y (n, 2) at parameters `t` (n,) of the motions `rows` (n,), or (n, m, 2) at the same `t` (1, m) of each."""
         each = t if t.ndim > 1 else t[:, None]
@@ -300,40 +310,25 @@ class NCProgram(Columns[Motion]):
     def overlap(self) -> Bools:
         """Motions (B,) of a contour ring after it has come back to its start."""
         rows = np.flatnonzero(self.deposit & (self.ring >= 0))
-        track = self.tracks(rows)
-        first = rows[np.flatnonzero(np.diff(track, prepend=-1))]
-        back = (self.end[rows, :2] == self.start[first, :2][track]).all(axis=1)
+        beads = self.beads.among(rows)
+        back = (self.end[rows, :2] == self.start[beads.first, :2][beads.bead]).all(axis=1)
         came_back = np.cumsum(back) - back
         result = np.zeros(len(self), np.bool_)
         # How often the rings before had come back does not count.
-        result[rows] = came_back > came_back[np.searchsorted(track, track)]
+        result[rows] = came_back > came_back[np.searchsorted(rows, beads.first)][beads.bead]
         return result
 
     def _layers(self, rows: Ints, step_mm: float) -> Layers:
-        track = self.tracks(rows)
+        beads = self.beads.among(rows)
         row, points = self.samples(rows, step_mm)
-        track_of_row = np.zeros(len(self), np.int64)
-        track_of_row[rows] = track
-        first = np.flatnonzero(np.diff(track, prepend=-1)) if rows.size else np.zeros(0, np.int64)
-        last = np.append(first[1:], rows.size) - 1 if rows.size else first
-        point_track = np.concatenate([track_of_row[row], np.arange(first.size)])
-        order = np.lexsort((np.concatenate([np.ones(row.size), np.zeros(first.size)]), point_track))
-        points = np.concatenate([points, self.start[rows[first], :2]])[order]
-        closed = (self.start[rows[first], :2] == self.end[rows[last], :2]).all(axis=1)
-        starts = np.concatenate([[0], np.cumsum(np.bincount(point_track, minlength=first.size))])
-        count = len(self.layer_files)
-        layer_starts = np.searchsorted(self.layer[rows[first]], np.arange(count + 1))
+        first, count = self.start[beads.first, :2], len(beads)
+        bead = np.concatenate([beads.bead[np.searchsorted(rows, row)], np.arange(count)])
+        order = np.lexsort((np.concatenate([np.ones(row.size), np.zeros(count)]), bead))
+        points = np.concatenate([points, first])[order]
+        closed = (first == self.end[beads.last, :2]).all(axis=1)
+        starts = np.concatenate([[0], np.cumsum(np.bincount(bead, minlength=count))])
+        layer_starts = np.searchsorted(self.layer[beads.first], np.arange(len(self.layer_files) + 1))
         return canonical(self.layer_heights, points, starts, layer_starts, closed, backend="program")
-
-    def tracks(self, rows: Ints) -> Ints:
-        """Number of the bead to which each of the motions `rows` belongs, (n,) from 0: beam on to beam off."""
-        if not rows.size:
-            return np.zeros(0, np.int64)
-        on = [name == "beam_on" for name in self.events.name]
-        broken = (np.diff(rows) > 1) | np.isin(rows[1:], self.events.row[on])
-        for column in (self.layer, self.ring, self.island):
-            broken |= np.diff(column[rows]) != 0
-        return np.concatenate([[0], np.cumsum(broken)]).astype(np.int64)
 
     def vectors(self) -> pd.DataFrame:
         """Hatch vectors in the order of the program: layer, island, x0, y0, x1, y1, row of the first part of each."""

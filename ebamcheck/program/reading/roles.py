@@ -7,7 +7,7 @@ its start is a contour, any other is hatch. Who knows more of the part or of its
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -15,6 +15,7 @@ import shapely
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.scan.islands.regions import layer_section
@@ -38,53 +39,9 @@ MOST = 0.5
 """Share of a bead's length at the depth of contours from which on it is a contour."""
 
 
-@dataclass(frozen=True, eq=False)
-class Beads:
-    """Beads of a program in the order in which they are laid.
-
-    Parameters
-    ----------
-    rows
-        (n,) motions with beam or wire on.
-    bead
-        (n,) bead of each.
-    first, last
-        (P,) first and last motion of each bead.
-    """
-
-    rows: Ints
-    bead: Ints
-    first: Ints
-    last: Ints
-
-    def __len__(self) -> int:
-        """Return the number of beads."""
-        return int(self.first.size)
-
-    def spread(self, values: Ints, size: int) -> Ints:
-        """Give each motion (size,) the value of its bead; -1 for travel."""
-        result = np.full(size, -1, np.int64)
-        result[self.rows] = values[self.bead]
-        return result
-
-
-def beads_of(nc: NCProgram) -> Beads:
-    """Find the beads of a program: metal between switches, without a travel between, at one height."""
-    rows = np.flatnonzero(nc.beam | nc.wire)
-    on = [name in ("beam_on", "wire_start") for name in nc.events.name]
-    begins = np.ones(rows.size, np.bool_)
-    begins[1:] = (
-        (np.diff(rows) > 1) | np.isin(rows[1:], nc.events.row[on]) | (np.diff(nc.end[rows, 2]) != 0.0)
-    )
-    at = np.flatnonzero(begins)
-    last = rows[np.append(at[1:], rows.size) - 1] if rows.size else rows
-    return Beads(rows, np.cumsum(begins) - 1, rows[at], last)
-
-
 def by_shape(nc: NCProgram) -> NCProgram:
     """Give every bead its role by its shape alone: a contour comes back to its start, other beads are hatch."""
-    beads = beads_of(nc)
-    return with_contours(nc, beads, _comes_back(nc, beads))
+    return with_contours(nc, nc.beads, _comes_back(nc, nc.beads))
 
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
@@ -99,7 +56,7 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
     offset_mm, near_mm
         Depth of contour beads, and how near to it a bead runs that is one for most of its length.
     """
-    beads = beads_of(nc)
+    beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
     layer = nearest_layer(nc.end[beads.first, 2], z_of)
     pieces = np.zeros(len(nc), np.int64)
@@ -146,9 +103,8 @@ def _comes_back(nc: NCProgram, beads: Beads) -> Bools:
     rows, bead = beads.rows, beads.bead
     away = np.abs(nc.end[rows, :2] - nc.start[beads.first, :2][bead]).max(axis=1, initial=0.0)
     back = (away <= CLOSED_MM) & (nc.lengths[rows] > CLOSED_MM)
-    curved = np.bincount(bead, nc.kind[rows] > STRAIGHT, minlength=len(beads)) > 0
     several = np.bincount(bead, minlength=len(beads)) > 2
-    return np.asarray((np.bincount(bead, back, minlength=len(beads)) > 0) & (curved | several))
+    return np.asarray(beads.any(back) & (beads.any(nc.kind[rows] > STRAIGHT) | several))
 
 
 def _begins_island(nc: NCProgram, beads: Beads, contour: Bools) -> Bools:

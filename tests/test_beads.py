@@ -1,0 +1,91 @@
+"""The one table of beads against two definitions of a bead by themselves, motion by motion, and its columns against loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from limit_cases import cube, program_of
+from limits_of_heat import preheated
+from motion_faults import SHAPES, made
+
+from ebamcheck.program import read_program
+from ebamcheck.program.controls.sinumerik.writing import write_program
+
+
+def begins_by_beam(nc):
+    """First motions of beads as the beam lays them: it is switched on, or the layer or the role changes."""
+    lit, before, found = rows_of(nc, "beam_on"), None, []
+    for row in np.flatnonzero(nc.deposit).tolist():
+        role = (nc.layer[row], nc.ring[row], nc.island[row])
+        if before is None or row != before[0] + 1 or row in lit or role != before[1]:
+            found.append(row)
+        before = row, role
+    return found
+
+
+def begins_by_metal(nc):
+    """First motions of beads as metal lies: beam or wire are switched on, or the height changes."""
+    switched, before, found = rows_of(nc, "beam_on") | rows_of(nc, "wire_start"), None, []
+    for row in np.flatnonzero(nc.beam | nc.wire).tolist():
+        if before is None or row != before + 1 or row in switched or nc.end[row, 2] != nc.end[before, 2]:
+            found.append(row)
+        before = row
+    return found
+
+
+def rows_of(nc, event):
+    return {int(row) for row, name in zip(nc.events.row, nc.events.name, strict=True) if name == event}
+
+
+def differences(nc):
+    """How many beads begin elsewhere by the table than by each of the two definitions."""
+    found = set(nc.beads.first.tolist())
+    laid = set(nc.beads.among(np.flatnonzero(nc.deposit)).first.tolist())
+    return len(found ^ set(begins_by_metal(nc))), len(laid ^ set(begins_by_beam(nc)))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_both_definitions_find_the_same_beads_in_sound_programs(shape, tmp_path):
+    part = made(shape)
+    nc = read_program(write_program(part.beads, part.plan, part.config, tmp_path).main, part.config)
+    assert len(nc.beads) > 4
+    assert differences(nc) == (0, 0)
+
+
+def test_both_definitions_find_the_same_beads_of_scans_and_of_layers_below_them():
+    nc = preheated().nc
+    assert differences(nc) == (0, 0)
+    assert differences(nc.preheating) == (0, 0)
+
+
+def test_definitions_differ_where_the_wire_starts_within_a_bead_or_its_height_changes():
+    sound = program_of([[[(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]]])
+    middle = int(np.flatnonzero(sound.nc.deposit)[1])
+    assert differences(sound.nc) == (0, 0)
+    assert differences(sound.with_event(middle, "wire_start").nc) == (0, 1)
+    # It rises in one motion and falls back in the next.
+    assert differences(sound.with_ends(middle, 0.1, 2).nc) == (0, 2)
+
+
+def test_columns_are_those_of_the_motions_of_each_bead():
+    nc = cube().nc
+    for beads in (nc.beads, nc.beads.among(np.flatnonzero(nc.deposit & (nc.ring >= 0)))):
+        length, power = nc.lengths[beads.rows], nc.power_w[beads.rows]
+        middle, whole = beads.middles(length)
+        for k in range(len(beads)):
+            mine = np.flatnonzero(beads.bead == k)
+            assert beads.rows[mine].tolist() == list(range(beads.first[k], beads.last[k] + 1))
+            assert beads.total(length)[k] == pytest.approx(whole[k])
+            assert whole[k] == pytest.approx(length[mine].sum())
+            assert middle[mine] == pytest.approx(np.cumsum(length[mine]) - 0.5 * length[mine])
+            assert beads.greatest(power)[k] == power[mine].max()
+        assert set(beads.spread(np.arange(len(beads)), len(nc))[beads.rows]) == set(range(len(beads)))
+
+
+def test_a_bead_is_several_where_others_of_its_motions_part_it():
+    nc = cube().nc
+    rows = np.arange(nc.beads.first[0], nc.beads.last[0] + 1)
+    assert len(nc.beads.among(rows)) == 1
+    assert len(nc.beads.among(np.delete(rows, 1))) == 2
+    assert len(nc.beads.among(rows[:0])) == 0
+    assert nc.beads.among(rows[:0]).total(np.zeros(0)).size == 0
