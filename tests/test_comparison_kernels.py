@@ -9,11 +9,11 @@ import shapely
 from ebamcheck.comparison.chains import rising_order
 from ebamcheck.comparison.depth import Deepest, search
 from ebamcheck.comparison.distance import directed
-from ebamcheck.comparison.grid import nearest
 from ebamcheck.comparison.matching import linked_within
 from ebamcheck.comparison.measure import Figures, measure
 from ebamcheck.comparison.outline import outline, winding
 from ebamcheck.comparison.overlap import overlap
+from ebamcheck.geometry.nearest import nearest_segment
 from ebamcheck.layers.stack import Layers, from_polygons, from_rings
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
@@ -286,8 +286,8 @@ def test_nearest_and_winding_are_those_of_plain_search(seed):
     a, _, region, _ = random_pair(3 * seed + 1)
     prepared = outline(a, 0, (0.0, 0.0))
     for x, y in rng.uniform(-40, 40, (200, 2)):
-        distance, segment = nearest(prepared.segments, prepared.grid, x, y, -1)
-        assert distance == pytest.approx(shapely.Point(x, y).distance(region.boundary), abs=1e-12)
+        square, segment = nearest_segment(prepared.tree, x, y, -1)
+        assert np.sqrt(square) == pytest.approx(shapely.Point(x, y).distance(region.boundary), abs=1e-12)
         assert segment >= 0
         assert (winding(prepared, x, y) > 0) == region.contains(shapely.Point(x, y))
 
@@ -313,8 +313,8 @@ def test_the_deepest_place_of_overlapping_rings_lies_in_the_difference(seed):
     around = np.array([found.depth_x, found.depth_y]) + rng.normal(size=(2000, 2)) * 1e-4
     assert any((winding(o, x, y) > 0) != (winding(p, x, y) > 0) for x, y in around)
     measured = o if len(o.segments) else p
-    depth, _ = nearest(measured.segments, measured.grid, found.depth_x, found.depth_y, -1)
-    assert depth == pytest.approx(found.depth, abs=1e-9)
+    square, _ = nearest_segment(measured.tree, found.depth_x, found.depth_y, -1)
+    assert np.sqrt(square) == pytest.approx(found.depth, abs=1e-9)
 
 
 @pytest.mark.in_turn(3, 1)

@@ -1,4 +1,4 @@
-"""Sweeps, grids and percentiles against plain ways to the same bits."""
+"""Sweeps and percentiles against plain ways to the same bits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from test_comparison_kernels import circle, lattice_rings, layer, random_pair
 
 from ebamcheck.comparison import sweep_status as status
 from ebamcheck.comparison.distance import PERCENTILE, _percentile
-from ebamcheck.comparison.grid import grid_over
 from ebamcheck.comparison.outline import outline, winding, windings
 from ebamcheck.comparison.overlap import overlap
 
@@ -131,24 +130,6 @@ def test_a_sweep_over_nothing_and_something_finds_the_area_of_that():
     assert overlap(nothing, ring, True)[:3] == (0.0, area, area)
     assert overlap(ring, nothing, True)[:3] == (area, 0.0, area)
     assert overlap(nothing, nothing, True)[:3] == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_every_segment_is_in_every_cell_that_it_passes_through(seed):
-    rng = np.random.default_rng(seed)
-    # On a lattice segments lie along borders of cells and through their corners; few long ones cross many cells.
-    ends = rng.integers(0, 9, (40, 4)).astype(float) if seed % 2 else rng.uniform(-50, 50, (5, 4))
-    grid = grid_over(ends)
-    counts = np.diff(grid.starts)
-    filed = set(zip(np.repeat(np.arange(counts.size), counts).tolist(), grid.items.tolist(), strict=True))
-    assert len(filed) == grid.items.size
-    for t in np.linspace(0.003, 0.997, 400):
-        x, y = ((1 - t) * ends[:, :2] + t * ends[:, 2:]).T
-        column, row = (x - grid.x_mm) / grid.cell_mm, (y - grid.y_mm) / grid.cell_mm
-        # Rounding decides on borders.
-        clear = (np.abs(column - np.round(column)) > 1e-9) & (np.abs(row - np.round(row)) > 1e-9)
-        at = row.astype(int) * grid.columns + column.astype(int)
-        assert {(int(c), int(s)) for s, c in enumerate(at) if clear[s]} <= filed
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.grid import distance_to_segment, farthest_coordinate, nearest
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.comparison.sweep_status import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
+from ebamcheck.geometry.nearest import distance_to_segment, nearest_segment
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.numeric.sorting import stable_order
@@ -133,7 +133,7 @@ def _suspects(
     """Trapezoids (S, 7) that may be deeper than enough: levels, x of both sides at each, bound of the depth."""
     suspects = np.empty((len(difference), 7))
     count = 0
-    thinnest_mm = THINNEST_SHARE * max(farthest_coordinate(a.grid), farthest_coordinate(b.grid))
+    thinnest_mm = THINNEST_SHARE * max(_farthest_coordinate(a), _farthest_coordinate(b))
     for t in range(len(difference)):
         width = max(difference[t, R0] - difference[t, L0], difference[t, R1] - difference[t, L1])
         if min(width, difference[t, Y1] - difference[t, Y0]) <= thinnest_mm:
@@ -144,6 +144,13 @@ def _suspects(
             suspects[count, 6] = ceiling
             count += 1
     return suspects[:count]
+
+
+@kernel
+def _farthest_coordinate(o: Outline) -> float:
+    """Largest coordinate of an outline, mm; 0 if it is empty."""
+    box = o.tree.boxes[1]
+    return float(max(-box[0], -box[1], box[2], box[3], 0.0))
 
 
 @kernel
@@ -246,12 +253,14 @@ def _look(
     """
     depth = np.inf
     if from_a:
-        depth, i = nearest(a.segments, a.grid, x, y, guess[0])
+        square, i = nearest_segment(a.tree, x, y, guess[0])
+        depth = math.sqrt(square)
         guess[0] = i
         if i >= 0:
             sides[k] = a.segments[i]
     if from_b:
-        other, i = nearest(b.segments, b.grid, x, y, guess[1])
+        square, i = nearest_segment(b.tree, x, y, guess[1])
+        other = math.sqrt(square)
         guess[1] = i
         if other < depth:
             depth = other

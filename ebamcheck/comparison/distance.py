@@ -11,16 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.grid import (
-    Grid,
-    distance_to_segment,
-    nearest,
-    nearest_beyond,
-    nearest_of,
-    square_between,
-    square_distance,
-)
 from ebamcheck.comparison.outline import Outline
+from ebamcheck.geometry.nearest import SegmentTree, distance_to_segment, nearest_segment, square_between
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import EPSILON, Floats, Ints
 
@@ -62,7 +54,7 @@ def directed(a: Outline, b: Outline) -> Directed:
         return Directed(apart, np.nan, np.nan, -1, apart, np.empty(0, np.int64))
     places, lengths, owners = a.samples.places, a.samples.lengths, a.samples.segments
     segments = b.segments
-    distances, near = _sampled(places, segments, b.grid)
+    distances, near = _sampled(places, b.tree)
     k = int(np.argmax(distances))
     most, x, y, segment = distances[k], places[k, 0], places[k, 1], owners[k]
     least, sampled = distances[-1], most
@@ -87,44 +79,20 @@ def directed(a: Outline, b: Outline) -> Directed:
         stack[0, 2], stack[0, 3], stack[0, 5] = places[k + 1, 0], places[k + 1, 1], distances[k + 1]
         near_stack[0, 0], near_stack[0, 1] = near[k], near[k + 1]
         if _ceiling(segments, stack, near_stack, 0) > most + RESOLUTION_MM:
-            higher, hx, hy = _refine(segments, b.grid, stack, near_stack, most)
+            higher, hx, hy = _refine(b.tree, stack, near_stack, most)
             if higher > most:
                 most, x, y, segment = higher, hx, hy, owners[k]
     return Directed(most, x, y, segment, _percentile(distances, lengths, least, sampled), near)
 
 
 @kernel
-def _sampled(places: Floats, segments: Floats, grid: Grid) -> tuple[Floats, Ints]:
+def _sampled(places: Floats, tree: SegmentTree) -> tuple[Floats, Ints]:
     """Distance of each place from the segments, and the nearest one of them."""
-    frame = (grid.x_mm, grid.y_mm, grid.cell_mm, grid.columns, grid.rows)
-    x0, y0, cell, columns, rows = frame
-    starts, items, per_mm = grid.starts, grid.items, 1.0 / grid.cell_mm
     distances, near = np.empty(len(places)), np.empty(len(places), np.int64)
     found = -1
     for k in range(len(places)):
-        x, y = places[k, 0], places[k, 1]
-        column, row = int((x - x0) * per_mm), int((y - y0) * per_mm)
-        # How far the borders of the cell are: negative outside of it, and so outside of the grid.
-        left, below = x - (x0 + column * cell), y - (y0 + row * cell)
-        inside = min(left, cell - left, below, cell - below)
-        # Nearly always the last answer and the segments of one cell settle it; a call for each would cost more than they do.
-        if found >= 0 and inside > 0.0 and column < columns and row < rows:
-            closest = found
-            best = square_distance(x, y, segments, found)
-            for i in range(starts[row * columns + column], starts[row * columns + column + 1]):
-                square = square_distance(x, y, segments, items[i])
-                closest = items[i] if square < best else closest
-                best = min(best, square)
-            found = closest
-            if best <= inside * inside:
-                distances[k], near[k] = math.sqrt(best), found
-                continue
-            distances[k], found = nearest_beyond(
-                segments, starts, items, frame, x, y, column, row, found, best, 1
-            )
-        else:
-            distances[k], found = nearest_of(segments, starts, items, frame, x, y, found)
-        near[k] = found
+        square, found = nearest_segment(tree, places[k, 0], places[k, 1], found)
+        distances[k], near[k] = math.sqrt(square), found
     return distances, near
 
 
@@ -178,9 +146,7 @@ def _ceiling(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
 
 
 @kernel
-def _refine(
-    segments: Floats, grid: Grid, stack: Floats, near: Ints, most: float
-) -> tuple[float, float, float]:
+def _refine(tree: SegmentTree, stack: Floats, near: Ints, most: float) -> tuple[float, float, float]:
     """Greatest distance on the piece in row 0 of a stack if it is over `most`, by halving, with its place."""
     count = 1
     x, y = np.nan, np.nan
@@ -189,10 +155,11 @@ def _refine(
             break
         at = count - 1
         count -= 1
-        if _ceiling(segments, stack, near, at) <= most + RESOLUTION_MM or count + 2 > len(stack):
+        if _ceiling(tree.segments, stack, near, at) <= most + RESOLUTION_MM or count + 2 > len(stack):
             continue
         mx, my = 0.5 * (stack[at, 0] + stack[at, 2]), 0.5 * (stack[at, 1] + stack[at, 3])
-        distance, middle = nearest(segments, grid, mx, my, near[at, 0])
+        square, middle = nearest_segment(tree, mx, my, near[at, 0])
+        distance = math.sqrt(square)
         if distance > most:
             most, x, y = distance, mx, my
         stack[at + 1, 0], stack[at + 1, 1] = mx, my

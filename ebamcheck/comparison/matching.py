@@ -14,8 +14,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.comparison.grid import square_between
 from ebamcheck.comparison.outline import Outline
+from ebamcheck.geometry.nearest import square_between
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 

@@ -10,10 +10,10 @@ import numpy as np
 from ebamcheck.comparison.depth import FINEST_DEPTH_MM as FINEST_DEPTH_MM
 from ebamcheck.comparison.depth import Deepest, enough_mm, resolution_mm, search
 from ebamcheck.comparison.distance import Directed, directed
-from ebamcheck.comparison.grid import nearest
 from ebamcheck.comparison.matching import linked_within
 from ebamcheck.comparison.outline import Outline, encloses, winding, windings
 from ebamcheck.comparison.overlap import Overlap, overlap
+from ebamcheck.geometry.nearest import nearest_segment
 from ebamcheck.numeric.kernels import kernel
 
 
@@ -137,14 +137,14 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
     """Depth that is proved halfway from the point of `o` farthest from the other contours to the nearest one."""
     if farthest.segment < 0 or not (encloses(o) and encloses(other)):
         return known
-    i = nearest(other.segments, other.grid, farthest.x_mm, farthest.y_mm, -1)[1]
+    i = nearest_segment(other.tree, farthest.x_mm, farthest.y_mm, -1)[1]
     ax, ay = other.segments[i, 0], other.segments[i, 1]
     ux, uy = other.segments[i, 2] - ax, other.segments[i, 3] - ay
     square = ux * ux + uy * uy
     t = ((farthest.x_mm - ax) * ux + (farthest.y_mm - ay) * uy) / square if square > 0.0 else 0.0
     t = min(1.0, max(0.0, t))
     x, y = 0.5 * (farthest.x_mm + ax + t * ux), 0.5 * (farthest.y_mm + ay + t * uy)
-    depth = min(nearest(o.segments, o.grid, x, y, -1)[0], nearest(other.segments, other.grid, x, y, -1)[0])
+    depth = math.sqrt(min(nearest_segment(o.tree, x, y, -1)[0], nearest_segment(other.tree, x, y, -1)[0]))
     if depth > known.depth_mm and (winding(o, x, y) > 0) != (winding(other, x, y) > 0):
         return Deepest(depth, x, y)
     return known

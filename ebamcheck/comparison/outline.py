@@ -1,4 +1,4 @@
-"""The contours of one layer prepared for measuring: segments, a grid over them, samples along them, sweep events.
+"""The contours of one layer prepared for measuring: segments, a tree over them, samples along them, sweep events.
 
 A layer is prepared once and then measured against any number of others. All outlines that are measured
 against each other share one origin near the part, so that parts far from zero keep their digits.
@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.comparison.chains import Chains, monotone_chains
-from ebamcheck.comparison.grid import Grid, grid_over
 from ebamcheck.comparison.samples import Samples, samples_along
+from ebamcheck.geometry.nearest import SegmentTree, tree_over
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
@@ -30,8 +30,8 @@ class Outline(NamedTuple):
     """(P + 1,) first segment of each path."""
     rings: int
     """Number of closed rings, which are the first paths; the rest are open."""
-    grid: Grid
-    """Segments by grid cell."""
+    tree: SegmentTree
+    """Segments by boxes."""
     samples: Samples
     """Places along the contours at which distances are taken."""
     chains: Chains
@@ -92,7 +92,7 @@ def _outline(points: Floats, starts: Ints, closed: Bools, x_mm: float, y_mm: flo
         segments,
         paths,
         rings,
-        grid_over(segments),
+        tree_over(segments),
         samples_along(segments, paths),
         monotone_chains(segments, paths[: rings + 1]),
     )

@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.curves.columns import Curves, SampledRings
-from ebamcheck.curves.nearest import boxed, closed_points, nearest, signed_distance
-from ebamcheck.curves.polar import Rays, ray_radii, rays_of
+from ebamcheck.curves.polar import Rays, closed_points, ray_radii, rays_of
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry.nearest import nearest, segments_along, signed_distance, tree_over
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import kernel, run_blocks
@@ -349,8 +349,8 @@ def _pair_errors(
 ) -> None:
     """Measure pairs of rings; the polar errors of `outer` ones alone."""
     for k in range(outer.size):
-        ours = closed_points(_ring(a, pairs[0][k]), True)
-        theirs = closed_points(_ring(b, pairs[1][k]), True)
+        ours = closed_points(_ring(a, pairs[0][k]))
+        theirs = closed_points(_ring(b, pairs[1][k]))
         if outer[k]:
             x = 0.5 * (theirs[:, 0].min() + theirs[:, 0].max())
             y = 0.5 * (theirs[:, 1].min() + theirs[:, 1].max())
@@ -368,7 +368,7 @@ def _measure(errors: Floats, result: Floats) -> None:
 @kernel
 def _normal_distances(ours: Floats, theirs: Floats, samples: int) -> Floats:
     """Signed distances (samples,) of equally spaced places of one closed polyline from another."""
-    ring = boxed(theirs)
+    ring = tree_over(segments_along(theirs, False))
     result = np.empty(samples)
     total = 0.0
     for i in range(len(ours) - 1):

@@ -10,8 +10,8 @@ import pandas as pd
 from ebamcheck.curves.bezier import bezier_derivative, evaluate_bezier
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.nearest import boxed, closed_points, nearest
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -126,7 +126,7 @@ def _ring_deviations(
                     B[i // CHORDS_A_SPAN], (i % CHORDS_A_SPAN) / CHORDS_A_SPAN, axis
                 )
         along[len(along) - 1] = B[len(B) - 1, 3]
-        curve = boxed(along)
+        curve = tree_over(segments_along(along, False))
         guess = 0
         for i in range(a, b):
             found = nearest(curve, points[i, 0], points[i, 1], guess)
@@ -136,7 +136,7 @@ def _ring_deviations(
             if kept[i]:
                 result[r, 0] = max(result[r, 0], d)
             result[r, 1] = max(result[r, 1], d)
-        contour = boxed(closed_points(points[a:b], closed[r]))
+        contour = tree_over(segments_along(points[a:b], closed[r]))
         guess = 0
         for i in range(len(along)):
             found = nearest(contour, along[i, 0], along[i, 1], guess)

@@ -19,7 +19,7 @@ from ebamcheck.curves.allowances import Allowances
 from ebamcheck.curves.bezier import evaluate_bezier
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.crossings import crossings
-from ebamcheck.curves.nearest import boxed, closed_points, nearest
+from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import kernel, run_blocks
@@ -229,8 +229,8 @@ def _measure_rings(
         if b - a < 2 or len(B) == 0:
             continue
         along = _along(B)
-        contour = boxed(closed_points(points[a:b], contours.closed[r]))
-        curve = boxed(along)
+        contour = tree_over(segments_along(points[a:b], contours.closed[r]))
+        curve = tree_over(segments_along(along, False))
         excess, guess = -np.inf, 0
         for i in range(len(along)):
             found = nearest(contour, along[i, 0], along[i, 1], guess)

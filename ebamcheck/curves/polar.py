@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.curves.nearest import closed_points
 from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
@@ -56,8 +55,16 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
     theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
     order = np.argsort(theta, kind="stable")
     radii = np.empty(theta.size)
-    radii[order] = ray_radii(closed_points(points, True), middle[0], middle[1], rays_of(theta[order]))
+    radii[order] = ray_radii(closed_points(points), middle[0], middle[1], rays_of(theta[order]))
     return radii
+
+
+@kernel
+def closed_points(points: Floats) -> Floats:
+    """Points of a ring with its first one repeated at the end."""
+    result = np.empty((len(points) + 1, 2))
+    result[:-1], result[-1] = points, points[0]
+    return result
 
 
 @kernel

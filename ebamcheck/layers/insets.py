@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ebamcheck.errors import GeometryError
-from ebamcheck.numeric.near_sides import side_distances, sides_of
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.numeric.rings import Floats
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def is_inset(found: BaseGeometry, region: BaseGeometry, distance_mm: float, quad
     lacking = places[~shapely.intersects_xy(found, places[:, 0], places[:, 1])]
     # Where a border folds back on itself within rounding, a place straight in from one side lies beyond the next, outside.
     lacking = lacking[shapely.contains_xy(region, lacking[:, 0], lacking[:, 1])]
-    deep = side_distances(lacking, sides_of(border)) >= depth_mm - rounding_mm
+    deep = distances(lacking, segments_of(border)) >= depth_mm - rounding_mm
     return not bool(deep.any())
 
 

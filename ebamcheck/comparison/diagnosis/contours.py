@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ebamcheck.comparison.causes import MeshFlaws
-from ebamcheck.comparison.grid import Grid, grid_over, nearest
 from ebamcheck.comparison.outline import Outline
+from ebamcheck.geometry.nearest import SegmentTree, nearest_segment, tree_over
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
@@ -22,14 +23,6 @@ ASIDE = 1e-6
 """Distance beside a segment, over its length, at which the winding number is computed."""
 
 
-class Contours(NamedTuple):
-    """Segments of one layer, mm from an origin, and a grid over them."""
-
-    segments: Floats
-    """(S, 4) ``x0, y0, x1, y1``."""
-    grid: Grid
-
-
 class Near(NamedTuple):
     """Distances of places from contours."""
 
@@ -41,22 +34,21 @@ class Near(NamedTuple):
     """(N,) nearest segment."""
 
 
-def contours_of(outline: Outline) -> Contours:
+def contours_of(outline: Outline) -> SegmentTree:
     """Closed rings of an outline."""
     if int(outline.rings) == len(outline.paths) - 1:
-        return Contours(outline.segments, outline.grid)
+        return outline.tree
     return contours_over(outline.segments[: outline.paths[outline.rings]])
 
 
-def contours_over(segments: Floats) -> Contours:
+def contours_over(segments: Floats) -> SegmentTree:
     """Contours of segments (S, 4) that lie in any order."""
-    kept = np.ascontiguousarray(segments, np.float64).reshape(-1, 4)
-    return Contours(kept, grid_over(kept))
+    return tree_over(np.ascontiguousarray(segments, np.float64).reshape(-1, 4))
 
 
 def mesh_contours(
     flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]
-) -> tuple[Contours, Floats]:
+) -> tuple[SegmentTree, Floats]:
     """Section of the mesh, and the outward movement of each segment per mm of height, (S,)."""
     segments = np.ascontiguousarray(flaws.section(height_mm) - np.array([*origin_mm, *origin_mm]))
     a, b, c = np.moveaxis(flaws.part.triangles[flaws.crossing(height_mm)], 1, 0)
@@ -71,7 +63,7 @@ def mesh_contours(
     return contours_over(segments), rate
 
 
-def along(contours: Contours, count: int) -> tuple[Floats, float]:
+def along(contours: SegmentTree, count: int) -> tuple[Floats, float]:
     """Places (N, 2) at equal steps along all contours, and the length that each represents, mm."""
     segments = contours.segments
     ends = segments[:, 2:] - segments[:, :2]
@@ -86,24 +78,24 @@ def along(contours: Contours, count: int) -> tuple[Floats, float]:
     return segments[s, :2] + t[:, None] * ends[s], total / count
 
 
-def beside(contours: Contours, places: Floats) -> Near:
+def beside(contours: SegmentTree, places: Floats) -> Near:
     """Distances of places (N, 2) from contours."""
-    distance, normal, segment = _beside(contours.segments, contours.grid, np.ascontiguousarray(places))
+    distance, normal, segment = _beside(contours, np.ascontiguousarray(places))
     return Near(distance, normal, segment)
 
 
 @kernel
-def _beside(segments: Floats, grid: Grid, places: Floats) -> tuple[Floats, Floats, Ints]:
+def _beside(contours: SegmentTree, places: Floats) -> tuple[Floats, Floats, Ints]:
     """Distances, normals and nearest segments; see :class:`Near`."""
-    count = len(places)
+    segments, count = contours.segments, len(places)
     distance, normal, near = np.full(count, np.inf), np.zeros((count, 2)), np.full(count, -1)
     if len(segments) == 0:
         return distance, normal, near
     guess = -1
     for i in range(count):
         x, y = places[i, 0], places[i, 1]
-        away, guess = nearest(segments, grid, x, y, guess)
-        near[i] = guess
+        square, guess = nearest_segment(contours, x, y, guess)
+        away, near[i] = math.sqrt(square), guess
         inside = winding_of(segments, x, y) > 0
         distance[i] = -away if inside else away
         ax, ay, bx, by = segments[guess, 0], segments[guess, 1], segments[guess, 2], segments[guess, 3]

@@ -16,7 +16,6 @@ import numpy as np
 
 from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.diagnosis.contours import (
-    Contours,
     along,
     beside,
     contours_of,
@@ -24,6 +23,7 @@ from ebamcheck.comparison.diagnosis.contours import (
     mesh_contours,
 )
 from ebamcheck.comparison.diagnosis.sheets import Sheet
+from ebamcheck.geometry.nearest import SegmentTree
 from ebamcheck.numeric.rings import Floats
 
 PLACES = 160
@@ -74,17 +74,17 @@ class Seen:
     flaws: MeshFlaws
 
     @cached_property
-    def a(self) -> Contours:
+    def a(self) -> SegmentTree:
         """Contours that differ."""
         return contours_of(self.sheet.outline_a)
 
     @cached_property
-    def b(self) -> Contours:
+    def b(self) -> SegmentTree:
         """Contours of the other slicer."""
         return contours_of(self.sheet.outline_b)
 
     @cached_property
-    def _moved(self) -> dict[float, tuple[Contours, Floats]]:
+    def _moved(self) -> dict[float, tuple[SegmentTree, Floats]]:
         return {}
 
     @cached_property
@@ -92,7 +92,7 @@ class Seen:
         """Places along `a` (N, 2) mm, and the length that each represents, mm."""
         return along(self.a, PLACES)
 
-    def reference(self, dz_mm: float, moving: bool) -> tuple[Contours, Floats | None]:
+    def reference(self, dz_mm: float, moving: bool) -> tuple[SegmentTree, Floats | None]:
         """Contours that the model moves onto `a`: those of `b`, or the mesh's at another height, with their rates."""
         if not moving:
             return self.b, None
@@ -237,17 +237,17 @@ class FieldFit:
         return total
 
 
-def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], Contours]:
+def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], SegmentTree]:
     """Sections of a part that was read in another unit: all of it larger by a factor from the file's origin."""
 
-    def contours(sheet: Sheet) -> Contours:
+    def contours(sheet: Sheet) -> SegmentTree:
         section, _ = mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
         return contours_over(factor * section.segments - np.array([*sheet.origin_mm, *sheet.origin_mm]))
 
     return contours
 
 
-def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Contours]) -> float:
+def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], SegmentTree]) -> float:
     """Share of the difference that is explained if these are the contours of the slicer that differs."""
     before = after = 0.0
     for sheet in sheets:
@@ -259,7 +259,7 @@ def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Contours]) ->
     return max(1.0 - after / before, 0.0) if before > 0.0 else 0.0
 
 
-def _gap(a: Contours, b: Contours) -> float:
+def _gap(a: SegmentTree, b: SegmentTree) -> float:
     """Area between two contours, mm2: distances times lengths, measured from both."""
     total = 0.0
     for one, other in ((a, b), (b, a)):

@@ -17,11 +17,12 @@ from ebamcheck.comparison.diagnosis.cause import (
     WINDING_RULE,
     Cause,
 )
-from ebamcheck.comparison.diagnosis.contours import Contours, contours_of, contours_over, windings
+from ebamcheck.comparison.diagnosis.contours import contours_of, contours_over, windings
 from ebamcheck.comparison.diagnosis.fit import scaled_section, share_of
 from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
 from ebamcheck.comparison.outline import Outline, outline
 from ebamcheck.comparison.overlap import overlap
+from ebamcheck.geometry.nearest import SegmentTree
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 UNITS: dict[str, float] = {
@@ -199,7 +200,7 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
     return None
 
 
-def _count_elsewhere(sheet: Sheet, mesh: Contours, wrong: dict[str, float]) -> None:
+def _count_elsewhere(sheet: Sheet, mesh: SegmentTree, wrong: dict[str, float]) -> None:
     """Add to each rule the share of the solid that it gets wrong: it must hold everywhere, not only where the slicers differ."""
     if not len(mesh.segments):
         return
@@ -268,7 +269,7 @@ def _single(points: Floats) -> Floats:
 # -- areas -------------------------------------------------------------------------------------------
 
 
-def _solid(contours: Contours, places: Floats) -> Bools:
+def _solid(contours: SegmentTree, places: Floats) -> Bools:
     return np.asarray(windings(contours.segments, places) > 0)
 
 

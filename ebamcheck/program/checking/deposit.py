@@ -18,12 +18,12 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
-from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.program.checking.metal_field import LayerField
@@ -245,7 +245,7 @@ def _reaches_mm(film: Bools, inside: Bools, section: BaseGeometry, target: Targe
         # A section thinner than a cell fills none to the half.
         row, column = np.nonzero(film)
         middles = target.origin + (np.column_stack([column, row]) + 0.5) * step
-        reach[film] = side_distances(middles, sides_of(section.boundary))
+        reach[film] = distances(middles, segments_of(section.boundary))
     return reach
 
 

@@ -18,9 +18,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.regions import ARC_SEGMENTS, equivalent_rectangles_mm, inset
 from ebamcheck.settings.config import Config
@@ -231,7 +231,7 @@ def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: f
     filled = _rounded(shapely.MultiPolygon(list(parts)), walls, least_mm)
     lost = _lost(parts, filled, walls)
     sides = _sides_of_rings(rings, max(least_mm / STEPS, shallow_mm))
-    depth = side_distances(np.ascontiguousarray(sides.at), sides_of(filled.boundary))
+    depth = distances(np.ascontiguousarray(sides.at), segments_of(filled.boundary))
     deep = (depth > shallow_mm) | lost[sides.ring]
     if not deep.any():
         return None

@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.numeric.near_sides import side_distances, sides_of
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.motions import NCProgram
@@ -103,7 +103,7 @@ def _layers(nc: NCProgram) -> Iterator[Laid]:
         rings = [ring for ring in rings if shapely.is_valid(ring)]
         lines = shapely.MultiLineString([*rings, *_paths(nc, rows[here])])
         places = np.ascontiguousarray(shapely.get_coordinates(lines))
-        yield Laid(lines, sides_of(lines), places, shapely.union_all(contours.polygons(k)))
+        yield Laid(lines, segments_of(lines), places, shapely.union_all(contours.polygons(k)))
 
 
 def _ring(points: Floats, *, closed: bool) -> shapely.LineString:
@@ -125,7 +125,7 @@ def _reach(laid: Laid, below: Laid, allowed_mm: float, width_mm: float) -> tuple
     Centre lines reach out as far as the metal beside them, or farther: of a bridge's span half a bead stands on either side.
     So metal is made of them only where they reach too far.
     """
-    away = side_distances(laid.places, below.sides)
+    away = distances(laid.places, below.sides)
     k = _first_outside(laid.places, np.argsort(-away, kind="stable"), below.inside)
     # Contours tell what they enclose but where a bead runs round between two of them: what is far from all beads is not over them.
     if (k < 0 or away[k] <= allowed_mm) and away.max() <= max(allowed_mm, 0.5 * width_mm):
@@ -139,7 +139,7 @@ def _reach(laid: Laid, below: Laid, allowed_mm: float, width_mm: float) -> tuple
         if part.area > 0.0
     ]
     places = np.ascontiguousarray(np.vstack([shapely.get_coordinates(metal), laid.places, *middles]))
-    away = side_distances(places, sides_of(under.boundary))
+    away = distances(places, segments_of(under.boundary))
     k = _first_outside(places, np.argsort(-away, kind="stable"), under)
     return (float(away[k]), places[k], float(over.area)) if k >= 0 else (0.0, places[0], 0.0)
 

@@ -9,10 +9,10 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.near_sides import side_distances, sides_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.depths import depth_lines
@@ -235,7 +235,7 @@ def _sections(
         return [s for s in (section,) if not s.is_empty], lines
     plain = layer_section(wide)
     both = [s for s in (section, plain) if not s.is_empty]
-    either_way = side_distances(0.5 * (lines[:, :2] + lines[:, 2:]), depth_lines(plain, offset_mm))
+    either_way = distances(0.5 * (lines[:, :2] + lines[:, 2:]), depth_lines(plain, offset_mm))
     return both, lines[either_way <= narrow_mm]
 
 
@@ -252,10 +252,10 @@ def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: fl
     Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between
     both. Where nothing is that deep, it may be gone.
     """
-    inwards = side_distances(places, depth_lines(section, offset_mm + limit_mm))
+    inwards = distances(places, depth_lines(section, offset_mm + limit_mm))
     if offset_mm <= limit_mm:
         return np.maximum(inwards, limit_mm)
-    return np.maximum(inwards, side_distances(places, depth_lines(section, offset_mm - limit_mm)))
+    return np.maximum(inwards, distances(places, depth_lines(section, offset_mm - limit_mm)))
 
 
 def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:
@@ -269,7 +269,7 @@ def _width_mm(ring: shapely.LinearRing) -> float:
 
 def _distances(at: Floats, lines: BaseGeometry) -> Floats:
     """Distance of points (n, 2) from lines."""
-    return side_distances(np.ascontiguousarray(at), sides_of(lines))
+    return distances(np.ascontiguousarray(at), segments_of(lines))
 
 
 def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:

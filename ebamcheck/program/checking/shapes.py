@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ebamcheck.curves.nearest import boxed, nearest
+from ebamcheck.geometry.nearest import nearest, segments_along, square_between, tree_over
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
@@ -25,7 +25,7 @@ def _farthest(places: Floats, polyline: Floats, known_mm: float) -> tuple[Ints, 
     that is nearer to it than another one is to the polyline, or than `known_mm`, is not the farthest: what was found of
     it is enough, and no nearer segment is looked for.
     """
-    ring = boxed(polyline)
+    ring = tree_over(segments_along(polyline, False))
     segment = np.zeros(len(places), np.int64)
     away = np.empty(len(places))
     guess, most = 0, known_mm
@@ -61,13 +61,7 @@ def _followed(polyline: Floats, start: int, x: float, y: float) -> tuple[int, fl
 @kernel
 def _square(polyline: Floats, i: int, x: float, y: float) -> float:
     """Square of the distance of a place from a segment."""
-    ux, uy = polyline[i + 1, 0] - polyline[i, 0], polyline[i + 1, 1] - polyline[i, 1]
-    px, py = x - polyline[i, 0], y - polyline[i, 1]
-    length = ux * ux + uy * uy
-    t = np.true_divide(px * ux + py * uy, length) if length > 0.0 else 0.0
-    t = min(max(t, 0.0), 1.0)
-    dx, dy = px - t * ux, py - t * uy
-    return float(dx * dx + dy * dy)
+    return square_between(x, y, polyline[i, 0], polyline[i, 1], polyline[i + 1, 0], polyline[i + 1, 1])
 
 
 def shape_distance(driven: Floats, wanted: Floats) -> Floats:

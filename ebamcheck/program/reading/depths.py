@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.numeric.near_sides import side_distances, sides_of
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.numeric.rings import Floats, Ints
 
 STEP_MM = 0.5
@@ -42,12 +42,12 @@ def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))
-    sides = sides_of(shapely.boundary(section))
+    sides = segments_of(shapely.boundary(section))
     shapely.prepare(section)
 
     def holds(places: Floats) -> np.ndarray:
         inside = shapely.contains_xy(section, places[:, 0], places[:, 1])
-        inside[inside] = side_distances(places[inside], sides) >= depth_mm - OFF_MM
+        inside[inside] = distances(places[inside], sides) >= depth_mm - OFF_MM
         return np.asarray(inside)
 
     places, line = _tried(section, depth_mm)
