@@ -24,10 +24,10 @@ from benchmarks.deposit import BACKENDS, MODEL_TOLERANCE_MM
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.pipeline import RunResult, run_job
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.plugins.model import Model, models
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
+from ebamcheck.verification.verify import verify
 from ebamcheck_models import write_stl
 
 PARTS = (

@@ -35,12 +35,12 @@ from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.pipeline.gates import deposit_gate
-from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program, write_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import CORNER, layer_section, split_thin
 from ebamcheck.settings.config import Config, validated

@@ -24,10 +24,10 @@ import pyarrow.parquet as pq
 from benchmarks.faults.honest import LISTED, SETTINGS, SINUMERIK
 from benchmarks.faults.subjects import EVERY, TESSELLATION_MM, Subject
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.plugins.model import models
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
+from ebamcheck.verification.verify import verify_against_part, verify_run
 from ebamcheck_models import write_stl
 
 STRENGTHS = ("bytes", "numbers", "verdicts")

@@ -16,7 +16,7 @@ from benchmarks.methods import Method
 from benchmarks.parts import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM, BenchmarkPart, model_file, shuffled
 from benchmarks.scan_parts import planned_layers
 from benchmarks.watch import run_task, watch
-from ebamcheck.pipeline.run_folder import RunFolder, is_run
+from ebamcheck.record.run_folder import RunFolder, is_run
 
 Raw = dict[str, Any]
 

@@ -18,18 +18,18 @@ if TYPE_CHECKING:
     from ebamcheck.mesh.files import load as load
     from ebamcheck.mesh.inspection import inspect as inspect
     from ebamcheck.mesh.part import Part as Part
-    from ebamcheck.pipeline.finished import Run as Run
-    from ebamcheck.pipeline.finished import check as check
-    from ebamcheck.pipeline.finished import run as run
-    from ebamcheck.pipeline.verify import verify as verify
     from ebamcheck.program import read_program as read_program
     from ebamcheck.program import write_program as write_program
+    from ebamcheck.runs import Run as Run
+    from ebamcheck.runs import check as check
+    from ebamcheck.runs import run as run
     from ebamcheck.scan import compare_orders as compare_orders
     from ebamcheck.scan import plan_scan as plan_scan
     from ebamcheck.settings.config import Config as Config
     from ebamcheck.settings.config import load_config as load_config
     from ebamcheck.slicers.slicing import Slicing as Slicing
     from ebamcheck.slicers.slicing import slice_part as slice
+    from ebamcheck.verification.verify import verify as verify
 
 _PUBLIC = {
     "Config": "ebamcheck.settings.config",
@@ -37,9 +37,9 @@ _PUBLIC = {
     "EbamcheckError": "ebamcheck.errors",
     "Layers": "ebamcheck.layers.stack",
     "Part": "ebamcheck.mesh.part",
-    "Run": "ebamcheck.pipeline.finished",
+    "Run": "ebamcheck.runs",
     "Slicing": "ebamcheck.slicers.slicing",
-    "check": "ebamcheck.pipeline.finished",
+    "check": "ebamcheck.runs",
     "compare": "ebamcheck.comparison",
     "compare_orders": "ebamcheck.scan",
     "fit": "ebamcheck.curves",
@@ -49,10 +49,10 @@ _PUBLIC = {
     "load_config": "ebamcheck.settings.config",
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
-    "run": "ebamcheck.pipeline.finished",
+    "run": "ebamcheck.runs",
     "save": "ebamcheck.export.saving",
     "slice": "ebamcheck.slicers.slicing:slice_part",
-    "verify": "ebamcheck.pipeline.verify",
+    "verify": "ebamcheck.verification.verify",
     "write_program": "ebamcheck.program",
 }
 """Public names and where they live; they load when first used, so that ``import ebamcheck`` is instant."""

@@ -18,13 +18,14 @@ from parts import box, join
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline import gates_again, plate_record, tables_again
+from ebamcheck.pipeline import plate_record
 from ebamcheck.pipeline.between_cuts import between_check
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.solid_metal import solid_check
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
+from ebamcheck.verification import gates_again, tables_again
 
 CONFIG = Config().changed(layers={"layer_height_mm": 1.5})
 CUTS = (np.arange(4) + 0.5) * 1.5

@@ -14,9 +14,9 @@ from slicers_here import slicers_here
 
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config, load_config
+from ebamcheck.verification.verify import verify
 
 
 def run_of_box(factory: pytest.TempPathFactory, size_mm: tuple[float, float, float]) -> Path:

@@ -17,7 +17,7 @@ from slicers_here import slicers_here
 from ebamcheck.json_values import write_json
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import shutil
 
-from ebamcheck.pipeline.certificate import (
+from ebamcheck.record.certificate import (
     CERTIFICATE,
     certificate,
     file_hashes,
     read_certificate,
     write_sealed,
 )
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.signing import make_key, read_private_key, trusted_keys
-from ebamcheck.pipeline.tables_again import reports_again
-from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.record.signing import make_key, read_private_key, trusted_keys
+from ebamcheck.verification.tables_again import reports_again
+from ebamcheck.verification.verify import verify_run
 
 
 def failed(run, **given):

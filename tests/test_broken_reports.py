@@ -14,7 +14,7 @@ import shapely
 from parts import box
 from report_runs import changed, inside_out, render, rows, run, section, whole_run, words
 
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck_reports import charts, html
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import element, table

@@ -18,11 +18,11 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificate
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import settings_beside, verify, verify_against_part
 from ebamcheck.plugins import registry
+from ebamcheck.record.certificate import CERTIFICATE, RELEASE, read_certificate
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.verification.verify import settings_beside, verify, verify_against_part
 from ebamcheck_reports import html
 
 MAIN, SECOND = "MAIN.MPF", "MAIN_L0002.SPF"

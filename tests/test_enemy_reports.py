@@ -59,7 +59,7 @@ def test_a_run_among_enemies_is_whole_and_honest(writers, tmp_path):
     assert (folder / "report.html").is_file()
     assert (folder / "mine" / "good.txt").read_text() == "check"
     loaded = set((folder / "mine" / "loaded.txt").read_text().split())
-    assert "ebamcheck.pipeline.run_folder" in loaded
+    assert "ebamcheck.record.run_folder" in loaded
     assert loaded.isdisjoint({"ebamcheck.program", "ebamcheck.scan", "pandas"}), (
         "a writer waits for no planning"
     )

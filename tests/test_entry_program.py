@@ -16,8 +16,8 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.entry_program import entry_of_whole
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify, verify_run
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.verification.verify import verify, verify_run
 
 PLAIN = CONTROLS[-1]
 

@@ -18,12 +18,12 @@ from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.layer_feed import at_layer_feed, has_room
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.wire_checks import wire_check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import feed_shares, speed_window, wire_at
+from ebamcheck.verification.verify import verify
 
 WANTED = Wanted(2, 3.4, 1.7, "MAIN_K0003R1")
 SUB = "MAIN_K0003R1_L0001.SPF"

@@ -24,7 +24,10 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.pipeline import noticed, noticed_in_program, run_job
-from ebamcheck.pipeline.certificate import (
+from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
+from ebamcheck.program import Check
+from ebamcheck.program.checking.remedies import REMEDIES
+from ebamcheck.record.certificate import (
     APPROVAL,
     CODES_OF_THE_MAKER,
     DRY_RUN,
@@ -34,11 +37,8 @@ from ebamcheck.pipeline.certificate import (
     statement,
     write_certificate,
 )
-from ebamcheck.pipeline.certificate_checks import run_certificate_checks
-from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.program import Check
-from ebamcheck.program.checking.remedies import REMEDIES
+from ebamcheck.record.certificate_checks import run_certificate_checks
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
 

@@ -17,15 +17,15 @@ from ebamcheck.comparison.findings import Finding as Disagreement
 from ebamcheck.errors import ExitCode, InputError
 from ebamcheck.findings import Finding
 from ebamcheck.json_values import json_text, read_json, sha256_of_file
-from ebamcheck.pipeline.certificate import CERTIFICATE, find_certificate, find_record, write_sealed
-from ebamcheck.pipeline.certificate_checks import refuse_unfit
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.record_form import CheckForm, DisagreementForm, FindingForm, GateForm
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
-from ebamcheck.pipeline.signing import SIGNATURES, make_key, sign, signature_check
-from ebamcheck.pipeline.verify import settings_beside, verify, verify_run
 from ebamcheck.program import Check
+from ebamcheck.record.certificate import CERTIFICATE, find_certificate, find_record, write_sealed
+from ebamcheck.record.certificate_checks import refuse_unfit
+from ebamcheck.record.form import CheckForm, DisagreementForm, FindingForm, GateForm
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
+from ebamcheck.record.signing import SIGNATURES, make_key, sign, signature_check
 from ebamcheck.settings.config import validated
+from ebamcheck.verification.verify import settings_beside, verify, verify_run
 
 
 @pytest.fixture(scope="module")

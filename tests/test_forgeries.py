@@ -19,19 +19,19 @@ from ebamcheck.json_values import (
 )
 from ebamcheck.layers.files import write_parquet
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.certificate import (
+from ebamcheck.record.certificate import (
     CERTIFICATE,
     read_certificate,
     released,
     write_sealed,
 )
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.signing import (
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.record.signing import (
     SIGNATURES,
     sign,
     signature_check,
 )
-from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.verification.verify import verify_run
 
 
 @pytest.fixture(scope="module")

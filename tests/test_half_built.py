@@ -14,8 +14,8 @@ from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.live.loading import finished_run
 from ebamcheck.pipeline.gates import agreement_gate
+from ebamcheck.pipeline.manifest import _disagreements
 from ebamcheck.pipeline.noticed_in_program import _at
-from ebamcheck.pipeline.record import _disagreements
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.remedies import told
 from ebamcheck.settings.config import Config

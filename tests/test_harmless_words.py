@@ -10,10 +10,10 @@ import pytest
 from finished_runs import certified_plate
 
 from ebamcheck.errors import InputError
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_against_part
 from ebamcheck.program import read_program
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import validated
+from ebamcheck.verification.verify import verify_against_part
 
 LINE = r"^N(\d+)0 (G1 X(\S+) Y(\S+))$"
 CALL = r"^N(\d+)0 (MAIN_L0002)$"

@@ -22,13 +22,13 @@ from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.map_files import HeightMap
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.metal import target_of
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, outside_window, wire_area_mm2
 from ebamcheck.settings.text import as_toml
+from ebamcheck.verification.verify import verify
 
 NARROW = "[process]\nwire_speed_min_mm_s = 33.0\nwire_speed_max_mm_s = 60.0\n"
 """A feeder that has wire for layers of 1.54 to 2.79 mm at the feed of the process."""

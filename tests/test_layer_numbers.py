@@ -18,10 +18,10 @@ from ebamcheck.live.heights_table import TABLE, read_heights
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.playing import Played, play
 from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, read_certificate, read_current
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.text import values_as_toml
+from ebamcheck.verification.verify import verify
 
 SIZE, COUNT = (30, 24, 12), 7
 

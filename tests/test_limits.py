@@ -20,12 +20,12 @@ from planted_faults import FAULTS
 
 import ebamcheck
 from ebamcheck.pipeline import loose_limits
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_run
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.program.checking import plugged
 from ebamcheck.program.checking.remedies import REMEDIES
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.verification.verify import verify_run
 
 CASES = (
     *limits_of_text.CASES,

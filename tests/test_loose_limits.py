@@ -12,9 +12,9 @@ from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import SUBJECTS
 from ebamcheck.pipeline import noticed, run_job
 from ebamcheck.pipeline.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
+from ebamcheck.verification.verify import verify_run
 
 
 def changed(name, factor):

@@ -19,8 +19,8 @@ from ebamcheck.json_values import sha256_of_file
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_run
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.verification.verify import verify_run
 
 
 @pytest.fixture(scope="module")

@@ -20,12 +20,12 @@ from ebamcheck.mesh.placing import cosine_and_sine, placing_of
 from ebamcheck.mesh.plates import PlatePart, load_plate
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.plate_record import member_of, plate_checks, plate_record
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.slicing import PartSettings
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.verification.verify import verify
 
 SETTINGS = Config().changed(
     layers={"layer_height_mm": 6.0}, process=WIDE, slicing={"backends": tuple(FAST.split(","))}

@@ -14,10 +14,10 @@ from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.settings.config import Config
+from ebamcheck.verification.verify import verify
 
 MACHINE = {"set_focus": ["H5={defocus} ; focus"]}
 LAYERS = {

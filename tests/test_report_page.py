@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 import ebamcheck
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import from_rings
-from ebamcheck.pipeline.run_folder import RunFolder, write_json
+from ebamcheck.record.run_folder import RunFolder, write_json
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports import html, part_picture

@@ -15,8 +15,8 @@ from report_runs import data, render, rows, section, whole_run, words
 from ebamcheck import load
 from ebamcheck.curves import Curves, contour_error
 from ebamcheck.layers import files as layer_files
-from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.program import read_program
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports import html, overlays, program_picture

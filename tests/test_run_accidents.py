@@ -16,7 +16,7 @@ from pipeline_runs import SETTINGS, Listener, contents, gates, untimed
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 
 
 @pytest.fixture(scope="module")

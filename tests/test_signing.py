@@ -18,20 +18,20 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import (
     write_json,
 )
-from ebamcheck.pipeline.certificate import (
+from ebamcheck.record.certificate import (
     CERTIFICATE,
     read_certificate,
     released,
 )
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.signing import (
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.record.signing import (
     make_key,
     read_private_key,
     sign,
     signature_check,
     trusted_keys,
 )
-from ebamcheck.pipeline.verify import verify, verify_run
+from ebamcheck.verification.verify import verify, verify_run
 
 
 @pytest.fixture(scope="module")

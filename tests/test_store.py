@@ -11,8 +11,8 @@ import pytest
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain, sha256_of_json
-from ebamcheck.pipeline import run_folder as store
-from ebamcheck.pipeline.run_folder import (
+from ebamcheck.record import run_folder as store
+from ebamcheck.record.run_folder import (
     MANIFEST,
     RunFolder,
     finished_run,

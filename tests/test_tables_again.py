@@ -18,8 +18,8 @@ from benchmarks.faults.subjects import CONTROLS, SUBJECTS
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.pipeline.verify import verify_run
 from ebamcheck.program.checking import verification
+from ebamcheck.verification.verify import verify_run
 from ebamcheck.version import __version__
 
 PLAIN = CONTROLS[-1]

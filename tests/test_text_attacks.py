@@ -11,13 +11,13 @@ from slicers_here import slicers_here
 
 from benchmarks.faults.subjects import SUBJECTS
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.gates_again import exchanged_layers
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.verify import verify_against_part
 from ebamcheck.program.checking.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
 from ebamcheck.program.checking.interpass_checks import scheduled_shares
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window
+from ebamcheck.verification.gates_again import exchanged_layers
+from ebamcheck.verification.verify import verify_against_part
 from ebamcheck_models import write_stl
 
 SPACING_MM = 4.32

@@ -11,12 +11,12 @@ from scipy.spatial.transform import Rotation
 from test_turned_layers import angle
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import read_program
 from ebamcheck.program.checking import tilt_checks
 from ebamcheck.program.language import tilt_rules
 from ebamcheck.program.writing import tilt_text
 from ebamcheck.settings.config import load_config
+from ebamcheck.verification.verify import verify
 
 TABLE = """[machine]
 park_mm = [-150.0, 12.0]

@@ -13,7 +13,7 @@ from parts import box
 
 from ebamcheck.errors import InputError
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.pipeline.verify import verify, verify_against_part, verify_run
+from ebamcheck.verification.verify import verify, verify_against_part, verify_run
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from typing import Any
 from benchmarks.faults.finished import Workshop
 from benchmarks.faults.judging import Said, failures, strip
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
+from ebamcheck.verification.verify import verify_against_part, verify_run
 
 SINUMERIK = CONTROLS[0]
 

@@ -19,11 +19,11 @@ from ebamcheck.json_values import (
     sha256_of_json,
     write_json,
 )
-from ebamcheck.pipeline.certificate import write_certificate
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.tables_again import reports_again
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
 from ebamcheck.program import Check
+from ebamcheck.record.certificate import write_certificate
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.verification.tables_again import reports_again
+from ebamcheck.verification.verify import verify_against_part, verify_run
 
 NEAR_LINES = 3
 """A fault is told at the right place within so many lines."""

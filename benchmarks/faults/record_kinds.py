@@ -206,7 +206,7 @@ def forged_certificate(ground: Ground) -> list[Place]:
     change = CERTIFIED[ground.variant]
 
     def sealed(paper: dict[str, Any]) -> None:
-        from ebamcheck.pipeline import certificate
+        from ebamcheck.record import certificate
 
         change(paper)
         if hasattr(certificate, "seal"):

@@ -18,15 +18,15 @@ from benchmarks.faults.subjects import CONTROLS, SUBJECTS, TWELVE, Subject
 from ebamcheck.curves import Curves
 from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.run_folder import (
+from ebamcheck.program import Check, ProgramFiles, mark_validated
+from ebamcheck.program.language.control import control
+from ebamcheck.record.run_folder import (
     MANIFEST,
     RunFolder,
 )
-from ebamcheck.pipeline.verify import verify_against_part, verify_run
-from ebamcheck.program import Check, ProgramFiles, mark_validated
-from ebamcheck.program.language.control import control
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.verification.verify import verify_against_part, verify_run
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS
 

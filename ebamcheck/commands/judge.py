@@ -16,7 +16,7 @@ from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
 from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.layer_numbers import index_of_number
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 

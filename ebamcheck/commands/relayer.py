@@ -21,10 +21,10 @@ from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import tilted
 from ebamcheck.live.relaying import Relayered, check_height, relayer
-from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.turned import stands_of
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.language.files import preheat_name
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 
 

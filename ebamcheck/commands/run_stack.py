@@ -7,7 +7,7 @@ from pathlib import Path
 from ebamcheck.commands.options import settings_of
 from ebamcheck.curves import Curves
 from ebamcheck.errors import InputError
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, validated
 

@@ -8,11 +8,11 @@ from typing import Annotated, Any
 import typer
 
 from ebamcheck.errors import ExitCode
-from ebamcheck.pipeline.certificate import CERTIFICATE, lots_of, read_certificate, released
-from ebamcheck.pipeline.certificate_checks import refuse_unfit
-from ebamcheck.pipeline.run_folder import RunFolder
-from ebamcheck.pipeline.signing import SIGNATURES, asked_password, make_key, read_private_key, sign
 from ebamcheck.printable import printable
+from ebamcheck.record.certificate import CERTIFICATE, lots_of, read_certificate, released
+from ebamcheck.record.certificate_checks import refuse_unfit
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.record.signing import SIGNATURES, asked_password, make_key, read_private_key, sign
 
 
 def key_command(

@@ -116,7 +116,7 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
 
 def _verdict(manifest: Mapping[str, Any]) -> str:
     """The last word on a job, of a program another than of a cross-check alone, and what it means."""
-    from ebamcheck.pipeline.certificate import statement
+    from ebamcheck.record.certificate import statement
 
     good, bad = ("AGREED", "NOT AGREED") if manifest.get("job") == "check" else ("VALIDATED", "NOT VALIDATED")
     word = good if manifest["exit_code"] == 0 else f"{bad} (exit code {manifest['exit_code']})"

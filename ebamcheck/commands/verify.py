@@ -49,10 +49,10 @@ def verify(
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.drawing.tables import text_table
     from ebamcheck.live.verifying import holds_layers
-    from ebamcheck.pipeline import verify as verification
-    from ebamcheck.pipeline.certificate import find_record
-    from ebamcheck.pipeline.run_folder import MANIFEST
     from ebamcheck.program.checking.checks import check_record
+    from ebamcheck.record.certificate import find_record
+    from ebamcheck.record.run_folder import MANIFEST
+    from ebamcheck.verification import verify as verification
 
     if holds_layers(target):
         return _build(target, part, as_json)

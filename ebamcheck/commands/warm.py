@@ -73,7 +73,7 @@ def other_jobs(folder: Path) -> None:
     """Do what other commands do with a run, a section and a part, after :func:`main_job` in the same folder."""
     from ebamcheck.commands.scan_layer import scan_layer
     from ebamcheck.mesh.files import load
-    from ebamcheck.pipeline.verify import verify
+    from ebamcheck.verification.verify import verify
 
     if registry.probe("stencil").available:
         with Slicing(load(folder / "cube.stl"), "stencil", mode="literal") as literal:

@@ -15,12 +15,12 @@ from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.placement import placed_part
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
-from ebamcheck.pipeline.verify import part_of_run
 from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.program.toolpath.inputs import deposition_heights, layer_thickness
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.settings.config import Config, validated
+from ebamcheck.verification.verify import part_of_run
 
 
 @dataclass(frozen=True, eq=False)

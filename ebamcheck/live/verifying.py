@@ -27,14 +27,14 @@ from ebamcheck.live.publishing import (
     write_synced,
 )
 from ebamcheck.live.released_layer import current_off, ended_early
-from ebamcheck.pipeline.certificate_checks import part_hash
 from ebamcheck.pipeline.mesh_sections import layer_check
 from ebamcheck.pipeline.placement import placed_part
-from ebamcheck.pipeline.verify import verify
 from ebamcheck.program import Check
 from ebamcheck.program.checking.consumables import FRESH, Spent, lasting
 from ebamcheck.program.checking.heat_again import FollowedHeat
+from ebamcheck.record.certificate_checks import part_hash
 from ebamcheck.settings.config import Config, load_config
+from ebamcheck.verification.verify import verify
 
 VERIFIED = "verified.json"
 """What was found, in the folder of the build."""

@@ -17,7 +17,6 @@ import numpy as np
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.program import Check, read_program
 from ebamcheck.program.checking.checks import check_record
 from ebamcheck.program.checking.entry_check import NAME, PLACE_MM, entry_check
@@ -25,6 +24,7 @@ from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.writing.entry import begin_at_layer
+from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.settings.config import Config, validated
 
 FOLDER = "entry"

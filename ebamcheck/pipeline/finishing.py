@@ -12,15 +12,15 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import has_fault
 from ebamcheck.pipeline import gates, noticed
-from ebamcheck.pipeline.certificate import write_certificate
 from ebamcheck.pipeline.choice import unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, primary_of
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.record import manifest as make_manifest
+from ebamcheck.pipeline.manifest import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
-from ebamcheck.pipeline.run_folder import FINGERPRINT, RunFolder
 from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.work import Job
+from ebamcheck.record.certificate import write_certificate
+from ebamcheck.record.run_folder import FINGERPRINT, RunFolder
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline.programming import ProgramResult

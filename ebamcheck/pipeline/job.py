@@ -14,13 +14,13 @@ from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check, primary_of
 from ebamcheck.pipeline.live_program import check_waits
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.run_folder import finished_run, start_run
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.templates import usable_templates
 from ebamcheck.program.writing.entry import check_entry
+from ebamcheck.record.run_folder import finished_run, start_run
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.slicers.worker_pool import WorkerPool

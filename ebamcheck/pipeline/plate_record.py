@@ -18,10 +18,8 @@ from ebamcheck.program import Check
 from ebamcheck.program.checking.consumables import KG_MM3
 from ebamcheck.program.checking.text_heat import motion_seconds
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.record.form import PLATE
 from ebamcheck.settings.config import Config
-
-PLATE = "plate"
-"""Field of the record and of the certificate: one entry a part."""
 
 SAME_MASS = 1e-9
 """Of the greater mass: sums in another order."""

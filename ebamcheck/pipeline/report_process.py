@@ -18,7 +18,7 @@ def main(arguments: Sequence[str]) -> int:
     """Entry point: what to load, and the folder, a copy of the run, into which it writes."""
     name, value, folder, parent = arguments
     die_with(int(parent))
-    from ebamcheck.pipeline.run_folder import RunFolder
+    from ebamcheck.record.run_folder import RunFolder
 
     try:
         EntryPoint(name, value, "ebamcheck.reports").load()(RunFolder(Path(folder)))

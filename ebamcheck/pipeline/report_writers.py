@@ -11,11 +11,11 @@ from pathlib import Path
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline.report_process import DONE
-from ebamcheck.pipeline.run_folder import FINGERPRINT, MANIFEST, RunFolder
-from ebamcheck.pipeline.signing import SIGNATURES
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import distribution_of, is_house
 from ebamcheck.plugins.processes import run_limited
+from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST, RunFolder
+from ebamcheck.record.signing import SIGNATURES
 
 TIME_S = 600.0
 """Time of one report writer of another distribution."""

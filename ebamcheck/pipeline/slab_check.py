@@ -24,12 +24,12 @@ from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import write_comparison
 from ebamcheck.pipeline.finishing import RunResult, SlabRecord, finish, finished_result
 from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.run_folder import finished_run, start_run
 from ebamcheck.pipeline.slab_slicing import SlabRun, cut_slabs
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Preflight
 from ebamcheck.preflight.slab_work import slab_workload
 from ebamcheck.preflight.workload import work_checks
+from ebamcheck.record.run_folder import finished_run, start_run
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.isolation import declared_bounds

@@ -16,7 +16,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import worker_threads
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.run_folder import RunInProgress
+from ebamcheck.record.run_folder import RunInProgress
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.worker_pool import WorkerPool
 

@@ -7,7 +7,7 @@ from importlib.resources import files
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import EbamcheckError
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck_reports.markup import Markup, element, join, mark, paragraph, section
 from ebamcheck_reports.pages import page
 from ebamcheck_reports.run_data import RunData

@@ -16,7 +16,7 @@ from typing import Any
 from junitparser.xunit2 import JUnitXml
 
 from ebamcheck.findings import in_words
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.showing.junit import Case, Kind, junit, write_junit
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import counted, place

@@ -13,7 +13,7 @@ from ebamcheck.commands.options import print_json
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layer_numbers import index_of_number
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
 
 
 def polar(

@@ -9,7 +9,7 @@ import typer
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
 
 
 def report(

@@ -15,8 +15,8 @@ from ebamcheck.errors import InputError
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
-from ebamcheck.pipeline.certificate import Statement, statement
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.certificate import Statement, statement
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, validated
 from ebamcheck_reports.figures import number

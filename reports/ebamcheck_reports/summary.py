@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.pipeline.run_folder import RunFolder
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck_reports.run_data import RunData
 
 NAME = "summary.csv"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, certificate, read_certificate
+from ebamcheck.record.certificate import CERTIFICATE, RELEASE, certificate, read_certificate
 from ebamcheck_reports.markup import (
     Markup,
     collapsed,

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.errors import InputError
-from ebamcheck.pipeline.certificate import CERTIFICATE, RELEASE, read_certificate
+from ebamcheck.record.certificate import CERTIFICATE, RELEASE, read_certificate
 from ebamcheck_reports import part_picture, words
 from ebamcheck_reports.figures import counted, duration, number, percent, shown
 from ebamcheck_reports.markup import Markup, element, facts, figure, join, mark, paragraph, picture, table

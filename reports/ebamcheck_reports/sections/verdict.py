@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ebamcheck.findings import in_words
-from ebamcheck.pipeline.certificate import counted
+from ebamcheck.record.certificate import counted
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import percent, shown
 from ebamcheck_reports.markup import Markup, element, figure, join, mark, paragraph, table

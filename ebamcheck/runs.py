@@ -12,10 +12,10 @@ from ebamcheck.findings import Finding
 from ebamcheck.layers.stack import Layers
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.job import check_job, run_job
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder
 from ebamcheck.pipeline.work import Observer
 from ebamcheck.program import Check, NCProgram, read_program
 from ebamcheck.program.checking.checks import check_of_record
+from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.selection import for_this_machine
@@ -140,7 +140,7 @@ class Run:
 
     def verify(self, part: str | Path | None = None, *, quick: bool = False) -> list[Check]:
         """Work every gate out again; see :func:`ebamcheck.verify`."""
-        from ebamcheck.pipeline.verify import verify
+        from ebamcheck.verification.verify import verify
 
         return verify(self.path, part, quick=quick)
 

@@ -38,19 +38,9 @@ from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.pipeline.placement import cut_heights
-from ebamcheck.pipeline.run_folder import RunFolder
 from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
-from ebamcheck.pipeline.tables_again import (
-    order_of,
-    sums_of,
-    tables_check,
-    tables_of_comparison,
-    tables_of_metal,
-    tables_of_plan,
-    tables_of_program,
-)
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_program
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
@@ -67,11 +57,21 @@ from ebamcheck.program.checking.narrow_features import NarrowFeature
 from ebamcheck.program.checking.verification import read_checked
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.verification.tables_again import (
+    order_of,
+    sums_of,
+    tables_check,
+    tables_of_comparison,
+    tables_of_metal,
+    tables_of_plan,
+    tables_of_program,
+)
 from ebamcheck.version import __version__
 
 SAME_FIGURE = 1e-6

@@ -15,7 +15,9 @@ from ebamcheck.json_values import (
     sha256_of_json,
 )
 from ebamcheck.mesh.part_source import source_sha256
-from ebamcheck.pipeline.certificate import (
+from ebamcheck.printable import printable
+from ebamcheck.program import Check
+from ebamcheck.record.certificate import (
     CERTIFICATE,
     certificate,
     file_names,
@@ -23,10 +25,8 @@ from ebamcheck.pipeline.certificate import (
     profile_sha256,
     read_certificate,
 )
-from ebamcheck.pipeline.run_folder import RunFolder, own_file
-from ebamcheck.pipeline.signing import signature_check
-from ebamcheck.printable import printable
-from ebamcheck.program import Check
+from ebamcheck.record.run_folder import RunFolder, own_file
+from ebamcheck.record.signing import signature_check
 from ebamcheck.settings.config import Config
 
 HARMLESS = (".DS_Store", "Thumbs.db", ".directory")

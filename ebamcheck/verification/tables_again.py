@@ -25,7 +25,6 @@ from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import layer_table
-from ebamcheck.pipeline.run_folder import MANIFEST, TIMINGS, RunFolder
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import is_house
 from ebamcheck.program import Check, NCProgram, program_summary
@@ -34,6 +33,7 @@ from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.metal_field import FIELD_FILE, field_table
 from ebamcheck.program.toolpath.events import event_totals, process_events
 from ebamcheck.program.toolpath.tracks import Toolpath
+from ebamcheck.record.run_folder import MANIFEST, TIMINGS, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.version import __version__

@@ -1,4 +1,4 @@
-"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.pipeline.certificate_form` is that of the certificate.
+"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.record.certificate_form` is that of the certificate.
 
 Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
 name, and a file's name is one inside of the run folder. What a record *says* is believed by nobody; that is for
@@ -7,6 +7,7 @@ name, and a file's name is one inside of the run folder. What a record *says* is
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -21,22 +22,67 @@ from pydantic import (
 )
 
 from ebamcheck.errors import InputError
-from ebamcheck.findings import Severity
-from ebamcheck.pipeline.record_values import (
-    PRINTED,
-    Count,
-    Figures,
-    FileName,
-    Finite,
-    Number,
-    RunFile,
-    SettingsTables,
-    Sha256,
-    SlicerName,
-    known_code,
-    part_file,
-)
+from ebamcheck.findings import CODES, Severity
 from ebamcheck.printable import printable
+
+PRINTED = 60
+"""Characters of a name or value that a message quotes."""
+
+
+def file_inside(name: str) -> str:
+    """Return the name of a file inside of a run folder, as ``run.json`` lists it; raises :class:`ValueError` for another.
+
+    Examples
+    --------
+    >>> file_inside("program/MAIN.MPF")
+    'program/MAIN.MPF'
+    """
+    if any(part in ("", ".", "..") for part in name.split("/")) or "\\" in name or printable(name) != name:
+        raise ValueError(f"{printable(name, PRINTED)!r} is no name of a file inside of the run folder")
+    return name
+
+
+def plain_name(name: str) -> str:
+    """Return the name of a file without a folder; raises :class:`ValueError` for another."""
+    if "/" in name:
+        raise ValueError(f"{printable(name, PRINTED)!r} is no plain file name")
+    return file_inside(name)
+
+
+def _slicer(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", name):
+        raise ValueError(f"{printable(name, PRINTED)!r} is no name of a slicer")
+    return name
+
+
+def known_code(code: str) -> str:
+    """Return the code of a finding; raises :class:`ValueError` for one that stands in no table."""
+    if code not in CODES:
+        raise ValueError(f"{printable(code, PRINTED)!r} is no code of a finding")
+    return code
+
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+def part_file(name: str) -> str:
+    """Return the name of a part's file, which is the user's choice, without a folder; raises :class:`ValueError` for another."""
+    if "/" in name or "\0" in name or name in ("", ".", ".."):
+        raise ValueError(f"{printable(name, PRINTED)!r} is no plain file name")
+    return name
+
+
+SlicerName = Annotated[str, AfterValidator(_slicer)]
+RunFile = Annotated[str, AfterValidator(file_inside)]
+FileName = Annotated[str, AfterValidator(plain_name)]
+SettingsTables = dict[str, dict[str, JsonValue]]
+Number = float | Literal["NaN", "Infinity", "-Infinity"]
+Figures = dict[str, Number]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=0)]
+
+PLATE = "plate"
+"""Field of the record and of the certificate: one entry a part."""
 
 FORMAT_VERSION = 2
 """Of ``run.json``: layers are counted from 1, in its tables, too; format 1 counted them from 0."""

@@ -18,22 +18,10 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.certificate import find_certificate, find_record, read_certificate
-from ebamcheck.pipeline.certificate_checks import (
-    certificate_checks,
-    file_check,
-    hash_check,
-    part_hash,
-    run_certificate_checks,
-    told_once,
-)
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
-from ebamcheck.pipeline.gates_again import compared, truth_of, work_again
 from ebamcheck.pipeline.placement import cut_heights, placed_part
-from ebamcheck.pipeline.plate_record import PLATE, plate_checks
-from ebamcheck.pipeline.run_folder import MANIFEST, RunFolder, own_file
-from ebamcheck.pipeline.signing import trusted_keys
+from ebamcheck.pipeline.plate_record import plate_checks
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
@@ -42,12 +30,25 @@ from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.record.certificate import find_certificate, find_record, read_certificate
+from ebamcheck.record.certificate_checks import (
+    certificate_checks,
+    file_check,
+    hash_check,
+    part_hash,
+    run_certificate_checks,
+    told_once,
+)
+from ebamcheck.record.form import PLATE
+from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
+from ebamcheck.record.signing import trusted_keys
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.files import differences
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.verification.gates_again import compared, truth_of, work_again
 
 
 def verify(

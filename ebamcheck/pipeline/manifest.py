@@ -24,14 +24,14 @@ from ebamcheck.pipeline.fitted import FitResult
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.live_program import FOLDER as LIVE
-from ebamcheck.pipeline.plate_record import PLATE, plate_record
+from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.programming import ProgramResult
-from ebamcheck.pipeline.record_form import FORMAT_VERSION
-from ebamcheck.pipeline.run_folder import FINGERPRINT, MANIFEST
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.program.checking.checks import check_record
 from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.record.form import FORMAT_VERSION, PLATE
+from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
@@ -48,7 +48,7 @@ def manifest(
 ) -> dict[str, Any]:
     """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
 
-    That goes into a file of its own (:meth:`~ebamcheck.pipeline.run_folder.RunFolder.write_manifest`).
+    That goes into a file of its own (:meth:`~ebamcheck.record.run_folder.RunFolder.write_manifest`).
     """
     config = job.config.model_dump()
     return {

@@ -24,7 +24,7 @@ from ebamcheck.json_values import read_json, write_json
 from ebamcheck.layers import blocks as layer_blocks
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
-from ebamcheck.pipeline.record_form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
+from ebamcheck.record.form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
 from ebamcheck.regular_file import regular_file
 
 MANIFEST = "run.json"

@@ -1,7 +1,7 @@
 """The certificate of a run: what was made from what, by what, how well, and who releases it.
 
 It stands beside the record of the run, and is made last. A seal over all of it tells whether it is whole, its list of
-files whether the run is; signatures beside it (:mod:`ebamcheck.pipeline.signing`) tell who stands for it. What it says
+files whether the run is; signatures beside it (:mod:`ebamcheck.record.signing`) tell who stands for it. What it says
 of the part and the program is believed by nobody: :func:`ebamcheck.verify` works it out again.
 """
 
@@ -22,16 +22,15 @@ from ebamcheck.json_values import (
     sha256_of_json,
     write_json,
 )
-from ebamcheck.pipeline.certificate_form import CERTIFICATE_FORMAT, CertificateForm
-from ebamcheck.pipeline.plate_record import PLATE
-from ebamcheck.pipeline.record_form import in_form
-from ebamcheck.pipeline.run_folder import (
+from ebamcheck.record.certificate_form import CERTIFICATE_FORMAT, CertificateForm
+from ebamcheck.record.form import PLATE, in_form
+from ebamcheck.record.run_folder import (
     MANIFEST,
     RunFolder,
     own_file,
 )
-from ebamcheck.pipeline.signing import SIGNATURES, signature_files
-from ebamcheck.pipeline.toolchain import software
+from ebamcheck.record.signing import SIGNATURES, signature_files
+from ebamcheck.record.toolchain import software
 from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"

@@ -6,8 +6,18 @@ from typing import Literal
 
 from pydantic import Field, JsonValue
 
-from ebamcheck.pipeline.record_form import CheckForm, FindingForm, Form, GateForm, HeightsForm, PartOfRun
-from ebamcheck.pipeline.record_values import FileName, RunFile, Sha256, SlicerName
+from ebamcheck.record.form import (
+    CheckForm,
+    FileName,
+    FindingForm,
+    Form,
+    GateForm,
+    HeightsForm,
+    PartOfRun,
+    RunFile,
+    Sha256,
+    SlicerName,
+)
 
 CERTIFICATE_FORMAT = 2
 

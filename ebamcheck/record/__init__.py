@@ -1,0 +1,1 @@
+"""The run folder: its record, its certificate, and who signs it."""
