@@ -69,7 +69,7 @@ NO_LIMITS = {
         metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
         matching.APART_MM certificate_form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
         noticed_in_program.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT report_writers.TIME_S
-        report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES record_form.FORMAT_VERSION record_values.PRINTED
+        report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
@@ -155,7 +155,11 @@ def constants(folder):
 
 
 def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
-    known = {*constants("program/checking"), *constants("pipeline")}
+    known = {
+        name
+        for room in ("program/checking", "pipeline", "record", "verification")
+        for name in constants(room)
+    }
     listed = {name for names in NO_LIMITS.values() for name in names.split()}
     cased = {name for case in CASES for name in case.limits}
     assert known - listed - cased == set(), (
