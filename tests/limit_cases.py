@@ -21,7 +21,8 @@ from nc_stack import make_curves, make_plan
 
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.program import Check, read_program, verify_program, write_program
-from ebamcheck.program.reading.motions import STRAIGHT, Events, NCProgram
+from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
+from ebamcheck.program.reading.timeline import Events
 from ebamcheck.settings.config import Config
 
 INSIDE, OUTSIDE = 1.0 / 1.2, 1.2

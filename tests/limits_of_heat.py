@@ -239,7 +239,7 @@ CASES: tuple[Case, ...] = (
     upwards("preheat overheating", "preheat.over_k", over_target, "layers"),
     upwards("preheat evenness", "preheat.evenness_k", uneven, "layers"),
     upwards("preheat melting", "material.solidus_k", molten, "layers"),
-    upwards("layer by itself", "released.PLACE_MM machine.clearance_mm", lambda f: released(HIGH_MM + 5.0 - f * 2e-3, False)),
-    upwards("layer by itself", "released.PLACE_MM machine.clearance_mm", lambda f: released(5.0 - f * 2e-3, True)),
+    upwards("layer by itself", "event_checks.PLACE_MM machine.clearance_mm", lambda f: released(HIGH_MM + 5.0 - f * 2e-3, False)),
+    upwards("layer by itself", "event_checks.PLACE_MM machine.clearance_mm", lambda f: released(5.0 - f * 2e-3, True)),
     upwards("entry", "entry_check.PLACE_MM", lambda f: f, judge=entered),
 )  # fmt: skip

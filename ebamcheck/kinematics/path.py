@@ -133,7 +133,7 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     """
     moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
     stopped = np.zeros(len(nc) + 1, np.bool_)
-    stopped[[row for name, row in zip(nc.events.name, nc.events.row, strict=True) if name in SWITCHES]] = True
+    stopped[nc.events.row[nc.events.named(*SWITCHES)]] = True
     rapid = nc.kind == RAPID
     stopped[:-1] |= rapid | np.append(False, rapid[:-1]) | (np.diff(nc.beam, prepend=nc.beam[:1]) != 0)
     rows = np.flatnonzero(moved)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.program.checking.checks import Check, count_check, event_place, worst_check
+from ebamcheck.program.checking.checks import Check, count_check, worst_check
+from ebamcheck.program.checking.event_checks import retract_check
 from ebamcheck.program.checking.melting_check import own_shares
 from ebamcheck.program.language.increments import power_slack_w
 from ebamcheck.program.reading.motions import NCProgram
@@ -22,9 +23,6 @@ POWER_TOLERANCE = 1e-3
 PLACE_MM = 1e-3
 """Places nearer than this are one place, rounded to the decimals of a program."""
 
-RETRACT_TOLERANCE_MM = 1e-6
-"""Decimals of a process value."""
-
 FULL = 1e-3
 """Power over the greatest of its bead from which on it is full, less than 1: the decimals of volts and milliamperes."""
 
@@ -36,7 +34,7 @@ def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check
     """Check power, overlap and wire at the ends of all beads; `shares` (L,) of the power are those of the layers."""
     checks = [_power(nc, config, shares), _overlap(nc, config)]
     if config.process.wire_retract_mm > 0.0:
-        checks.append(_retract(nc, config))
+        checks.append(retract_check(nc, config))
     if nc.goes_on.any():
         checks.append(_parts_of_lines(nc))
     return checks
@@ -177,33 +175,3 @@ def _parts_of_lines(nc: NCProgram) -> Check:
     sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
     what = "distance of their parts from the line"
     return worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
-
-
-def _retract(nc: NCProgram, config: Config) -> Check:
-    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again, and by no other.
-
-    A wire that is drawn back twice, or where it did not run, begins the next bead without metal.
-    """
-    wanted = config.process.wire_retract_mm
-    faults = []
-    waiting, running = -1, False
-    for i, name in enumerate([*nc.events.name, "end"]):
-        if name == "wire_retract_mm" and waiting >= 0:
-            value = float(nc.events.value[i])
-            if abs(value - wanted) > RETRACT_TOLERANCE_MM:
-                faults.append(
-                    (event_place(nc, i), f"wire drawn back by {value:g} mm in place of {wanted:g} mm")
-                )
-            waiting = -1
-        elif name == "wire_retract_mm" and float(nc.events.value[i]) != 0.0:
-            what = f"wire drawn back by {nc.events.value[i]:g} mm, which no stop of the running wire asks for"
-            faults.append((event_place(nc, i), what))
-        elif name in ("wire_start", "beam_off", "end") and waiting >= 0:
-            faults.append(
-                (event_place(nc, waiting), f"the wire stops and is not drawn back by {wanted:g} mm")
-            )
-            waiting = -1
-        if name == "wire_stop" and running:
-            waiting = i
-        running = name == "wire_start" or (running and name != "wire_stop")
-    return count_check("wire retract", faults, f"the wire is drawn back by {wanted:g} mm after each bead")

@@ -127,6 +127,21 @@ def worst_check(
     )
 
 
-def event_place(nc: NCProgram, event: int) -> str:
-    """``FILE:line`` of an event."""
-    return f"{nc.files[int(nc.events.file[event])].name}:{int(nc.events.line[event])}"
+def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> list[tuple[str, str]]:
+    """Places of events that break a rule, in their order, and what there is to say of each.
+
+    Parameters
+    ----------
+    rules
+        Which events (E,) break it, and a text into which their ``name``, ``value`` and what they ``said`` behind their begin are
+        filled, or a function of the event. Of an event that breaks several, the first rule is named first.
+    """
+    found = sorted((i, n) for n, (which, _) in enumerate(rules) for i in np.flatnonzero(which).tolist())
+    return [(nc.where_event(i), _said(nc, i, rules[n][1])) for i, n in found]
+
+
+def _said(nc: NCProgram, event: int, text: str | Callable[[int], str]) -> str:
+    if callable(text):
+        return text(event)
+    events = nc.events
+    return text.format(name=events.name[event], value=events.value[event], said=events.said(event))

@@ -7,11 +7,11 @@ from above all that stands; and its first blocks establish a state of their own.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import zip_longest
 
 import numpy as np
 
-from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.checking.header_checks import Truth, status_check
 from ebamcheck.program.checking.machine_state import machine_state_checks
 from ebamcheck.program.checking.text_checks import text_checks
@@ -104,33 +104,33 @@ def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -
 
     Motions alone tell nothing of waits, without which the part is too warm where the next bead comes.
     """
+    at = [np.flatnonzero(nc.events.row >= row) for nc, row in ((entry, first), (whole, first + offset))]
     for name in VALUES:
-        mine, other = _value_before(entry, first, name), _value_before(whole, first + offset, name)
-        if not (mine == other or (np.isnan(mine) and np.isnan(other))):
-            yield entry.where(first), f"{name} is {mine:g} at the first bead, {other:g} in the whole program"
-    mine_at = np.flatnonzero(entry.events.row >= first).tolist()
-    other_at = np.flatnonzero(whole.events.row >= first + offset).tolist()
-    for i, k in zip_longest(mine_at, other_at):
-        if i is None or k is None:
-            which, at, name = (whole, k, "lacks") if i is None else (entry, i, "has")
+        mine, other = (_set_by(nc, row, name) for nc, row in ((entry, first), (whole, first + offset)))
+        if not _same(mine, other).all():
             yield (
-                event_place(entry, mine_at[-1] if i is None and mine_at else i or 0),
-                f"{name} {which.events.name[at]} in place of nothing",
+                entry.where(first),
+                f"{name} is {mine[0]:g} at the first bead, {other[0]:g} in the whole program",
             )
-            return
-        same_row = entry.events.row[i] + offset == whole.events.row[k]
-        value, wanted = float(entry.events.value[i]), float(whole.events.value[k])
-        known = value == wanted or (np.isnan(value) and np.isnan(wanted))
-        if not (same_row and known and entry.events.name[i] == whole.events.name[k]):
-            told = f"{entry.events.name[i]} {value:g}, in the whole program {whole.events.name[k]} {wanted:g}"
-            yield event_place(entry, i), f"has {told} there, or at another motion"
-            return
+    count = min(at[0].size, at[1].size)
+    a, b = entry.events.chosen(at[0][:count]), whole.events.chosen(at[1][:count])
+    alike = (a.row + offset == b.row) & _same(a.value, b.value)
+    alike &= np.array([one == two for one, two in zip(a.name, b.name, strict=True)], np.bool_)
+    if not alike.all():
+        i = int(np.argmin(alike))
+        told = f"{a.name[i]} {a.value[i]:g}, in the whole program {b.name[i]} {b.value[i]:g}"
+        yield entry.where_event(int(at[0][i])), f"has {told} there, or at another motion"
+    elif at[0].size > count:
+        i = int(at[0][count])
+        yield entry.where_event(i), f"has {entry.events.name[i]} in place of nothing"
+    elif at[1].size > count:
+        place = entry.where_event(int(at[0][-1]) if count else 0)
+        yield place, f"lacks {whole.events.name[at[1][count]]} in place of nothing"
 
 
-def _value_before(nc: NCProgram, row: int, name: str) -> float:
-    """Value that was set last before a motion; NaN where none was."""
-    known = [i for i, one in enumerate(nc.events.name) if one == name and nc.events.row[i] <= row]
-    return float(nc.events.value[known[-1]]) if known else np.nan
+def _set_by(nc: NCProgram, row: int, name: str) -> Floats:
+    """Value (1,) that was set last before a motion; NaN where none was."""
+    return nc.events.chosen(nc.events.row <= row).set_before(name)[-1:]
 
 
 def _same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -145,8 +145,7 @@ def _way_in(entry: NCProgram, first: int, z_mm: float, config: Config) -> Iterat
     for row in way[bad][:1].tolist():
         yield entry.where(row), "the way to the first bead is none of rapids with beam and wire off"
     if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
-        where = entry.where(0) if len(entry) else f"{entry.files[0].name}:1"
-        yield where, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
+        yield entry.beginning, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
     low = np.fmin(entry.start[way[1:], 2], entry.end[way[1:], 2]) < rise
     aside = ~(
         (entry.start[way[1:], :2] == entry.end[way[1:], :2])

@@ -19,6 +19,7 @@ from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
 from ebamcheck.program.language.header import header_lines
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
@@ -195,7 +196,7 @@ def _in_order(nc: NCProgram) -> list[SourceFile]:
     """Files in the order in which they run, the main one first."""
     files = {file.name: file for file in nc.files}
     suffix = control(nc.dialect).subprogram_suffix
-    called = [f"{name.removeprefix('call ')}{suffix}" for name in nc.events.name if name.startswith("call ")]
+    called = [f"{nc.events.said(i)}{suffix}" for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist()]
     return [nc.files[0], *(files[name] for name in dict.fromkeys(called) if name in files)]
 
 

@@ -13,7 +13,7 @@ from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.bead_end_checks import ramp_power
-from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.checks import Check, count_check, event_faults
 from ebamcheck.program.checking.cold_entries import COLD, cold_check
 from ebamcheck.program.checking.heat_again import (
     BeadHeat,
@@ -23,16 +23,15 @@ from ebamcheck.program.checking.heat_again import (
 )
 from ebamcheck.program.checking.melting_check import MELTING, MELTING_TOLERANCE, melting_check, own_shares
 from ebamcheck.program.checking.text_heat import (
-    PAUSE,
     TextBeads,
     sections_of_text,
     text_beads,
     text_bed_k,
     text_shapes,
 )
-from ebamcheck.program.language.codes import DWELL
 from ebamcheck.program.language.increments import power_slack_w
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.program.toolpath.inputs import Interpass
 from ebamcheck.settings.config import Config
 
@@ -180,8 +179,11 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     """Wait before every bead, exactly as planned; without a plan, before every layer but the first, at least so long."""
     least_s = config.process.layer_pause_s
     first = beads.enters_layer & (np.arange(len(beads)) > 0)
-    faults = [(event_place(nc, event), what) for event, what in beads.stray]
-    faults += _out_of_range(nc, config.process.longest_wait_s)
+    faults = [(nc.where_event(event), what) for event, what in beads.stray]
+    events, longest_s = nc.events, config.process.longest_wait_s
+    out = (events.kind == Kind.WAIT) & ~((events.value >= 0.0) & (events.value <= longest_s))
+    what = f"waits {{value:g}} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)"
+    faults += event_faults(nc, (out, what))
     if heat is None:
         wanted = np.where(first, least_s, 0.0)
         bad = beads.wait_s < wanted - PAUSE_TOLERANCE_S
@@ -205,18 +207,6 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     within = float(beads.wait_s[~first].sum())
     good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
     return count_check("layer pause", faults, good)
-
-
-def _out_of_range(nc: NCProgram, longest_s: float) -> list[tuple[str, str]]:
-    """Waits, wherever they stand, that are no time or longer than any may be."""
-    return [
-        (
-            event_place(nc, i),
-            f"waits {value:g} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)",
-        )
-        for i, (name, value) in enumerate(zip(nc.events.name, nc.events.value.tolist(), strict=True))
-        if name in (PAUSE, DWELL) and not 0.0 <= value <= longest_s
-    ]
 
 
 def _of(values: Floats, number: Ints) -> Floats:

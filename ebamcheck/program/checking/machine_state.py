@@ -8,17 +8,20 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from ebamcheck.program.checking.checks import Check, count_check, event_place
-from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, SWITCHES
+from ebamcheck.numeric.rings import Bools
+from ebamcheck.program.checking.checks import Check, count_check, event_faults
+from ebamcheck.program.checking.event_checks import order_faults
+from ebamcheck.program.language.codes import BEAM_VALUES, SWITCHES
 from ebamcheck.program.language.control import Group, control
 from ebamcheck.program.language.modal_groups import group_of, wanted_words
 from ebamcheck.program.language.profile import templates_of
 from ebamcheck.program.language.safe_end import safe_end_mm
-from ebamcheck.program.language.words import SKIPPED
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.settings.config import Config
 
 FLOW = "program flow"
@@ -26,13 +29,6 @@ FLOW = "program flow"
 
 TRANSFORMATION_OFF = "TRAFOOF"
 """Word of a SINUMERIK."""
-
-WAITS = ("layer_pause_s", DWELL)
-
-STOPS = ("M0", "M1")
-
-NOT_ALONG = "not along a bead "
-"""Begin of an event, behind which the block stands."""
 
 PLACE_MM = 1e-3
 """Places nearer than this are one: three decimals are the fewest of a program."""
@@ -54,7 +50,7 @@ def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
         count_check(
             "start state", _start(nc, config), "modes, beam and wire off, values, before the first motion"
         ),
-        count_check("order of events", list(_order(nc, config)), "values, then beam, then wire; off in turn"),
+        count_check("order of events", order_faults(nc, config), "values, then beam, then wire; off in turn"),
         count_check("safe end", _end(nc, config), "beam and wire off, values 0, retracted and parked"),
     ]
 
@@ -73,7 +69,7 @@ def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
     places: dict[str, str] = {}
     begun = False
     for i, name in enumerate([*nc.events.name, ""]):
-        moved = not name or nc.events.row[i] > 0 or name.startswith("call ")
+        moved = not name or nc.events.row[i] > 0 or nc.events.kind[i] == Kind.CALL
         if moved and not begun:
             begun = True
             for lacking, fault in _missing(nc, wanted, places):
@@ -84,9 +80,9 @@ def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
         held = wanted.get(group.name) or (state.get(group.name) if begun else None)
         if held is not None and name != held:
             what = f"{name}: {group.name} is to be {held} at every motion"
-            faults[group.path].append((event_place(nc, i), what))
+            faults[group.path].append((nc.where_event(i), what))
         state[group.name] = name
-        places.setdefault(group.name, event_place(nc, i))
+        places.setdefault(group.name, nc.where_event(i))
     return faults[False], faults[True]
 
 
@@ -95,45 +91,52 @@ def _offset_lost(nc: NCProgram, config: Config) -> Faults:
 
     Source: Siemens, Job Planning, constraints when selecting a transformation: the control deselects the frame in force.
     """
-    offset, lost, faults = wanted_words(nc.dialect, config.machine).get("work offset"), -1, []
-    for i, name in enumerate([*nc.events.name, ""]):
-        moved = lost >= 0 and (nc.events.row[i] if name else len(nc)) > nc.events.row[lost]
-        if moved:
-            faults.append(
-                (
-                    event_place(nc, lost),
-                    f"TRAFOOF takes {offset} back, which no block behind it chooses again",
-                )
-            )
-        lost = i if name == TRANSFORMATION_OFF else -1 if moved or name == offset else lost
-    return faults
+    e, offset = nc.events, wanted_words(nc.dialect, config.machine).get("work offset")
+    off = e.named(TRANSFORMATION_OFF)
+    chosen = np.append(0, np.cumsum(off | e.named(offset or "")))
+    moved = np.searchsorted(e.row, e.row, side="right")
+    lost = off & (e.row < len(nc)) & (chosen[moved] == chosen[1:])
+    what = f"TRAFOOF takes {offset} back, which no block behind it chooses again"
+    return event_faults(nc, (lost, what))
 
 
-def modes_of_scans(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
+def modes_of_scans(scans: NCProgram, config: Config) -> Faults:
     """Words in preheating scans that are other than those that hold at every motion of the program, and stops.
 
     A scan may leave a word out, since the program around it has set it. In another work offset it would heat beside the part, and so
     would be what comes after it.
     """
-    wanted, limit = wanted_words(scans.dialect, config.machine), config.machine.smoothing_tolerance_mm
-    yield from _offset_lost(scans, config)
-    for i, name in enumerate(scans.events.name):
-        group = group_of(scans.dialect, name)
-        if name in STOPS:
-            yield event_place(scans, i), f"{name} stops while it preheats"
-        elif name in ("CTOL", "ADIS") and not abs(scans.events.value[i] - limit) <= PRINTED_SHARE * limit:
-            yield event_place(scans, i), f"{name} {scans.events.value[i]:g} mm in place of {limit:g} mm"
-        elif group is not None and group.name != FLOW and wanted.get(group.name) != name:
-            held = wanted.get(group.name, "as the control has it")
-            yield event_place(scans, i), f"{name}: {group.name} is to be {held} at every motion"
+    e, wanted = scans.events, wanted_words(scans.dialect, config.machine)
+    groups = {name: group for name in set(e.name) if (group := group_of(scans.dialect, name))}
+    held = {
+        name: wanted.get(group.name, "as the control has it")
+        for name, group in groups.items()
+        if group.name != FLOW and wanted.get(group.name) != name
+    }
+    stops, (other, what) = e.kind == Kind.STOP, _other_tolerance(scans, config)
+    return _offset_lost(scans, config) + event_faults(
+        scans,
+        (stops, "{name} stops while it preheats"),
+        (other, what),
+        (
+            e.named(*held) & ~stops & ~other,
+            lambda i: f"{e.name[i]}: {groups[e.name[i]].name} is to be {held[e.name[i]]} at every motion",
+        ),
+    )
+
+
+def _other_tolerance(nc: NCProgram, config: Config) -> tuple[Bools, str]:
+    """Tolerances that are another than the one set, and what to say of them."""
+    limit, e = config.machine.smoothing_tolerance_mm, nc.events
+    other = ~(np.abs(e.value - limit) <= PRINTED_SHARE * limit)
+    return (e.kind == Kind.TOLERANCE) & other, f"{{name}} {{value:g}} mm in place of {limit:g} mm"
 
 
 def _missing(
     nc: NCProgram, wanted: dict[str, str], places: dict[str, str]
 ) -> Iterator[tuple[Group, tuple[str, str]]]:
     """Groups that are not set at the beginning, each at the place where the group before it is."""
-    first = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
-    where = next(iter(places.values()), first)
+    where = next(iter(places.values()), nc.beginning)
     for name, word in wanted.items():
         if name in places:
             where = places[name]
@@ -159,29 +162,20 @@ def _smoothing(nc: NCProgram, config: Config, faults: Faults) -> Check:
         return count_check(
             "smoothing", [*faults, *_own_smoothing(nc, known)], "no word for a tolerance: the control's own"
         )
-    tolerances = [i for i, name in enumerate(nc.events.name) if name in ("CTOL", "ADIS")]
-    value = max((float(nc.events.value[i]) for i in tolerances), default=math.inf)
+    tolerances = nc.events.kind == Kind.TOLERANCE
+    value = max(nc.events.value[tolerances].tolist(), default=math.inf)
     faults = [*faults, *_tolerances(nc, config, tolerances)]
     words = [w for w in wanted_words(nc.dialect, config.machine).values() if _is_path(nc, w)]
-    if faults:
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        return Check("smoothing", False, value, limit, "mm", faults[0][0], faults[0][1] + more)
     name = control(nc.dialect).tolerance_word
-    return Check(
-        "smoothing", True, value, limit, "mm", "", f"{' '.join(words)}{name}{value:g} at every motion"
-    )
+    found = count_check("smoothing", faults, f"{' '.join(words)}{name}{value:g} at every motion")
+    return replace(found, value=value, limit=limit, unit="mm")
 
 
 def _own_smoothing(nc: NCProgram, wanted: set[str]) -> Faults:
     """Words of the path in a program whose profile knows none: what tolerance they leave is not known."""
-    return [
-        (
-            event_place(nc, i),
-            f"{name}: the profile of this control sets no smoothing, and knows none of its tolerances",
-        )
-        for i, name in enumerate(nc.events.name)
-        if name == "CTOL" or (_is_path(nc, name) and name not in wanted)
-    ]
+    own = {name for name in set(nc.events.name) if _is_path(nc, name) and name not in wanted}
+    what = "{name}: the profile of this control sets no smoothing, and knows none of its tolerances"
+    return event_faults(nc, (nc.events.named("CTOL", *own), what))
 
 
 def _is_path(nc: NCProgram, word: str) -> bool:
@@ -189,42 +183,23 @@ def _is_path(nc: NCProgram, word: str) -> bool:
     return group is not None and group.path
 
 
-def _tolerances(nc: NCProgram, config: Config, tolerances: list[int]) -> Iterator[tuple[str, str]]:
-    limit = config.machine.smoothing_tolerance_mm
-    names, values = nc.events.name, nc.events.value
-    for i in tolerances:
-        if not abs(values[i] - limit) <= PRINTED_SHARE * limit:
-            yield event_place(nc, i), f"{names[i]} {values[i]:g} mm in place of {limit:g} mm"
-        elif names[i] == "ADIS" and "G641" not in config.machine.smoothing:
-            yield event_place(nc, i), "ADIS belongs to G641, which the profile does not set"
-    if not tolerances or nc.events.row[tolerances[0]] > 0:
-        where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
-        yield where, "no tolerance of the path is set before the first motion"
-    keeps = control(nc.dialect).keeps_tolerance
-    if keeps and not set(keeps) & set(config.machine.smoothing):
-        where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
-        said = " ".join(config.machine.smoothing) or "nothing"
-        yield (
-            where,
-            f"machine.smoothing is {said}, without {', '.join(keeps)}: no other word keeps the path within the tolerance",
-        )
-    bare = control(nc.dialect).smoothing_needs_tolerance
-    for i, name in enumerate(names):
-        if name == bare and not _tolerance_of(nc, i):
-            word = control(nc.dialect).tolerance_word
-            yield event_place(nc, i), f"{name} without {word}: the path may leave its corners by any distance"
-
-
-def _tolerance_of(nc: NCProgram, i: int) -> bool:
-    """Whether the G64 of an event has a P in its block."""
-    block = (nc.events.file[i], nc.events.line[i])
-    after = zip(nc.events.name[i + 1 :], nc.events.file[i + 1 :], nc.events.line[i + 1 :], strict=True)
-    for name, file, line in after:
-        if (file, line) != block:
-            return False
-        if name == "CTOL":
-            return True
-    return False
+def _tolerances(nc: NCProgram, config: Config, tolerances: Bools) -> Faults:
+    e, smoothing, of = nc.events, config.machine.smoothing, control(nc.dialect)
+    other, what = _other_tolerance(nc, config)
+    alone = e.named("ADIS") & ~other & ("G641" not in smoothing)
+    faults = event_faults(nc, (other, what), (alone, "ADIS belongs to G641, which the profile does not set"))
+    if not (e.row[tolerances][:1] == 0).any():
+        faults.append((nc.beginning, "no tolerance of the path is set before the first motion"))
+    keeps = of.keeps_tolerance
+    if keeps and not set(keeps) & set(smoothing):
+        said = " ".join(smoothing) or "nothing"
+        what = f"machine.smoothing is {said}, without {', '.join(keeps)}: no other word keeps the path within the tolerance"
+        faults.append((nc.beginning, what))
+    # A tolerance of its own stands in the same block.
+    block = np.cumsum(np.append(True, (np.diff(e.file) != 0) | (np.diff(e.line) != 0)))[: len(e)]
+    bare = e.named(of.smoothing_needs_tolerance) & ~np.isin(block, block[e.named("CTOL")])
+    what = f"{{name}} without {of.tolerance_word}: the path may leave its corners by any distance"
+    return faults + event_faults(nc, (bare, what))
 
 
 def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
@@ -247,7 +222,7 @@ def _begun(nc: NCProgram, runs: list[tuple[int, int, dict[str, str]]]) -> list[d
 
     These are rows with fewer than half of the words of the fullest one of their layer: of their file, where each layer has one.
     """
-    called = any(name.startswith("call ") for name in nc.events.name)
+    called = bool((nc.events.kind == Kind.CALL).any())
     last = len(nc) - 1
     of_layer = [
         file if called else int(nc.layer[min(row, last)]) if k and last >= 0 else -1
@@ -276,7 +251,7 @@ def _entries(nc: NCProgram, wanted: set[str]) -> list[tuple[int, int, dict[str, 
             runs.append((*place, {}))
         ended = (ended or name in SWITCHES or name in BEAM_VALUES) and not mode
         if (mode or name in BEAM_VALUES) and runs and (mode or place == here):
-            runs[-1][2].setdefault(name, event_place(nc, i))
+            runs[-1][2].setdefault(name, nc.where_event(i))
         here = place if mode or place == here else here
     return runs
 
@@ -286,12 +261,15 @@ def _entries(nc: NCProgram, wanted: set[str]) -> list[tuple[int, int, dict[str, 
 
 def _start(nc: NCProgram, config: Config) -> Faults:
     """What the first blocks of the program lack of a start state that depends on nothing before it."""
-    where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
-    before = {name for name, row in zip(nc.events.name, nc.events.row, strict=True) if row == 0}
+    before = set(nc.events.chosen(nc.events.row == 0).name)
     set_beam = " ".join(templates_of(config.machine, nc.dialect)["set_beam"])
     wanted = {"beam_off": "the beam is not switched off", "wire_stop": "the wire is not stopped"}
     wanted |= {name: f"{name} is not set" for name in BEAM_VALUES if f"{{{name}" in set_beam}
-    return [(where, f"{what} before the first motion") for name, what in wanted.items() if name not in before]
+    return [
+        (nc.beginning, f"{what} before the first motion")
+        for name, what in wanted.items()
+        if name not in before
+    ]
 
 
 def _end(nc: NCProgram, config: Config) -> Faults:
@@ -301,7 +279,8 @@ def _end(nc: NCProgram, config: Config) -> Faults:
         return []
     main = nc.files[0]
     where = f"{main.name}:{main.end_line or main.line_count}"
-    after = {name: float(v) for name, v, row in zip(nc.events.name, nc.events.value, nc.events.row, strict=True) if row > last}  # fmt: skip
+    late = nc.events.chosen(nc.events.row > last)
+    after = dict(zip(late.name, late.value.tolist(), strict=True))
     templates = templates_of(config.machine, nc.dialect)
     settable = " ".join(line for name in ("set_beam", "set_power", "set_wire") for line in templates[name])
     known = {name for name in nc.events.name if f"{{{name}" in settable}
@@ -323,62 +302,3 @@ def _end(nc: NCProgram, config: Config) -> Faults:
         place = "X {:g} Y {:g}".format(*config.machine.park_position_mm)
         faults.append((nc.where(len(nc) - 1), f"ends at X {x:g} Y {y:g}, to be parked at {place}"))
     return faults
-
-
-# -- order of events -----------------------------------------------------------------------------------
-
-
-def _order(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
-    """Blocks that come before what they need: values, then the beam, then the wire, and no wait under the beam."""
-    values: dict[str, float] = {}
-    beam = wire = False
-    lit = fed = -1
-    for i, name in enumerate(nc.events.name):
-        value, row = float(nc.events.value[i]), int(nc.events.row[i])
-        what = ""
-        if name == "beam_on":
-            what = "" if _has_power(values) else "the beam is switched on before its power is set"
-            beam, lit = True, row
-        elif name == "beam_off":
-            what = "the beam is switched on and off without a motion between" if beam and row == lit else ""
-            beam = False
-        elif name == "wire_start":
-            what = "" if beam else "the wire is started before the beam is on"
-            what = what or (
-                "" if values.get("wire_mm_s", 0.0) > 0.0 else "the wire is started before its speed is set"
-            )
-            wire, fed = True, row
-        elif name == "wire_stop":
-            wire = False
-        elif name in WAITS:
-            what = f"waits {value:g} s with the {'beam' if beam else 'wire'} on" if beam or wire else ""
-        elif name == "wire_retract_mm":
-            what = "the wire is drawn back while it runs" if wire else ""
-        elif name == SKIPPED:
-            what = "skipped or not, as the operator has chosen at the panel: the program would be two"
-        elif name.startswith("lacks "):
-            what = f"its template asks for {name.removeprefix('lacks ')!r} before this block"
-        elif name.startswith(NOT_ALONG):
-            block = name.removeprefix(NOT_ALONG)
-            what = f"{block!r} sets a value at once, and the tool stands for it under the beam: along a bead the profile has another block"
-        elif name == "M1":
-            stop = (
-                ""
-                if config.machine.optional_stop
-                else "stops for the operator, which the profile does not allow"
-            )
-            what = "stops with beam or wire on" if beam or wire else stop
-        else:
-            values[name] = value
-            late = (beam and name in BEAM_VALUES and row == lit) or (
-                wire and name == "wire_mm_s" and row == fed
-            )
-            what = f"{name} {value:g} is set after the switch, and before the first motion" if late else ""
-        if what:
-            yield event_place(nc, i), what
-
-
-def _has_power(values: dict[str, float]) -> bool:
-    """Whether the values set give the beam any power."""
-    both = values.get("voltage_kv", 0.0) * values.get("current_ma", 0.0)
-    return values.get("power_w", both) > 0.0

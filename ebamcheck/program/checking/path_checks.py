@@ -16,6 +16,7 @@ from ebamcheck.program.checking.shapes import shape_distance
 from ebamcheck.program.checking.spline_points import spline_points
 from ebamcheck.program.reading import motions
 from ebamcheck.program.reading.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.program.toolpath.inputs import (
     ARC,
     LINE,
@@ -333,8 +334,7 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
         (L,) Z of each layer, and whether it is to have metal.
     """
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    called = np.array([name.startswith("call ") for name in nc.events.name], np.bool_)
-    calls = nc.events.row[called & (nc.events.file == 0)]
+    calls = nc.events.row[(nc.events.kind == Kind.CALL) & (nc.events.file == 0)]
     part = np.searchsorted(calls, rows, side="right")
     begins = rows[
         np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))
@@ -365,13 +365,9 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
 
 def _where_called(nc: NCProgram, row: int) -> str:
     """Place of the call by which a motion is run; of the motion itself in a program without calls."""
-    calls = [
-        i for i, name in enumerate(nc.events.name) if name.startswith("call ") and nc.events.file[i] == 0
-    ]
-    before = [i for i in calls if nc.events.row[i] <= row]
-    if not before or nc.file[row] == 0:
-        return nc.where(row)
-    return f"{nc.files[0].name}:{nc.events.line[before[-1]]}"
+    events = nc.events
+    before = np.flatnonzero((events.kind == Kind.CALL) & (events.file == 0) & (events.row <= row))
+    return nc.where_event(int(before[-1])) if before.size and nc.file[row] != 0 else nc.where(row)
 
 
 def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -10,7 +11,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.numeric.rings import Bools
-from ebamcheck.program.checking.checks import Check, count_check, event_place
+from ebamcheck.program.checking.checks import Check, count_check, event_faults, row_faults
 from ebamcheck.program.checking.machine_state import modes_of_scans
 from ebamcheck.program.checking.preheat_heat import (
     Known,
@@ -21,7 +22,6 @@ from ebamcheck.program.checking.preheat_heat import (
     temperatures_of,
 )
 from ebamcheck.program.checking.preheat_region import WIDEST, wanted_region, widest_gap_mm
-from ebamcheck.program.checking.preheat_way import WAITS
 from ebamcheck.program.checking.state_checks import extremes
 from ebamcheck.program.checking.text_heat import sections_of_text
 from ebamcheck.program.language.codes import BEAM_VALUES, FOCUS
@@ -29,6 +29,7 @@ from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.language.increments import increments_of
 from ebamcheck.program.language.safe_end import safe_end_mm
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.settings.config import Config
 
 VALUE_SHARE = 1e-3
@@ -60,7 +61,8 @@ def preheat_checks(
     if config.preheat.when == "off":
         if nc.preheating is None:
             return []
-        return [count_check("preheat calls", [(_first(nc), "preheats, and preheat.when is 'off'")], "")]
+        where = nc.preheating.beginning if len(nc.preheating) else f"{nc.files[0].name}:1"
+        return [count_check("preheat calls", [(where, "preheats, and preheat.when is 'off'")], "")]
     known = Known(sections_of_text(nc, config, sections), before, under)
     calls = count_check("preheat calls", list(_calls(nc, config)), "each right before its layer")
     state = count_check(
@@ -77,143 +79,122 @@ def preheat_checks(
     return [calls, state, path, lines, *judged]
 
 
-def _first(nc: NCProgram) -> str:
-    scans = nc.preheating
-    return scans.where(0) if scans is not None and len(scans) else f"{nc.files[0].name}:1"
-
-
 # -- calls and state ---------------------------------------------------------------------------------
 
 
 def _calls(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     """Scans that are not called by the main program right before their layer, and the one of the plate that is missing."""
-    main = nc.files[0].name
+    main, e = nc.files[0].name, nc.events
     stem = main.rpartition(".")[0]
-    calls = [
-        (i, name.removeprefix("call ")) for i, name in enumerate(nc.events.name) if name.startswith("call ")
-    ]
+    calls = np.flatnonzero(e.kind == Kind.CALL).tolist()
+    names = [e.said(i) for i in calls]
     layers = [file.rpartition(".")[0] for file in nc.layer_files]
-    for n, (i, name) in enumerate(calls):
+    for i, name, after in zip(calls, names, [*names[1:], ""], strict=True):
         k = layer_of_preheat(stem, name)
         if k is None:
             continue
-        after = calls[n + 1][1] if n + 1 < len(calls) else ""
         if not 0 <= k < len(layers) or after != layers[k]:
-            yield (
-                event_place(nc, i),
-                f"{name} is to be called right before layer {k + 1}, and {after or 'nothing'} follows",
-            )
-        if int(nc.events.file[i]) != 0:
-            yield event_place(nc, i), f"{name} is called by another than the main program"
+            what = f"{name} is to be called right before layer {k + 1}, and {after or 'nothing'} follows"
+            yield nc.where_event(i), what
+        if int(e.file[i]) != 0:
+            yield nc.where_event(i), f"{name} is called by another than the main program"
     if config.preheat.scan_in == "layer":
         yield from _within_layers(nc, config)
-    elif layer_of_preheat(stem, calls[0][1] if calls else "") != 0:
-        where = event_place(nc, calls[0][0]) if calls else f"{main}:1"
+    elif layer_of_preheat(stem, names[0] if names else "") != 0:
+        where = nc.where_event(calls[0]) if calls else f"{main}:1"
         yield where, "the base plate is not preheated before the first layer (preheat.when)"
-    inner = nc.preheating.events.name if nc.preheating is not None else ()
-    for i, name in enumerate(inner):
-        if name.startswith("call ") and nc.preheating is not None:
-            yield event_place(nc.preheating, i), f"{name} within a preheating subprogram"
+    if nc.preheating is not None:
+        called = nc.preheating.events.kind == Kind.CALL
+        yield from event_faults(nc.preheating, (called, "call {said} within a preheating subprogram"))
 
 
 def _within_layers(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     """Scans in the subprograms of layers that come after a bead of theirs, that are two, or that are missing on the plate."""
     scans, beads = nc.preheating, np.flatnonzero(nc.deposit)
-    lines: dict[int, list[int]] = {}
-    for i, name in enumerate(scans.events.name if scans is not None else ()):
-        if scans is not None and name == FOCUS and scans.events.value[i] != 0.0:
-            file, line = int(scans.events.file[i]), int(scans.events.line[i])
-            lines.setdefault(file, []).append(line)
-            laid = beads[(nc.file[beads] == file) & (nc.line[beads] < line)]
-            if laid.size:
-                yield event_place(scans, i), "preheats after beads of its layer"
-            if len(lines[file]) == 2:
-                yield event_place(scans, i), "preheats twice before one layer"
-            if file == 0:
-                yield event_place(scans, i), "preheats in the main program"
-    first = nc.file[beads[0]] if beads.size else 0
-    if config.base_mm == 0.0 and int(first) not in lines:
-        yield (
-            nc.where(int(beads[0])) if beads.size else f"{nc.files[0].name}:1",
-            ("the base plate is not preheated before the first layer (preheat.when)"),
+    known: set[int] = set()
+    if scans is not None:
+        e = scans.events
+        out = _out_of_focus(scans)
+        file, line = e.file[out], e.line[out]
+        known = set(file.tolist())
+        late, second = np.zeros(len(e), np.bool_), np.zeros(len(e), np.bool_)
+        late[out] = [
+            ((nc.file[beads] == f) & (nc.line[beads] < k)).any() for f, k in zip(file, line, strict=True)
+        ]
+        second[out] = [np.count_nonzero(file[: n + 1] == file[n]) == 2 for n in range(file.size)]
+        yield from event_faults(
+            scans,
+            (late, "preheats after beads of its layer"),
+            (second, "preheats twice before one layer"),
+            (out & (e.file == 0), "preheats in the main program"),
         )
+    first = nc.file[beads[0]] if beads.size else 0
+    if config.base_mm == 0.0 and int(first) not in known:
+        where = nc.where(int(beads[0])) if beads.size else f"{nc.files[0].name}:1"
+        yield where, "the base plate is not preheated before the first layer (preheat.when)"
+
+
+def _out_of_focus(nc: NCProgram) -> Bools:
+    """Events that set the beam out of focus."""
+    return np.asarray(nc.events.named(FOCUS) & (nc.events.value != 0.0))
 
 
 def _states(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     """Wire, focus and values of the beam in the scans, and a focus that is not taken back."""
-    for i, name in enumerate(nc.events.name):
-        if name == FOCUS and nc.events.value[i] != 0.0:
-            yield event_place(nc, i), f"focus {nc.events.value[i]:g} is set outside of preheating"
+    yield from event_faults(nc, (_out_of_focus(nc), "focus {value:g} is set outside of preheating"))
     scans = nc.preheating
     if scans is None:
         return
     yield from modes_of_scans(scans, config)
-    rows = np.flatnonzero(scans.wire)
-    if rows.size:
-        yield scans.where(int(rows[0])), "the wire runs while it preheats"
-    rapid = np.flatnonzero(scans.beam & (scans.kind == RAPID))
-    if rapid.size:
-        yield scans.where(int(rapid[0])), "beam is on during a rapid motion"
-    yield from _events(scans, config)
+    yield from row_faults(scans, np.flatnonzero(scans.wire)[:1], "the wire runs while it preheats")
+    rapid = np.flatnonzero(scans.beam & (scans.kind == RAPID))[:1]
+    yield from row_faults(scans, rapid, "beam is on during a rapid motion")
+    for events in scans.events.by_file():
+        yield from _events(replace(scans, events=events), config)
 
 
 def _events(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
-    settings, process, steps = config.preheat, config.process, increments_of(config.machine)
+    """What a scan, with the events of its file, switches and sets, waits for and leaves behind."""
+    settings, process, steps, e = config.preheat, config.process, increments_of(config.machine), scans.events
+    if not len(e):
+        return
     wanted = {
-        "current_ma": settings.current_ma,
         "voltage_kv": process.voltage_kv,
+        "current_ma": settings.current_ma,
         "power_w": settings.current_ma * process.voltage_kv,
     }
-    file, state, beam, off = -1, dict[str, float](), False, set[str]()
-    names, events = scans.events.name, scans.events
-    for i, name in enumerate([*names, ""]):
-        here = int(events.file[i]) if name else -1
-        if here != file:
-            if file >= 0:
-                yield from _ended(scans, i - 1, state, beam)
-            file, state, beam, off = here, {}, False, set()
-        if not name:
-            return
-        value, where = float(events.value[i]), event_place(scans, i)
-        if name == "beam_on":
-            beam = True
-            if state.get(FOCUS) != settings.defocus:
-                yield (
-                    where,
-                    f"the beam is switched on in focus {state.get(FOCUS, 0.0):g}, preheat.defocus is {settings.defocus:g}",
-                )
-            if not {"beam_off", "wire_stop"} <= off:
-                yield where, "the beam is switched on before beam and wire were commanded off"
-            for key in BEAM_VALUES:
-                known = state.get(key)
-                slack = VALUE_SHARE * wanted[key] + 0.5 * steps.get(key, 0.0)
-                if known is not None and not abs(known - wanted[key]) <= slack:
-                    yield (
-                        where,
-                        f"the beam is switched on at {key} {known:g}, to preheat it is {wanted[key]:g} (preheat.current_ma)",
-                    )
-            if not set(state) & {"current_ma", "power_w"}:
-                yield where, "the beam is switched on before its power is set"
-        elif name in ("beam_off", "wire_stop"):
-            off.add(name)
-            beam = beam and name != "beam_off"
-        elif name == "wire_start":
-            yield where, "the wire is started while it preheats"
-        elif name in WAITS and beam:
-            yield where, f"waits {value:g} s with the beam on"
-        elif name.startswith("lacks "):
-            yield where, f"its template asks for {name.removeprefix('lacks ')!r} before this block"
-        else:
-            if beam and name in (*BEAM_VALUES, FOCUS):
-                yield where, f"{name} {value:g} is set while the beam is on"
-            state[name] = value
+    on, beam, never = e.kind == Kind.BEAM_ON, e.beam[:-1], np.zeros(len(e), np.bool_)
+    known = {name: e.set_before(name)[:-1] for name in wanted}
+    focus = e.set_before(FOCUS)
+    off = e.since(e.kind == Kind.BEAM_OFF, never) & e.since(e.kind == Kind.WIRE_STOP, never)
 
+    def other(name: str) -> tuple[Bools, Callable[[int], str]]:
+        slack = VALUE_SHARE * wanted[name] + 0.5 * steps.get(name, 0.0)
+        text = "the beam is switched on at {} {:g}, to preheat it is {:g} (preheat.current_ma)"
+        wrong = on & (np.abs(known[name] - wanted[name]) > slack)
+        return wrong, lambda i: text.format(name, known[name][i], wanted[name])
 
-def _ended(scans: NCProgram, i: int, state: dict[str, float], beam: bool) -> Iterator[tuple[str, str]]:
-    where = event_place(scans, i)
-    if beam:
+    unset = on & np.isnan(known["current_ma"]) & np.isnan(known["power_w"])
+    yield from event_faults(
+        scans,
+        (
+            on & (focus[:-1] != settings.defocus),
+            lambda i: (
+                f"the beam is switched on in focus {np.nan_to_num(focus[i]):g}, preheat.defocus is {settings.defocus:g}"
+            ),
+        ),
+        (on & ~off[:-1], "the beam is switched on before beam and wire were commanded off"),
+        *(other(name) for name in BEAM_VALUES),
+        (unset, "the beam is switched on before its power is set"),
+        (e.kind == Kind.WIRE_START, "the wire is started while it preheats"),
+        ((e.kind == Kind.WAIT) & beam, "waits {value:g} s with the beam on"),
+        (e.kind == Kind.LACKS, "its template asks for {said!r} before this block"),
+        (e.named(*BEAM_VALUES, FOCUS) & beam, "{name} {value:g} is set while the beam is on"),
+    )
+    where = scans.where_event(len(e) - 1)
+    if e.beam[-1]:
         yield where, "ends with the beam on"
-    if state.get(FOCUS) != 0.0:
+    if focus[-1] != 0.0:
         yield where, "ends with the beam out of focus: beads would be laid with it"
 
 
@@ -272,24 +253,16 @@ def _rows_off(
     scans: NCProgram, rows: np.ndarray, region: BaseGeometry, z_mm: float, config: Config
 ) -> Iterator[tuple[str, str]]:
     lit = rows[scans.beam[rows]]
-    bent = lit[scans.kind[lit] != STRAIGHT]
-    if bent.size:
-        yield scans.where(int(bent[0])), "is no straight line"
-    idle = rows[~scans.beam[rows] & (scans.kind[rows] != RAPID)]
-    if idle.size:
-        yield scans.where(int(idle[0])), "a way with the beam off is driven at feed in place of a rapid"
-    wrong = rows[~(np.abs(scans.end[rows, 2] - z_mm) <= PLACE_MM)]
-    if wrong.size:
-        at = float(scans.end[wrong[0], 2])
-        yield scans.where(int(wrong[0])), f"at Z {at:g} mm, it preheats at {z_mm:g} mm, over all that stands"
-    feed = scans.feed_mm_min[lit] / 60.0
-    slow = lit[~(np.abs(feed - config.preheat.speed_mm_s) <= VALUE_SHARE * config.preheat.speed_mm_s)]
-    if slow.size:
-        value = float(scans.feed_mm_min[slow[0]] / 60.0)
-        yield (
-            scans.where(int(slow[0])),
-            f"beam at {value:g} mm/s, preheat.speed_mm_s is {config.preheat.speed_mm_s:g}",
-        )
+    z, feed = scans.end[:, 2], scans.feed_mm_min / 60.0
+    speed = config.preheat.speed_mm_s
+    for wrong, what in (
+        (lit[scans.kind[lit] != STRAIGHT], "is no straight line"),
+        (rows[~scans.beam[rows] & (scans.kind[rows] != RAPID)], "a way with the beam off is driven at feed in place of a rapid"),
+        (rows[~(np.abs(z[rows] - z_mm) <= PLACE_MM)], "at Z {z:g} mm, it preheats at {wanted:g} mm, over all that stands"),
+        (lit[~(np.abs(feed[lit] - speed) <= VALUE_SHARE * speed)], "beam at {feed:g} mm/s, preheat.speed_mm_s is {speed:g}"),
+    ):  # fmt: skip
+        for row in wrong[:1].tolist():
+            yield scans.where(row), what.format(z=z[row], wanted=z_mm, feed=feed[row], speed=speed)
     ends = np.stack([scans.start[lit, :2], scans.end[lit, :2]], axis=1)
     known: Bools = np.asarray(np.isfinite(ends).all(axis=(1, 2)))
     lines = shapely.linestrings(np.where(known[:, None, None], ends, 0.0))

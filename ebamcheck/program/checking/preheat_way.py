@@ -8,13 +8,11 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.program.language.codes import DWELL
 from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
 from ebamcheck.scan.plan.preheated import Scanned, scanned, surface_heat
 from ebamcheck.settings.config import Config
-
-WAITS = ("layer_pause_s", DWELL)
 
 LONGEST_S = 86400.0
 """A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative."""
@@ -32,15 +30,15 @@ def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
     time_s = np.clip(time_s, 0.0, LONGEST_S)
     power_w = np.where(scans.beam, np.nan_to_num(scans.power_w), 0.0)
     start, end = np.nan_to_num(scans.start[:, :2]), np.nan_to_num(scans.end[:, :2])
-    waits = [i for i, name in enumerate(scans.events.name) if name in WAITS]
+    waits = scans.events.chosen(scans.events.kind == Kind.WAIT)
     layer_of_file = dict(zip(scans.file.tolist(), scans.layer.tolist(), strict=True))
     found = {}
     for layer in np.unique(scans.layer).tolist():
         rows = np.flatnonzero(scans.layer == layer)
-        own = [i for i in waits if layer_of_file.get(int(scans.events.file[i])) == layer]
-        at = np.searchsorted(rows, scans.events.row[own])
+        own = np.array([layer_of_file.get(file) == layer for file in waits.file.tolist()], np.bool_)
+        at = np.searchsorted(rows, waits.row[own])
         here = end[rows[np.maximum(at - 1, 0)]]
-        pause_s = np.clip(scans.events.value[own], 0.0, LONGEST_S)
+        pause_s = np.clip(waits.value[own], 0.0, LONGEST_S)
         found[int(layer)] = BeamWay(
             np.insert(start[rows], at, here, axis=0),
             np.insert(end[rows], at, here, axis=0),

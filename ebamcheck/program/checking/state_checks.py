@@ -7,15 +7,11 @@ import math
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.checks import (
-    Check,
-    count_check,
-    event_place,
-    row_faults,
-    worst_check,
-)
+from ebamcheck.program.checking.checks import Check, count_check, event_faults, row_faults, worst_check
+from ebamcheck.program.checking.event_checks import switch_faults
 from ebamcheck.program.checking.machine_state import machine_state_checks
 from ebamcheck.program.reading.motions import ARC, RAPID, NCProgram
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.settings.config import Config
 
 LEAST_SPLINE_BLOCKS = 6
@@ -66,30 +62,19 @@ def _known_positions(nc: NCProgram) -> Check:
 
 
 def _splines(nc: NCProgram) -> Check:
-    faults = [
-        (
-            event_place(nc, i),
-            f"a BSPLINE of {nc.events.value[i]:g} blocks: at least {LEAST_SPLINE_BLOCKS} are needed",
-        )
-        for i, name in enumerate(nc.events.name)
-        if name == "BSPLINE" and nc.events.value[i] < LEAST_SPLINE_BLOCKS
-    ]
-    return count_check("spline blocks", faults, f"every BSPLINE has at least {LEAST_SPLINE_BLOCKS} blocks")
+    short = nc.events.named("BSPLINE") & (nc.events.value < LEAST_SPLINE_BLOCKS)
+    what = f"a BSPLINE of {{value:g}} blocks: at least {LEAST_SPLINE_BLOCKS} are needed"
+    good = f"every BSPLINE has at least {LEAST_SPLINE_BLOCKS} blocks"
+    return count_check("spline blocks", event_faults(nc, (short, what)), good)
 
 
 def _polynomials(nc: NCProgram) -> Check:
     """Parameter lengths of POLY blocks, where the header says that all are 1: a wrong one bends its span a little."""
-    said = nc.header.get("POLY", "").startswith("PL=1 ")
-    faults = [
-        (
-            event_place(nc, i),
-            f"PL={nc.events.value[i]:g} in a POLY block, where the header says PL=1 in every one",
-        )
-        for i, name in enumerate(nc.events.name)
-        if name == "POLY" and said
-    ]
-    good = "PL=1 in every POLY block" if said else "the header says nothing of PL in POLY blocks"
-    return count_check("polynomial blocks", faults, good)
+    if not nc.header.get("POLY", "").startswith("PL=1 "):
+        return count_check("polynomial blocks", [], "the header says nothing of PL in POLY blocks")
+    what = "PL={value:g} in a POLY block, where the header says PL=1 in every one"
+    faults = event_faults(nc, (nc.events.named("POLY"), what))
+    return count_check("polynomial blocks", faults, "PL=1 in every POLY block")
 
 
 def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
@@ -159,7 +144,7 @@ def _beam(nc: NCProgram) -> Check:
     faults = row_faults(nc, nc.beam & (nc.kind == RAPID), "beam is on during a rapid motion")
     marked = (nc.ring >= 0) | (nc.island >= 0)
     faults += row_faults(nc, ~nc.beam & (nc.kind != RAPID) & marked, "beam is off along a deposit")
-    faults += _switching(nc, "beam_on", "beam_off", "beam")
+    faults += switch_faults(nc, Kind.BEAM_ON, Kind.BEAM_OFF, "beam")
     return count_check("beam", faults, "off in every rapid and layer change, each on has its off")
 
 
@@ -168,32 +153,10 @@ def _wire(nc: NCProgram) -> Check:
     faults += row_faults(nc, nc.wire & (nc.kind == RAPID), "wire runs during a rapid motion")
     marked = (nc.ring >= 0) | (nc.island >= 0)
     faults += row_faults(nc, ~nc.wire & (nc.kind != RAPID) & marked, "wire stands along a deposit")
-    faults += _switching(nc, "wire_start", "wire_stop", "wire")
-    wire = False
-    for i, name in enumerate(nc.events.name):
-        if name in ("wire_start", "wire_stop"):
-            wire = name == "wire_start"
-        elif name == "beam_off" and wire:
-            faults.append((event_place(nc, i), "beam goes off before the wire stops"))
+    faults += switch_faults(nc, Kind.WIRE_START, Kind.WIRE_STOP, "wire")
+    off = (nc.events.kind == Kind.BEAM_OFF) & nc.events.wire[:-1]
+    faults += event_faults(nc, (off, "beam goes off before the wire stops"))
     return count_check("wire", faults, "runs under the beam alone, stops before it")
-
-
-def _switching(nc: NCProgram, on: str, off: str, what: str) -> list[tuple[str, str]]:
-    """Faults of a switch: on twice, on at a call or at the end of a file."""
-    faults = []
-    state = False
-    for i, name in enumerate(nc.events.name):
-        if name == on:
-            if state:
-                faults.append((event_place(nc, i), f"{what} is switched on while it is on"))
-            state = True
-        elif name == off:
-            state = False
-        elif state and (name in ("M30", "M2", "M17", "RET") or name.startswith("call ")):
-            faults.append((event_place(nc, i), f"{what} is still on at {name}"))
-    if state:
-        faults.append((event_place(nc, len(nc.events.name) - 1), f"{what} is never switched off"))
-    return faults
 
 
 def _turns(nc: NCProgram, limit_mm: float) -> Check:

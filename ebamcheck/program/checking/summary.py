@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.text_heat import PAUSE, motion_seconds
+from ebamcheck.program.checking.text_heat import motion_seconds
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.timeline import PAUSE
 from ebamcheck.settings.config import Config
 
 
@@ -18,7 +19,7 @@ def layer_pauses_s(nc: NCProgram) -> Floats:
 
     What no metal follows is of the last layer that has any.
     """
-    paused = np.array([name == PAUSE for name in nc.events.name], np.bool_)
+    paused = nc.events.named(PAUSE)
     laid = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     count = len(nc.layer_files)
     if not laid.size:

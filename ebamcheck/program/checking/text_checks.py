@@ -14,6 +14,7 @@ from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.language.control import control
 from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck.program.reading.motions import NCProgram, SourceFile
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.settings.config import Config
 
 BLOCK_LIMIT = 200
@@ -117,11 +118,13 @@ def _end(file: SourceFile) -> Faults:
 
 
 def _calls(nc: NCProgram) -> Faults:
-    calls = [name.removeprefix("call ") for name in nc.events.name if name.startswith("call ")]
+    at = np.flatnonzero(nc.events.kind == Kind.CALL).tolist()
+    calls = [nc.events.said(i) for i in at]
+    last = dict(zip(calls, at, strict=True))
     main = nc.files[0].name
     faults = _foreign(nc)
     faults += [
-        (_call_line(nc, name), f"{name} is called {count} times")
+        (nc.where_event(last[name]), f"{name} is called {count} times")
         for name, count in Counter(calls).items()
         if count > 1
     ]
@@ -130,7 +133,10 @@ def _calls(nc: NCProgram) -> Faults:
         # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
         there = {path.name for path in nc.folder.iterdir() if re.fullmatch(loads, path.name.upper())}
         faults += [
-            (f"{main}:{_last_call(nc)}", f"{printable(name)} is never called, and lies beside the program")
+            (
+                f"{main}:{nc.events.line[at].max()}",
+                f"{printable(name)} is never called, and lies beside the program",
+            )
             for name in sorted(
                 there - {file.name for file in nc.files} - {f"{call}{suffix}" for call in calls}
             )
@@ -143,11 +149,8 @@ def _foreign(nc: NCProgram) -> Faults:
     faults: Faults = []
     stem = nc.files[0].name.rpartition(".")[0].upper()
     before: int | None = None
-    for i, event in enumerate(nc.events.name):
-        if not event.startswith("call "):
-            continue
-        name = event.removeprefix("call ")
-        where = f"{nc.files[int(nc.events.file[i])].name}:{int(nc.events.line[i])}"
+    for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist():
+        name, where = nc.events.said(i), nc.where_event(i)
         if layer_of_preheat(stem, name) is not None:
             continue  # checked by itself: see preheat_checks
         found = _LAYER_NAME.fullmatch(name)
@@ -159,15 +162,6 @@ def _foreign(nc: NCProgram) -> Faults:
             faults.append((where, f"{name} follows layer {before}"))
         before = number
     return faults
-
-
-def _call_line(nc: NCProgram, name: str) -> str:
-    last = max(i for i, event in enumerate(nc.events.name) if event == f"call {name}")
-    return f"{nc.files[int(nc.events.file[last])].name}:{int(nc.events.line[last])}"
-
-
-def _last_call(nc: NCProgram) -> int:
-    return int(max(nc.events.line[i] for i, e in enumerate(nc.events.name) if e.startswith("call ")))
 
 
 def _changed(nc: NCProgram, sha256: Mapping[str, str]) -> Faults:

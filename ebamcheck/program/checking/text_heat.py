@@ -18,11 +18,9 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.preheat_way import begun_column, scans_of
 from ebamcheck.program.reading.motions import RAPID, NCProgram
+from ebamcheck.program.reading.timeline import PAUSE
 from ebamcheck.scan.heat.preheating import BeamWay
 from ebamcheck.settings.config import Config
-
-PAUSE = "layer_pause_s"
-"""Event of a wait, named by its placeholder."""
 
 LONGEST_WAIT_S = 4.0 * 3600.0
 """Longest wait that is looked for."""
@@ -112,22 +110,23 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     first, last = found.first, found.last
     clock = np.concatenate([[0.0], np.cumsum(seconds)])
     power_w = np.nan_to_num(nc.power_w[rows])
-    waits, stray = np.zeros(first.size), []
-    for event in (i for i, name in enumerate(nc.events.name) if name == PAUSE):
-        row = int(nc.events.row[event])
-        following = int(np.searchsorted(first, row))
-        if following and row <= last[following - 1]:
-            stray.append((event, "waits within a bead"))
-        elif following == first.size:
-            stray.append((event, "waits after the last bead"))
-        else:
-            waits[following] += nc.events.value[event]
+    paused = np.flatnonzero(nc.events.named(PAUSE))
+    row, following = nc.events.row[paused], np.searchsorted(first, nc.events.row[paused])
+    within = np.append(-1, last)[following] >= row
+    after = ~within & (following == first.size)
+    before = paused[~(within | after)]
+    stray = [
+        (i, "waits within a bead" if inside else "waits after the last bead")
+        for i, inside in zip(paused[within | after].tolist(), within[within | after].tolist(), strict=True)
+    ]
     return TextBeads(
         layer=nc.layer[first],
         ring=nc.ring[first],
         island=nc.island[first],
         row=first,
-        wait_s=waits,
+        wait_s=np.bincount(following[~(within | after)], nc.events.value[before], first.size).astype(
+            np.float64
+        ),
         move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
         time_s=_between(clock[last + 1], clock[first]),
         energy_j=found.total(power_w * seconds[rows]),

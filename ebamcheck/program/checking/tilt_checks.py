@@ -11,10 +11,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.checks import Check, count_check, event_place, row_faults, worst_check
+from ebamcheck.program.checking.checks import Check, count_check, event_faults, row_faults, worst_check
 from ebamcheck.program.language.tilt_rules import carried_corners
 from ebamcheck.program.reading.motions import RAPID, NCProgram
 from ebamcheck.program.reading.table_columns import AXIS_EVENT
+from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.program.reading.turned_table import SAME_PLACE_MM, table_at
 from ebamcheck.settings.config import Config
 
@@ -36,9 +37,8 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
     if full is None or full.table is None:
         if config.part.on_table is None:
             return []
-        where = nc.where(0) if len(nc) else f"{nc.files[0].name}:1"
         what = "the part is to be turned (part.on_table), and the program turns no table and sets no frame"
-        return [Check("frame", False, 1.0, 0.0, "faults", where, what)]
+        return [Check("frame", False, 1.0, 0.0, "faults", nc.beginning, what)]
     kept = np.flatnonzero(~full.table.apart)
     return [
         _limits(full, config),
@@ -83,21 +83,13 @@ def _turns(full: NCProgram) -> Iterator[tuple[str, str]]:
             yield where, f"{names} turn in one block: the way between is not known"
         if not np.array_equal(full.start[row], full.end[row], equal_nan=True):
             yield where, "X, Y or Z move while the table turns"
-        for name, what in (("beam_off", "beam"), ("wire_stop", "wire")):
-            if not _commanded_off(full, row, name):
+        before = full.events.chosen((full.events.file == full.file[row]) & (full.events.row <= row))
+        for on, off, what in (
+            (Kind.BEAM_ON, Kind.BEAM_OFF, "beam"),
+            (Kind.WIRE_START, Kind.WIRE_STOP, "wire"),
+        ):
+            if not before.since(before.kind == off, before.kind == on)[-1]:
                 yield where, f"the table turns before the {what} is commanded off in the same subprogram"
-
-
-def _commanded_off(full: NCProgram, row: int, name: str) -> bool:
-    """Whether a switch was commanded off in the file of a motion before it, since anything was switched on there."""
-    last = ""
-    on = {"beam_off": "beam_on", "wire_stop": "wire_start"}[name]
-    for i, known in enumerate(full.events.name):
-        if full.events.row[i] > row:
-            break
-        if known in (name, on) and full.events.file[i] == full.file[row]:
-            last = known
-    return last == name
 
 
 def _left_as_they_were(full: NCProgram) -> Iterator[tuple[str, str]]:
@@ -106,13 +98,9 @@ def _left_as_they_were(full: NCProgram) -> Iterator[tuple[str, str]]:
     assert table is not None
     for file in np.unique(full.file[table.frame != 0]).tolist():
         row = int(np.flatnonzero((full.file == file) & (table.frame != 0))[0])
-        known = {
-            name.removeprefix(AXIS_EVENT)
-            for i, name in enumerate(full.events.name)
-            if name.startswith(AXIS_EVENT) and full.events.file[i] == file and full.events.row[i] <= row
-        }
+        known = full.events.chosen((full.events.file == file) & (full.events.row <= row)).name
         for axis in table.axes:
-            if axis not in known:
+            if AXIS_EVENT + axis not in known:
                 yield (
                     full.where(row),
                     f"{axis} is not commanded before the frame: the table may stand otherwise there",
@@ -202,13 +190,10 @@ def _taken_back(full: NCProgram) -> Iterator[tuple[str, str]]:
     yield from row_faults(
         full, (framed | turned) & (full.file == 0), "the main program moves with a frame or the table turned"
     )
-    for i, name in enumerate(full.events.name):
-        if name.startswith("frame lacks "):
-            what = name.removeprefix("frame lacks ")
-            yield (
-                event_place(full, i),
-                f"the first motion after a frame is to give X, Y and Z, and gives no {what}",
-            )
+    lacks = full.events.kind == Kind.FRAME_LACKS
+    yield from event_faults(
+        full, (lacks, "the first motion after a frame is to give X, Y and Z, and gives no {said}")
+    )
     beads = full.beam & ~framed & turned
     yield from row_faults(full, beads, "a bead without a frame, on a table that is turned")
     changes = np.flatnonzero(np.diff(table.frame) != 0) + 1

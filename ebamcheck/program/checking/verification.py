@@ -21,8 +21,13 @@ from ebamcheck.program.checking.clearance import clearance_checks
 from ebamcheck.program.checking.consumables import consumables_checks
 from ebamcheck.program.checking.deposit import Deposit, deposit
 from ebamcheck.program.checking.deposit_checks import deposit_checks
+from ebamcheck.program.checking.event_checks import (
+    increment_check,
+    released_checks,
+    value_check,
+    wait_height_check,
+)
 from ebamcheck.program.checking.header_checks import Truth, header_checks
-from ebamcheck.program.checking.increment_check import increment_check
 from ebamcheck.program.checking.interpass_checks import (
     heat_checks,
     layer_shares,
@@ -42,14 +47,11 @@ from ebamcheck.program.checking.path_checks import (
 from ebamcheck.program.checking.plugged import plugged_checks
 from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.program.checking.process_checks import process_checks
-from ebamcheck.program.checking.released import released_checks
 from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.program.checking.state_checks import far_away, state_checks
 from ebamcheck.program.checking.text_checks import text_checks
 from ebamcheck.program.checking.text_heat import known_sections
 from ebamcheck.program.checking.tilt_checks import tilt_checks
-from ebamcheck.program.checking.value_checks import value_check
-from ebamcheck.program.checking.wait_height import wait_height_check
 from ebamcheck.program.checking.window_checks import window_check
 from ebamcheck.program.checking.wire_checks import wire_check
 from ebamcheck.program.checking.word_checks import words_check

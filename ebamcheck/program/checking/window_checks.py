@@ -69,13 +69,10 @@ def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
         "voltage_kv": (process.voltage_window_kv, "kV"),
         "current_ma": ((low, min(high, process.current_max_ma)), "mA"),
     }
-    found = []
-    for name, value, row in zip(
-        nc.events.name, nc.events.value.tolist(), nc.events.row.tolist(), strict=True
-    ):
-        if name in windows and value != 0.0 and len(nc):
-            window, unit = windows[name]
-            found += _outside(np.array([min(row, len(nc) - 1)]), np.array([value]), window, unit)
+    found, events = [], nc.events
+    for name, (window, unit) in windows.items():
+        at = events.named(name) & (events.value != 0.0) & bool(len(nc))
+        found += _outside(np.minimum(events.row[at], len(nc) - 1), events.value[at], window, unit)
     return found
 
 

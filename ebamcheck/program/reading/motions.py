@@ -17,6 +17,7 @@ from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.table_columns import TableColumns
+from ebamcheck.program.reading.timeline import Events
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
 
@@ -45,24 +46,6 @@ class SourceFile:
         return short_text.line(
             "SourceFile", self.name, f"{len(self.data)} bytes", f"{self.line_count} lines", self.end_code
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Events:
-    """State changes in the order of execution, as columns (E,)."""
-
-    file: Ints
-    line: Ints
-    row: Ints
-    """Motions before the event."""
-    name: tuple[str, ...]
-    """Template that ends here (``beam_on``), placeholder that is set (``current_ma``), modal word, ``call NAME``,
-    or ``BSPLINE`` for each spline."""
-    value: Floats
-    """Number that is set, blocks of the spline; NaN where there is none."""
-
-    def __repr__(self) -> str:
-        return short_text.line("Events", short_text.counted(len(self.name), "event"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,6 +199,15 @@ class NCProgram(Columns[Motion]):
         """``FILE:line`` of a motion."""
         return f"{self.files[int(self.file[row])].name}:{int(self.line[row])}"
 
+    def where_event(self, event: int) -> str:
+        """``FILE:line`` of an event."""
+        return f"{self.files[int(self.events.file[event])].name}:{int(self.events.line[event])}"
+
+    @property
+    def beginning(self) -> str:
+        """``FILE:line`` of the first motion; of the main program where there is none."""
+        return self.where(0) if len(self) else f"{self.files[0].name}:1"
+
     @cached_property
     def deposit(self) -> Bools:
         """Motions with feed and beam (B,)."""
@@ -227,7 +219,7 @@ class NCProgram(Columns[Motion]):
         metal, begins = self.beam | self.wire, np.zeros(len(self) + 1, np.bool_)
         for column in (metal, self.end[:, 2], self.layer):
             begins[1:-1] |= column[1:] != column[:-1]
-        begins[self.events.row[[name in ("beam_on", "wire_start") for name in self.events.name]]] = True
+        begins[self.events.row[self.events.named("beam_on", "wire_start")]] = True
         return Beads.of(np.flatnonzero(metal), np.cumsum(begins[:-1]))
 
     def evaluate(self, rows: Ints, t: Floats) -> Floats:

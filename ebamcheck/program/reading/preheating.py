@@ -9,7 +9,7 @@ import numpy as np
 from ebamcheck.numeric.rings import Bools, Ints
 from ebamcheck.program.language.codes import FOCUS
 from ebamcheck.program.language.files import layer_of_preheat
-from ebamcheck.program.reading.motions import Events, NCProgram
+from ebamcheck.program.reading.motions import NCProgram
 
 OFF = ("beam_off", "wire_stop")
 """Commands that come before a scan."""
@@ -43,7 +43,7 @@ def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
 
 def _by_focus(nc: NCProgram) -> NCProgram:
     """Scans told by the focus, each with the commands right before it that switch beam and wire off."""
-    motions, events = np.zeros(len(nc), np.bool_), np.zeros(len(nc.events.name), np.bool_)
+    motions, events = np.zeros(len(nc), np.bool_), np.zeros(len(nc.events), np.bool_)
     names, first = nc.events.name, -1
     for i, name in enumerate(names):
         out = name == FOCUS and nc.events.value[i] != 0.0
@@ -68,13 +68,7 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
     assert {field.name for field in fields(nc)} >= set(OF_MOTIONS)
     kept = {name: getattr(nc, name)[motions] for name in OF_MOTIONS}
     before: Ints = np.concatenate([[0], np.cumsum(motions)]).astype(np.int64)
-    which, old = np.flatnonzero(events), nc.events
-    found = Events(
-        file=old.file[which],
-        line=old.line[which],
-        row=before[old.row[which]],
-        name=tuple(old.name[i] for i in which.tolist()),
-        value=old.value[which],
-    )
+    found = nc.events.chosen(events)
+    found = replace(found, row=before[found.row])
     table = None if nc.table is None else nc.table.rows(motions)
     return replace(nc, events=found, table=table, **kept)

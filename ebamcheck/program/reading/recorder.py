@@ -9,11 +9,12 @@ import numpy as np
 from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.language.codes import BEAM_VALUES, DWELL, SWITCHES
-from ebamcheck.program.reading.motions import ARC, RAPID, Events, NCProgram, SourceFile
+from ebamcheck.program.reading.motions import ARC, RAPID, NCProgram, SourceFile
 from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
 from ebamcheck.program.reading.roles import by_shape, with_travel
 from ebamcheck.program.reading.table_state import TableState, starts_in_frames
+from ebamcheck.program.reading.timeline import Events
 from ebamcheck.regular_file import regular_file
 
 NAN = float("nan")

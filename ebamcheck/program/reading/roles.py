@@ -18,6 +18,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
+from ebamcheck.program.reading.timeline import PAUSE
 from ebamcheck.scan.islands.regions import layer_section
 
 CLOSED_MM = 1e-3
@@ -25,9 +26,6 @@ CLOSED_MM = 1e-3
 
 PARALLEL = 1e-3
 """Sine of the angle between lines of one direction."""
-
-WAIT = "layer_pause_s"
-"""Event of a wait, named by its placeholder."""
 
 JOINT_MM = 2e-5
 """Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else."""
@@ -115,7 +113,7 @@ def _begins_island(nc: NCProgram, beads: Beads, contour: Bools) -> Bools:
     """
     if not len(beads):
         return np.zeros(0, np.bool_)
-    waits = nc.events.row[[name == WAIT for name in nc.events.name]]
+    waits = nc.events.row[nc.events.named(PAUSE)]
     rises = np.concatenate([[0], np.cumsum(nc.end[:, 2] != nc.start[:, 2])])
     before, after = beads.last[:-1], beads.first[1:]
     way = nc.end[:, :2] - nc.start[:, :2]

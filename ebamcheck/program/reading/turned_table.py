@@ -50,7 +50,7 @@ def on_part(nc: NCProgram, config: Config) -> NCProgram:
     # A table and frame that are right move nothing but by their rounding, which would leave no height equal to another.
     full = replace(columns, off_mm=off, apart=apart)
     seen = nc if (off <= SAME_PLACE_MM).all() else part
-    laid = rows_of(replace(seen, table=full), ~apart, np.ones(len(nc.events.name), np.bool_))
+    laid = rows_of(replace(seen, table=full), ~apart, np.ones(len(nc.events), np.bool_))
     return replace(laid, machine=replace(machine, table=full))
 
 
