@@ -43,7 +43,6 @@ from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.differences import differences
@@ -358,7 +357,7 @@ def _under(part: Part, heights: Floats, config: Config, maker: str) -> BaseGeome
         return None
     low_mm = float(part.bounds[0, 2])
     cut_mm = max(float(heights[0]) - config.layer_height_mm, low_mm)
-    return layer_section(slice_part(part, [cut_mm], witness_backend(maker)).polygons(0))
+    return slice_part(part, [cut_mm], witness_backend(maker)).section(0)
 
 
 def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Config) -> list[Check]:
@@ -372,7 +371,7 @@ def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Confi
         EbamcheckError
     ):  # a program that cannot be read, or a part of another file, has a failed check of its own
         stands = stands_of(before, part, said.built_mm, config)
-        section = layer_section(layers.polygons(0))
+        section = layers.section(0)
         return turned_checks(read_program(program, config), section, float(layers.heights[0]), stands, config)
     return mounting_checks(before, part, config)
 
