@@ -22,9 +22,9 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.mesh.files import load
 from ebamcheck.plugins.model import models
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.planning import plan_scan
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
@@ -91,7 +91,7 @@ def of_meshes(folder: Path) -> Iterator[tuple[BaseGeometry, int]]:
             part = load(file)
             low, high = part.bounds[:, 2]
             layers = slice_part(part, low + np.array(SHARES) * (high - low))
-            sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+            sections = [layers.section(k) for k in range(len(layers))]
         except EbamcheckError:
             continue
         yield from ((section, LAYERS[k % len(LAYERS)]) for k, section in enumerate(sections))

@@ -27,9 +27,8 @@ from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.geometry.regions import eroded, valid_polygons
 from ebamcheck.layer_numbers import indexed
-from ebamcheck.layers.insets import eroded
-from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
@@ -42,7 +41,7 @@ from ebamcheck.program.checking.deposit_checks import deposit_checks
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.islands.regions import CORNER, layer_section, split_thin
+from ebamcheck.scan.islands.regions import CORNER, split_thin
 from ebamcheck.settings.config import Config, validated
 from ebamcheck_models import write_stl
 
@@ -109,7 +108,7 @@ def under_two_beads(layers: Layers, config: Config) -> str:
     least_mm = BUILDABLE_BEADS * config.process.bead_width_mm
     walls = holes = 0
     for k in range(len(layers)):
-        section = layer_section(layers.polygons(k))
+        section = layers.section(k)
         _, thin = split_thin(section, least_mm, CORNER * least_mm**2)
         opened = shapely.buffer(eroded(section, 0.5 * least_mm), 0.5 * least_mm)
         rings = [shapely.Polygon(ring) for part in valid_polygons(section) for ring in part.interiors]

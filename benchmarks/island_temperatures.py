@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from benchmarks.closed_form_heat import rectangle_modes
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import depth_modes
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.amplitudes import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entered_into
 from ebamcheck.scan.plan.laying import lay_islands

@@ -18,11 +18,11 @@ import shapely
 
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.numeric.rings import Ints
 from ebamcheck.plugins.model import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import chosen_options, scan_order
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.whole_part import scan_part
@@ -90,7 +90,7 @@ def carry_rows() -> list[dict[str, Any]]:
         config = Config()
         heights = np.arange(0.5 * config.layer_height_mm, high - low, config.layer_height_mm)[:MOST_LAYERS]
         stack = from_polygons(heights, [model.section(float(low + z)) for z in heights.tolist()])
-        sections = [layer_section(stack.polygons(k)) for k in range(len(stack))]
+        sections = [stack.section(k) for k in range(len(stack))]
         cold = plan_stack(stack, config.changed(scan={"carry_heat": False}))
 
         def from_cold(islands: LayerIslands, cold: ScanPlan = cold) -> Ints:

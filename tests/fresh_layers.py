@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.scan.order.simulation import clocked
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from ebamcheck.geometry.regions import inset, valid_polygons
 from ebamcheck.layers.stack import Layers, from_polygons
-from ebamcheck.scan.islands.regions import inset, layer_section, valid_polygons
 
 
 def contour_paths(layers: Layers, offset_mm: float) -> Layers:
@@ -15,7 +15,7 @@ def contour_paths(layers: Layers, offset_mm: float) -> Layers:
     """
     stack = []
     for k in range(len(layers)):
-        region = inset(layer_section(layers.polygons(k)), offset_mm)
+        region = inset(layers.section(k), offset_mm)
         stack.append(valid_polygons(region))
     return from_polygons(
         layers.heights,

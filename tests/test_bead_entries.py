@@ -20,7 +20,6 @@ from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_sh
 from ebamcheck.program.controls.gcode.writing import write_plain_gcode
 from ebamcheck.program.toolpath.bead_ends import planned_path
 from ebamcheck.program.toolpath.events import MOVE, WAIT, process_events
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.bead_sequence import bead_sequence, contour_beads
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
@@ -60,7 +59,7 @@ class Made:
         self.config = config
         heights = (np.arange(LAYERS) + 0.5) * config.layer_height_mm
         self.layers = from_polygons(heights, [[SECTION]] * LAYERS)
-        stack = Stack([layer_section(self.layers.polygons(k)) for k in range(LAYERS)], heights, range(LAYERS))
+        stack = Stack([self.layers.section(k) for k in range(LAYERS)], heights, range(LAYERS))
         self.powers, by_wire = [], power_by_wire(stack.sections, config)
 
         def power_of(layer, thickness_mm):

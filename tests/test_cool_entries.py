@@ -9,8 +9,8 @@ import pytest
 import shapely
 
 from benchmarks.scan_orders import layers
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.scan.heat.pieces import OPTIONS
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.annealing import high_mean
 from ebamcheck.scan.order.cool_entries import (
     affordable,

@@ -14,7 +14,6 @@ from ebamcheck.program import read_program
 from ebamcheck.program.checking.interpass_checks import INTERPASS, heat_checks
 from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.program.controls.sinumerik.writing import write_program
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
@@ -56,7 +55,7 @@ def made(shape, config, folder):
     heights = (np.arange(LAYERS) + 0.5) * config.layer_height_mm
     layers = from_polygons(heights, [[shape((k + 0.5) / LAYERS)] for k in range(LAYERS)])
     order, seed = config.scan.order, config.scan.seed
-    stack = Stack([layer_section(layers.polygons(k)) for k in range(LAYERS)], heights, range(LAYERS))
+    stack = Stack([layers.section(k) for k in range(LAYERS)], heights, range(LAYERS))
     power_of = power_by_wire(stack.sections, config)
     done = list(ordered_layers(stack, config, order, seed, carry=True, power_of=power_of))
     plan = stack_plans([in_order(layer) for layer in done], config, order, seed)

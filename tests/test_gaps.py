@@ -10,8 +10,9 @@ import shapely
 from section_zoo import ZOO
 from shapely import affinity
 
+from ebamcheck.geometry.raster import bare_samples
+from ebamcheck.geometry.regions import ARC_SEGMENTS
 from ebamcheck.scan import plan_scan
-from ebamcheck.scan.filling.coverage import bare_samples
 from ebamcheck.scan.filling.gaps import (
     LEAST_SPOT,
     bare_spots,
@@ -19,7 +20,7 @@ from ebamcheck.scan.filling.gaps import (
     spot_widths_mm,
     spots_to_close,
 )
-from ebamcheck.scan.islands.regions import ARC_SEGMENTS, CRUMB, JOIN_MM, layer_regions
+from ebamcheck.scan.islands.regions import CRUMB, JOIN_MM, layer_regions
 from ebamcheck.settings.config import Config
 
 PROFILE = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})

@@ -9,8 +9,7 @@ import pytest
 import shapely
 import shapely.affinity
 
-from ebamcheck.layers.insets import eroded, is_inset
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.regions import eroded, is_inset, valid_polygons
 from ebamcheck.metal import target_of
 from ebamcheck.program.checking.deposit import _reaches_mm
 from ebamcheck.program.reading.depths import depth_lines

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from section_zoo import ZOO, crooked
 from shapely import affinity
 
+from ebamcheck.geometry.regions import equivalent_rectangles_mm
 from ebamcheck.scan import plan_scan
 from ebamcheck.scan.filling.hatch import hatch
 from ebamcheck.scan.islands.borders import polygon_edges, shared_borders, shared_edges
@@ -32,7 +33,7 @@ from ebamcheck.scan.islands.directions import (
 )
 from ebamcheck.scan.islands.lattice import LATTICES
 from ebamcheck.scan.islands.rectangle import rectangle_along
-from ebamcheck.scan.islands.regions import equivalent_rectangles_mm, layer_regions
+from ebamcheck.scan.islands.regions import layer_regions
 from ebamcheck.settings.config import Config
 
 PROFILE = Config()

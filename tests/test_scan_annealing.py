@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.scan.heat.fresh_table import work_out
 from ebamcheck.scan.heat.influence import (
     FALLEN,
@@ -19,7 +20,6 @@ from ebamcheck.scan.heat.influence import (
     table_place,
 )
 from ebamcheck.scan.heat.near_field import entry_rise, young_mean
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.annealing import (
     HOTTEST_EVERY,
     TOUCH_SHARE,

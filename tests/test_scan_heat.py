@@ -15,13 +15,13 @@ from threadpoolctl import threadpool_info
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import Medium
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.plugins import registry
 from ebamcheck.scan import LayerIslands, plan_scan
 from ebamcheck.scan.filling.turns import turns_and_jumps_mm
 from ebamcheck.scan.heat.island_heat import island_heat
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.annealing import high_mean
 from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.orders import scan_order

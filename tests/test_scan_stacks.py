@@ -12,10 +12,10 @@ from inset_layers import contour_paths
 from planned_sections import PROFILE, beads_of, blade, disc, equal_plans, stack
 
 from ebamcheck.errors import GeometryError
+from ebamcheck.geometry.raster import covered_fraction
+from ebamcheck.geometry.regions import ARC_SEGMENTS, inset
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.scan import plan_scan, plan_stack, simulate_order
-from ebamcheck.scan.filling.coverage import covered_fraction
-from ebamcheck.scan.islands.regions import ARC_SEGMENTS, inset
 
 # -- stacks --------------------------------------------------------------------------------------------
 

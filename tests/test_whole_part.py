@@ -12,11 +12,11 @@ import shapely
 import ebamcheck
 from benchmarks.closed_form_heat import after_spot
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
 from ebamcheck.heat.projection import overlap_of_depths
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.scan import plan_stack
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order import orders as order
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, Stack, ordered_layers, scan_part
 from ebamcheck.settings.config import Config
@@ -123,7 +123,7 @@ def plates(count):
 
 
 def sections_of(layers):
-    return [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    return [layers.section(k) for k in range(len(layers))]
 
 
 @pytest.mark.slow

@@ -17,7 +17,6 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
 TABLE, CASE = "judged.csv", "case"
@@ -64,7 +63,7 @@ def judge_command(
     index = index_of_number(layer, len(plan))
     folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
     layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
-    section = layer_section(layers.polygons(index))
+    section = layers.section(index)
     case = LayerCase.of(plan, index, section, config, curves=curves, beads=beads, body=body)
     case.write(folder / CASE, config)
     THESIS.path()

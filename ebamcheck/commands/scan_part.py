@@ -20,7 +20,6 @@ from ebamcheck.errors import ExitCode, interruptible
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
@@ -50,7 +49,7 @@ def _rows(
     layers: Layers, low_mm: float, config: Config, order: str, output: Path | None
 ) -> list[dict[str, Any]]:
     """Rows of all layers; also line by line into the table of the output folder."""
-    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    sections = [layers.section(k) for k in range(len(layers))]
     found = scan_part(sections, np.asarray(layers.heights) - low_mm, config, order, config.scan.seed)
     rows: list[dict[str, Any]] = []
     built_s = 0.0

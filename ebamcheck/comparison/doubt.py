@@ -16,7 +16,6 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.comparison.diagnosis.sheets import Reader
 from ebamcheck.comparison.pairwise import Pair, compare
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.topology import region
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats
 
@@ -96,7 +95,7 @@ def _agree(pair: Pair, a: Layers, b: Layers, limit_mm: float) -> bool:
 
 def _beside(layers: Layers, boxes: BaseGeometry) -> Layers:
     """The solid of one layer that lies in no box."""
-    left = shapely.difference(region(layers, 0), boxes)
+    left = shapely.difference(layers.section(0), boxes)
     polygons = [g for g in shapely.get_parts(left) if g.geom_type == "Polygon" and g.area > 0.0]
     return from_polygons(layers.heights, [polygons])
 

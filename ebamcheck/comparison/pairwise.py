@@ -14,7 +14,7 @@ from ebamcheck.comparison.classes import UNKNOWN, layer_classes
 from ebamcheck.comparison.measure import Figures, measure
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.topology import region, topologies_agree
+from ebamcheck.comparison.topology import topologies_agree
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -196,7 +196,7 @@ def shared_origin(stacks: Sequence[Layers]) -> tuple[float, float]:
 
 def _by_shapely(a: Layers, b: Layers, layer: int, found: Figures) -> Figures:
     """Areas and depth by shapely, for a layer on which the sweep met too many crossings."""
-    region_a, region_b = region(a, layer), region(b, layer)
+    region_a, region_b = a.section(layer), b.section(layer)
     difference = shapely.symmetric_difference(region_a, region_b)
     radius, x, y = 0.0, np.nan, np.nan
     for polygon in shapely.get_parts(difference):

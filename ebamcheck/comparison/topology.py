@@ -15,7 +15,7 @@ from __future__ import annotations
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.insets import eroded
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 
 ARC_SEGMENTS = 4
@@ -25,14 +25,9 @@ Counts = tuple[range, range]
 """Range of the number of outer rings, and of holes."""
 
 
-def region(layers: Layers, layer: int) -> BaseGeometry:
-    """Union of the solid regions of a layer."""
-    return shapely.union_all(layers.polygons(layer))
-
-
 def topologies_agree(a: Layers, b: Layers, layer: int, limit_mm: float) -> bool:
     """Whether a layer's outer rings and holes agree once features thinner than ``2 limit_mm`` in either are set aside."""
-    return regions_agree(region(a, layer), region(b, layer), limit_mm)
+    return regions_agree(a.section(layer), b.section(layer), limit_mm)
 
 
 def regions_agree(a: BaseGeometry, b: BaseGeometry, limit_mm: float) -> bool:

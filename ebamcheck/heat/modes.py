@@ -17,9 +17,9 @@ from scipy.sparse.linalg import eigsh
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
+from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.heat.one_blas_thread import one_blas_thread
 from ebamcheck.heat.section_grid import SectionGrid, section_grid
-from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 
 CELLS_PER_WAVE = 6.0

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
+from ebamcheck.geometry.raster import islands_in_cells, oriented_rings
 from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.heat.referee_steps import Beam, Body, Readings, heated_by_beam
-from ebamcheck.heat.section_grid import islands_in_cells, oriented_rings
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 

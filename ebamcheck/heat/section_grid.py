@@ -15,7 +15,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import sparse
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.geometry.raster import cell_shares, face_shares, islands_in_cells, oriented_rings
 from ebamcheck.numeric.rings import Floats, Ints
 
 LEAST_SHARE = 1e-6
@@ -144,126 +144,8 @@ def _laplacian(a: Ints, b: Ints, conductance: Floats, count: int) -> sparse.csr_
     return sparse.csr_array(sparse.diags_array(np.asarray(both.sum(axis=1)).ravel()) - both)
 
 
-def oriented_rings(
-    polygons: NDArray[np.object_], origin: Floats, step: Floats
-) -> tuple[Floats, tuple[Ints, Ints]]:
-    """Points in units of cells, first row of each ring, first ring of each polygon; solid to the left."""
-    _, points, offsets = shapely.to_ragged_array(shapely.orient_polygons(polygons))
-    ring_starts, island_rings = (np.asarray(o, np.int64) for o in offsets)
-    scaled = (np.asarray(points, np.float64)[:, :2] - origin) / step
-    return np.ascontiguousarray(scaled), (ring_starts, island_rings)
-
-
 def _rows_of_one(table: sparse.csr_array) -> sparse.csr_array:
     """Rows scaled so that each adds up to 1; empty rows stay empty."""
     total: Floats = np.asarray(table.sum(axis=1), np.float64).ravel()
     scale = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
     return sparse.csr_array(sparse.diags_array(scale) @ table)
-
-
-@kernel
-def cell_shares(points: Floats, ring_starts: Ints, rows: int, columns: int) -> Floats:
-    """Share of every cell inside the rings (closed by a repeated point, solid to the left)."""
-    gain = np.zeros((rows, columns + 1))
-    for ring in range(ring_starts.size - 1):
-        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-            add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], 0, 0)
-    return summed(gain)[:, :columns]
-
-
-@kernel
-def summed(gain: Floats) -> Floats:
-    """Running sums along the rows, limited to what a share can be."""
-    for row in range(gain.shape[0]):
-        total = 0.0
-        for column in range(gain.shape[1]):
-            total += gain[row, column]
-            gain[row, column] = min(max(total, 0.0), 1.0)
-    return gain
-
-
-@kernel
-def add_segment(gain: Floats, ax: float, ay: float, bx: float, by: float, column0: int, row0: int) -> None:
-    """Add what a segment of the border changes in the shares: all cells to its right, in its rows.
-
-    A piece of height dy (downwards: solid to its right) adds dy to all cells beyond it and, to its own, dy
-    times the part of the cell that lies to its right.
-    """
-    rows, columns = gain.shape[0], gain.shape[1] - 1
-    if ay == by:
-        return
-    slope = (bx - ax) / (by - ay)
-    low, high = min(ay, by), max(ay, by)
-    sign = 1.0 if by < ay else -1.0
-    for row in range(max(int(np.floor(low)), row0), min(int(np.ceil(high)), row0 + rows)):
-        p, q = max(low, float(row)), min(high, float(row + 1))
-        if q <= p:
-            continue
-        xp, xq = ax + (p - ay) * slope, ax + (q - ay) * slope
-        left, right = min(xp, xq), max(xp, xq)
-        first = min(max(int(np.floor(left)), column0), column0 + columns - 1)
-        last = min(max(int(np.ceil(right)) - 1, first), column0 + columns - 1)
-        for column in range(first, last + 1):
-            u = left if column == first else float(column)
-            v = right if column == last else float(column + 1)
-            height = (q - p) if right == left else (q - p) * ((v - u) / (right - left))
-            beyond = 0.5 * (u + v) - column
-            gain[row - row0, column - column0] += sign * height * (1.0 - beyond)
-            gain[row - row0, column - column0 + 1] += sign * height * beyond
-
-
-@kernel
-def face_shares(points: Floats, ring_starts: Ints, rows: int, columns: int) -> Floats:
-    """Share of every upright face inside the rings, (rows, columns + 1); its sign is that of the rings."""
-    gain = np.zeros((rows + 1, columns + 1))
-    for ring in range(ring_starts.size - 1):
-        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-            ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-            low, high = min(ax, bx), max(ax, bx)
-            # A face on the border belongs to what lies to its right: low <= x < high.
-            for column in range(max(int(np.ceil(low)), 0), min(int(np.ceil(high)), columns + 1)):
-                y = ay + (by - ay) * ((column - ax) / (bx - ax))
-                row = min(max(int(np.floor(y)), 0), rows - 1)
-                sign = 1.0 if bx > ax else -1.0
-                gain[row, column] += sign * (row + 1 - y)
-                gain[row + 1, column] += sign * (y - row)
-    for column in range(columns + 1):
-        for row in range(1, rows + 1):
-            gain[row, column] += gain[row - 1, column]
-    return gain[:rows]
-
-
-@kernel
-def islands_in_cells(
-    points: Floats, ring_starts: Ints, island_rings: Ints, shape: tuple[int, int]
-) -> tuple[Ints, Ints, Floats]:
-    """Islands, flat places of cells, and the share of each cell that lies in the island."""
-    count = island_rings.size - 1
-    boxes = np.zeros((count, 4), np.int64)
-    total = 0
-    for k in range(count):
-        first, last = ring_starts[island_rings[k]], ring_starts[island_rings[k + 1]]
-        if last <= first:
-            continue
-        boxes[k, 0] = max(int(np.floor(points[first:last, 0].min())), 0)
-        boxes[k, 1] = max(int(np.floor(points[first:last, 1].min())), 0)
-        boxes[k, 2] = min(int(np.ceil(points[first:last, 0].max())), shape[1])
-        boxes[k, 3] = min(int(np.ceil(points[first:last, 1].max())), shape[0])
-        total += max(boxes[k, 2] - boxes[k, 0], 0) * max(boxes[k, 3] - boxes[k, 1], 0)
-    owner, place, share = np.empty(total, np.int64), np.empty(total, np.int64), np.empty(total)
-    used = 0
-    for k in range(count):
-        x0, y0, x1, y1 = boxes[k]
-        if x1 <= x0 or y1 <= y0:
-            continue
-        gain = np.zeros((y1 - y0, x1 - x0 + 1))
-        for ring in range(island_rings[k], island_rings[k + 1]):
-            for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-                add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], x0, y0)
-        summed(gain)
-        for row in range(y1 - y0):
-            for column in range(x1 - x0):
-                owner[used], place[used] = k, (row + y0) * shape[1] + column + x0
-                share[used] = gain[row, column]
-                used += 1
-    return owner, place, share

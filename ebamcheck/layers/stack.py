@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers import canonical_form
-from ebamcheck.layers.polygons import valid_polygons
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.columns import joined
 from ebamcheck.numeric.kernels import run_blocks
@@ -344,6 +343,8 @@ class Layers(LayerColumns[Layer]):
         """
         import shapely
 
+        from ebamcheck.geometry.regions import valid_polygons
+
         holes: dict[int, list[Floats]] = {}
         for r in self.rings_of(layer):
             if self.ring_areas[r] < 0 and self.parents[r] >= 0:
@@ -354,6 +355,18 @@ class Layers(LayerColumns[Layer]):
             if self.ring_areas[r] > 0 and self._winding_inside(r) > 0
         ]
         return [part for polygon in found for part in valid_polygons(polygon)]
+
+    def section(self, layer: int) -> BaseGeometry:
+        """Solid region of a layer as one valid geometry, made anew each time: who prepares it shares it with nobody.
+
+        Raises
+        ------
+        GeometryError
+            If a coordinate is not finite.
+        """
+        from ebamcheck.geometry.regions import layer_section
+
+        return layer_section(self.polygons(layer))
 
     def _winding_inside(self, r: int) -> int:
         """Winding number just inside ring `r`, by the directions of the rings around it."""
@@ -510,6 +523,8 @@ def from_rings(
 def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], **labels: Any) -> Layers:
     """Build layers from shapely polygons (or multi-polygons), one collection per layer."""
     import shapely
+
+    from ebamcheck.geometry.regions import valid_polygons
 
     stack: list[list[Floats]] = []
     for layer in layers:

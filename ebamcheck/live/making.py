@@ -55,7 +55,6 @@ from ebamcheck.program.checking.matching import matched
 from ebamcheck.program.checking.preheat_way import scans_of
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated
@@ -210,7 +209,7 @@ class LayerMaker:
     def section_at(self, height_mm: float, backend: str = "") -> BaseGeometry:
         """Section of the part at a height over its lowest point."""
         cut = self._slicings[backend or self.primary].at(self.bottom_mm + height_mm)
-        return layer_section(cut.polygons(0))
+        return cut.section(0)
 
     def config_of(self, wanted: Wanted, mapped: bool = False, along: bool = True) -> Config:
         """Settings of the program of one layer: those of the run, with its height and name, and the feed for that height."""
@@ -304,7 +303,7 @@ class LayerMaker:
             beside, stands = weighing.result()
             checks += [*beside, *form_checks(program, config), self._of_file]
             if self.stands is not None:
-                section = layer_section(witness.polygons(0))
+                section = witness.section(0)
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
             made = [self.sound, agreement, *judged_program(verdict, checks, plan.metrics, config)]
             files = marked_validated(files) if all(gate.passed for gate in made) else files
@@ -345,7 +344,7 @@ class LayerMaker:
     ) -> tuple[ScanPlan, HeatSoFar, float]:
         """Plan of the layer on the heat so far; the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
-        section = layer_section(smooth.polygons(0))
+        section = smooth.section(0)
         stack = Stack(
             [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
         )

@@ -8,8 +8,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.section_grid import cell_shares, oriented_rings
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.raster import cell_shares, oriented_rings
+from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.numeric.rings import Floats
 
 CELLS_PER_BEAD = 6

@@ -17,14 +17,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import BETWEEN
-from ebamcheck.scan.islands.regions import layer_section, mean_width_mm
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
@@ -129,7 +128,7 @@ def lost_features(part: Part, layers: Layers, config: Config) -> Iterator[Lost]:
 
 
 def _sections(layers: Layers) -> list[BaseGeometry]:
-    return [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    return [layers.section(k) for k in range(len(layers))]
 
 
 def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, float]]]]:

@@ -23,7 +23,6 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit_checks import HEIGHTS, SECTIONS
 from ebamcheck.program.toolpath.inputs import deposition_heights
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 
@@ -82,7 +81,7 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
         Its sections by a slicer.
     """
     limit = config.curves.section_tolerance_mm
-    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    sections = [layers.section(k) for k in range(len(layers))]
     step = config.process.bead_width_mm / LINES_PER_BEAD
     worst, layer, x_mm, y_mm = 0.0, -1, np.nan, np.nan
     facets = _Facets.of(part)

@@ -25,7 +25,6 @@ from ebamcheck.program.toolpath.tracks import toolpath
 from ebamcheck.program.toolpath.wire import bare_surface, wired
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.heat.part_heat import BeadPower
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
@@ -33,7 +32,7 @@ from ebamcheck.settings.config import Config
 
 def plan_program(layers: Layers, config: Config, progress: Progress | None = None) -> ScanPlan:
     """Plan a stack whose program is to be written: as :func:`ebamcheck.scan.plan_stack`, by the power that its beads will have."""
-    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    sections = [layers.section(k) for k in range(len(layers))]
     return plan_stack(layers, config, progress, power_of=power_by_wire(sections, config))
 
 

@@ -22,7 +22,6 @@ from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.language.tilt_rules import NO_HEIGHT
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.turned_table import table_at
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
@@ -141,7 +140,7 @@ def _section(part: Part, z_mm: float) -> BaseGeometry:
     """Section of a part, as exact as its mesh."""
     low, high = part.bounds[:, 2]
     inside = min(max(z_mm, float(low) + 1e-6), float(high) - 1e-6)
-    found: BaseGeometry = layer_section(slice_part(part, [inside]).polygons(0))
+    found: BaseGeometry = slice_part(part, [inside]).section(0)
     return found
 
 

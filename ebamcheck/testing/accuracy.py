@@ -7,7 +7,7 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.insets import eroded
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.mesh.welding import weld

@@ -43,7 +43,6 @@ from ebamcheck.record.form import PLATE
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.record.signing import trusted_keys
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.files import differences
@@ -359,7 +358,7 @@ def _under(part: Part, heights: Floats, config: Config, maker: str) -> BaseGeome
         return None
     low_mm = float(part.bounds[0, 2])
     cut_mm = max(float(heights[0]) - config.layer_height_mm, low_mm)
-    return layer_section(slice_part(part, [cut_mm], witness_backend(maker)).polygons(0))
+    return slice_part(part, [cut_mm], witness_backend(maker)).section(0)
 
 
 def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Config) -> list[Check]:
@@ -373,7 +372,7 @@ def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Confi
         EbamcheckError
     ):  # a program that cannot be read, or a part of another file, has a failed check of its own
         stands = stands_of(before, part, said.built_mm, config)
-        section = layer_section(layers.polygons(0))
+        section = layers.section(0)
         return turned_checks(read_program(program, config), section, float(layers.heights[0]), stands, config)
     return mounting_checks(before, part, config)
 

@@ -15,7 +15,6 @@ from ebamcheck.program import NCProgram, read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.plan.comparing import SEEDS, OrderComparison, compared_orders, figures_of
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import metal_picture, overlays, part_picture, program_picture, scan_picture
@@ -154,7 +153,7 @@ def metal(program: NCProgram, witness: Layers, config: Config, what: str) -> str
     """The metal of the root layer, laid from the program's text on those below it."""
     z_of = program.layer_heights
     field = deposit(program, witness, z_of, config, keep={ROOT_LAYER}).fields[ROOT_LAYER]
-    section = layer_section(witness.polygons(ROOT_LAYER))
+    section = witness.section(ROOT_LAYER)
     thickness_mm = float(z_of[ROOT_LAYER] - z_of[ROOT_LAYER - 1])
     return metal_picture.draw(field, section, thickness_mm, config.process.largest_unevenness_mm, what)
 

@@ -7,9 +7,9 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.raster import BareSamples, bare_samples
+from ebamcheck.geometry.regions import ground, valid_polygons
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.filling.coverage import BareSamples, bare_samples, ground
 
 MARGIN = 2
 """Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones."""

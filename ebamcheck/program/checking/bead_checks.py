@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.raster import covered_fraction
+from ebamcheck.geometry.regions import ground, inset
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -21,9 +23,11 @@ from ebamcheck.program.checking.end_gaps import end_gaps_check
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.matching import APART_MM
 from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
-from ebamcheck.scan.filling.coverage import covered_fraction, ground
-from ebamcheck.scan.islands.regions import CRUMB, inset, layer_section
+from ebamcheck.program.reading.roles import nearest_layer
 from ebamcheck.settings.config import Config
+
+CRUMB = 0.25
+"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
 
 BEAD_STEP_MM = 0.5
 """Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
@@ -114,7 +118,7 @@ class _LayersSeen:
         """Section of one of the layers."""
         assert self.layers is not None
         if k not in self._sections:
-            self._sections[k] = shapely.union_all(self.layers.polygons(k))
+            self._sections[k] = self.layers.section(k)
             shapely.prepare(self._sections[k])
         return self._sections[k]
 
@@ -141,7 +145,7 @@ def _is_bare(seen: _LayersSeen, pair: Ints, config: Config, z_of: Floats) -> boo
         return False
     place = shapely.Point(middle - 0.5 * (from_other - along * way))
     if seen.layers is not None:
-        k = int(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[shorter, 2]))
+        k = int(nearest_layer(nc.end[shorter, 2], z_of))
         if not shapely.intersects(seen.section(k), place):
             return False
     lines = seen.beads(int(nc.layer[shorter]))
@@ -225,9 +229,9 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
     """Least share of a section that the beads cover; the overlap of all, and the widest gap of the worst."""
     limit = config.scan.least_coverage
     rows = np.flatnonzero(nc.deposit)
-    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    index = nearest_layer(nc.end[rows, 2], z_of)
     width = config.process.bead_width_mm
-    sections = [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
+    sections = [layers.section(k) for k in range(len(layers))]
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
 
     covered = run_each(lambda k: covered_fraction(sections[k], _segments(nc, rows[index == k]), width), solid)
@@ -261,11 +265,11 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
     planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
     limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
     rows = np.flatnonzero(nc.deposit)
-    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    index = nearest_layer(nc.end[rows, 2], z_of)
     known = [0.0]
 
     def widest(k: int) -> tuple[float, int, BaseGeometry] | None:
-        inner = inset(layer_section(layers.polygons(k)), 0.5 * width)
+        inner = inset(layers.section(k), 0.5 * width)
         mine = rows[index == k]
         if inner.is_empty or not mine.size:
             return None

@@ -27,7 +27,6 @@ from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import STEP_SHARE, metal_places, pool_of, spread
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.toolpath.wire import width_limits_mm
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
 NAME = "wire of beads"
@@ -253,7 +252,7 @@ def _asked(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> _Aske
     process = config.process
     mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
     rows = np.flatnonzero(nc.deposit & nc.wire & np.isfinite(nc.start).all(axis=1))
-    sections = [wanted_region(layer_section(layers.polygons(k)), config) for k in range(len(layers))]
+    sections = [wanted_region(layers.section(k), config) for k in range(len(layers))]
     bounds = np.nan_to_num(shapely.total_bounds(sections))
     surface = Surface(np.asarray(bounds, np.float64), process.bead_width_mm)
     step, bead_mm = surface.step_mm, process.bead_width_mm

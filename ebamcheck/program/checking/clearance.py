@@ -12,7 +12,6 @@ from ebamcheck.program.checking.in_the_air import beads_in_the_air
 from ebamcheck.program.checking.standing import Standing, run_over
 from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
 HOP_SPACINGS = 2.0
@@ -128,7 +127,7 @@ def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> F
     t = (np.arange(PLACES) + 0.5) / PLACES
     for k in np.unique(nc.layer[rows]).tolist():
         mine = np.flatnonzero(nc.layer[rows] == k)
-        section = layer_section(layers.polygons(k - 1)) if 0 < k <= len(layers) else shapely.Polygon()
+        section = layers.section(k - 1) if 0 < k <= len(layers) else shapely.Polygon()
         if section.is_empty:
             continue
         row = np.repeat(rows[mine], PLACES)

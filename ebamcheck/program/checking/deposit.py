@@ -19,7 +19,7 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.nearest import distances, segments_of
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, target_of
 from ebamcheck.metal.distances import border_distance
@@ -30,8 +30,8 @@ from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.program.checking.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
 from ebamcheck.program.checking.narrow_features import NarrowFeature, narrow_features
 from ebamcheck.program.reading.motions import NCProgram
+from ebamcheck.program.reading.roles import nearest_layer
 from ebamcheck.program.toolpath.thin_walls import thinnest_wall
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 
@@ -121,9 +121,9 @@ def deposit(
     """
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
-    index = np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), nc.end[rows, 2])
+    index = nearest_layer(nc.end[rows, 2], z_of)
     thickness = np.diff(z_of, prepend=config.base_mm)
-    of_part = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    of_part = [layers.section(k) for k in range(len(layers))]
     sections = [wanted_region(section, config) for section in of_part]
     some = [s for s in sections if not s.is_empty]
     bounds = np.asarray(shapely.total_bounds(some), np.float64) if some else np.zeros(4)

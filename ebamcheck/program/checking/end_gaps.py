@@ -21,7 +21,6 @@ from ebamcheck.program.checking.bead_metal import wanted_region
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.checking.deposit import STEP_SHARE
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
 NAME = "ends of beads"
@@ -138,7 +137,7 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         end, others = near[0][~own], place[other[~own]]
         gap = _ahead(at, way, end, others, AHEAD)
         straight = _ahead(at, way, end, others, STRAIGHT)
-        section = wanted_region(layer_section(layers.polygons(k)), config)
+        section = wanted_region(layers.section(k), config)
         border = _border_ahead(at, way, section, reach_mm)
         return pd.DataFrame({
             "gap_mm": np.minimum(gap, reach_mm), "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,

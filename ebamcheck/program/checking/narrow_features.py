@@ -19,10 +19,9 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.nearest import distances, segments_of
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.regions import ARC_SEGMENTS, equivalent_rectangles_mm, inset, valid_polygons
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.islands.regions import ARC_SEGMENTS, equivalent_rectangles_mm, inset
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm
 

@@ -14,7 +14,6 @@ from ebamcheck.program.checking.bead_metal import wanted_region
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.program.reading.roles import nearest_layer
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
 NAME = "beads inside"
@@ -30,6 +29,8 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
     ----------
     z_of
         (L,) Z of each of the `layers` in the program.
+    limit_mm
+        How far a centre line may leave the wanted region.
     """
     rows = np.flatnonzero(
         (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
@@ -38,7 +39,7 @@ def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, l
 
     def farthest(k: int) -> tuple[float, int, int, float, float] | None:
         owner, at = nc.samples(rows[layer == k], STEP_MM)
-        region = wanted_region(layer_section(layers.polygons(k)), config)
+        region = wanted_region(layers.section(k), config)
         if region.is_empty:
             return (math.inf, int(owner[0]), k, *at[0]) if owner.size else None
         shapely.prepare(region)

@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
-from ebamcheck.layers.insets import eroded
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
@@ -21,7 +21,6 @@ from ebamcheck.program.checking.bead_metal import bead_sections_mm2
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.settings.config import Config
 
 NAME = "metal laid once"
@@ -109,7 +108,7 @@ def _fullest(
     for _ in range(2):
         field = ndimage.uniform_filter(field, CELLS, mode="constant")
     metal = field / (cell**2 * thickness_mm)
-    wide = shapely.buffer(eroded(layer_section(layers.polygons(k)), bead_mm), bead_mm)
+    wide = shapely.buffer(eroded(layers.section(k), bead_mm), bead_mm)
     shapely.prepare(wide)
     excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), metal[j, i] - 1.0, 0.0)
     along = np.nan_to_num(nc.lengths[row]) / pieces

@@ -103,7 +103,7 @@ def _layers(nc: NCProgram) -> Iterator[Laid]:
         rings = [ring for ring in rings if shapely.is_valid(ring)]
         lines = shapely.MultiLineString([*rings, *_paths(nc, rows[here])])
         places = np.ascontiguousarray(shapely.get_coordinates(lines))
-        yield Laid(lines, segments_of(lines), places, shapely.union_all(contours.polygons(k)))
+        yield Laid(lines, segments_of(lines), places, contours.section(k))
 
 
 def _ring(points: Floats, *, closed: bool) -> shapely.LineString:

@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.insets import eroded
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 

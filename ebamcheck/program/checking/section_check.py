@@ -10,14 +10,14 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.nearest import distances, segments_of
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.regions import layer_section, valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program.checking.checks import Check
 from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.scan.islands.regions import layer_section
+from ebamcheck.program.reading.roles import nearest_layer
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
@@ -93,8 +93,7 @@ def section_check(
         What sets the limit at each place of the path; None: it is `limit_mm` everywhere.
     """
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
-    between = 0.5 * (z_of[1:] + z_of[:-1])
-    index = np.searchsorted(between, nc.end[rows, 2])
+    index = nearest_layer(nc.end[rows, 2], z_of)
     known = evidence or Evidence(limit_mm, limit_mm)
 
     found = run_each(
@@ -182,7 +181,7 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
     beyond = np.flatnonzero(np.abs(off) > base)
     if not beyond.size or base == known.most_mm:
         return allowed
-    smooth = None if known.smooth is None else layer_section(known.smooth.polygons(k))
+    smooth = None if known.smooth is None else known.smooth.section(k)
     if smooth is None or smooth.is_empty:
         leaves = _sagitta(at[beyond], section)
     else:

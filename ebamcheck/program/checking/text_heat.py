@@ -210,7 +210,7 @@ def known_sections(plan: Any, *stacks: Layers | None) -> list[BaseGeometry] | No
 
 def sections_of(layers: Layers) -> list[BaseGeometry]:
     """Sections of a stack as one geometry a layer."""
-    return [shapely.union_all(layers.polygons(k)) for k in range(len(layers))]
+    return [layers.section(k) for k in range(len(layers))]
 
 
 def sections_of_text(

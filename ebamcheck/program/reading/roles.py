@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import shapely
 
+from ebamcheck.geometry.nearest import distances
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -19,7 +19,6 @@ from ebamcheck.program.reading.beads import Beads
 from ebamcheck.program.reading.depths import depth_lines
 from ebamcheck.program.reading.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.program.reading.timeline import PAUSE
-from ebamcheck.scan.islands.regions import layer_section
 
 CLOSED_MM = 1e-3
 """A bead that comes this near to its start has come back: the decimals of a program, at their coarsest."""
@@ -64,14 +63,14 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
             mine = np.flatnonzero(layer == k)
             if not mine.size:
                 continue
-            border = depth_lines(layer_section(layers.polygons(k)), offset_mm)
+            border = depth_lines(layers.section(k), offset_mm)
             if not len(border):
                 continue
             row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
             # Under a beam that is switched on too early there are places that no block has given.
             known = np.isfinite(at).all(axis=1)
             row, at = row[known], at[known]
-            near = _away(at, border) <= near_mm
+            near = distances(np.ascontiguousarray(at), border) <= near_mm
             # Each sample stands for its share of the motion.
             np.add.at(pieces, row, 1)
             weight = np.nan_to_num(nc.lengths[row]) / pieces[row]
@@ -166,15 +165,6 @@ def _between_opposite(nc: NCProgram, first: Ints, last: Ints, bead: Ints, rows: 
 
 def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-
-
-def _away(at: Floats, sides: Floats) -> Floats:
-    """Distance (n,) of places (n, 2) from sides (m, 4), by a search tree."""
-    lines = np.atleast_1d(np.asarray(shapely.linestrings(sides.reshape(-1, 2, 2)), dtype=np.object_))
-    _, away = shapely.STRtree(lines).query_nearest(
-        np.asarray(shapely.points(at)), return_distance=True, all_matches=False
-    )
-    return np.asarray(away, np.float64)
 
 
 # -- layers ------------------------------------------------------------------------------------------

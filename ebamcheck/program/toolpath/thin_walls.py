@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.heat.melting import least_power_share
-from ebamcheck.layers.polygons import valid_polygons
-from ebamcheck.scan.islands.regions import CRUMB, mean_width_mm, split_thin
+from ebamcheck.scan.islands.regions import CRUMB, split_thin
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import line_energy_j_mm
 from ebamcheck.settings.wire_speed import wire_speed_mm_s

@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.regions import ARC_SEGMENTS
 from ebamcheck.heat.melting import melted_mm3_s
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.distances import border_distance
@@ -36,7 +37,6 @@ from ebamcheck.program.toolpath.cuts import segment_lengths, segment_places
 from ebamcheck.program.toolpath.inputs import ScanColumns, interpass_of
 from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan.islands.clipping import THIN_WALL
-from ebamcheck.scan.islands.regions import ARC_SEGMENTS
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import along_window
 from ebamcheck.settings.process_window import MOST_SPACINGS

@@ -9,8 +9,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ebamcheck.geometry.nearest import segments_of
+from ebamcheck.geometry.raster import bare_samples, covered_fraction
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.filling.coverage import bare_samples, covered_fraction, segments_of
 from ebamcheck.scan.filling.gaps import bare_spots, gap_beads, line_rows, spots_to_close
 from ebamcheck.scan.filling.hatch import Vectors, hatch, joined
 from ebamcheck.scan.filling.walls import wall_lines
@@ -138,4 +139,4 @@ def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledL
 
 def _beads(regions: Regions, lines: Vectors) -> Floats:
     """Centre lines of all beads, (S, 4)."""
-    return np.vstack([segments_of(regions.contour), np.hstack([lines.start, lines.end])])
+    return np.vstack([segments_of(shapely.boundary(regions.contour)), np.hstack([lines.start, lines.end])])

@@ -1,7 +1,7 @@
 """Gaps: what contour beads and lines leave bare, and the short beads that close it.
 
 A round bead leaves the tip of a corner, and three beads that meet leave a cusp between them. The grid of
-:mod:`ebamcheck.scan.filling.coverage` finds such spots, and there alone they are cut out exactly. A spot that is
+:mod:`ebamcheck.geometry.raster` finds such spots, and there alone they are cut out exactly. A spot that is
 wider than a set share of a bead gets a bead of its own; narrower ones, the largest first, only while the
 layer is covered less than its gate asks, since every bead is a start of the wire.
 """
@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.raster import BareSamples
+from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.coverage import BareSamples
 from ebamcheck.scan.filling.hatch import SHORTEST_LINE
 from ebamcheck.scan.filling.walls import wall_lines
 

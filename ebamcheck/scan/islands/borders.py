@@ -6,9 +6,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ebamcheck.geometry.regions import ring_columns
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.islands.regions import ring_columns
 
 TOUCH_MM = 1e-6
 """Borders nearer than this coincide: islands are cut from one region, so only rounding parts them."""

@@ -12,7 +12,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.layers.polygons import valid_polygons
+from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.borders import polygon_edges, shared_edges
 from ebamcheck.scan.islands.lattice import SQRT3, Lattice
@@ -174,7 +174,7 @@ def sliver_groups(pieces: NDArray[np.object_], area_mm2: float, width_mm: float)
 
 
 def rectangle_width_mm(area_mm2: float, border_mm: float) -> float:
-    """Width as of a wall, see :func:`ebamcheck.scan.islands.regions.equivalent_rectangles_mm`."""
+    """Width as of a wall, see :func:`ebamcheck.geometry.regions.equivalent_rectangles_mm`."""
     quarter = 0.25 * border_mm
     return area_mm2 / (quarter + math.sqrt(max(quarter**2 - area_mm2, 0.0)))
 

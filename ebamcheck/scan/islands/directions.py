@@ -15,11 +15,11 @@ import math
 import numpy as np
 import shapely
 
+from ebamcheck.geometry.regions import equivalent_rectangles_mm
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.borders import shared_borders
 from ebamcheck.scan.islands.clipping import Cells
 from ebamcheck.scan.islands.rectangle import minimum_rectangle
-from ebamcheck.scan.islands.regions import equivalent_rectangles_mm
 
 LEAST_TURN_DEG = 15.0
 """Directions closer than this count as one: a quarter of the usual turn, so that halves between always part."""

@@ -13,24 +13,22 @@ unless set):
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.errors import GeometryError
-from ebamcheck.layers.insets import eroded
-from ebamcheck.layers.polygons import valid_polygons
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.geometry.regions import (
+    ARC_SEGMENTS,
+    NO_WIDTH_MM,
+    aspect,
+    eroded,
+    inset,
+    mean_width_mm,
+    valid_polygons,
+)
 from ebamcheck.settings.config import Config
-
-ARC_SEGMENTS = 16
-"""Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the
-gun goes around without a stop, and mitred offsets of GEOS 3.14 lose whole regions or grow NaN points."""
 
 JOIN_MM = 1e-3
 """Overlap at which a region grown back over another counts as covering it: far under any bead, far over
@@ -52,9 +50,6 @@ WALL_ASPECT = 2.0
 FILL_TOLERANCE = 0.002
 """Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
 the sake of its surface, which the fill does not reach."""
-
-NO_WIDTH_MM = 1e-3
-"""An inset region narrower than this on average has vanished but for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,40 +94,6 @@ def layer_regions(section: BaseGeometry, config: Config) -> Regions:
         narrow_fills=[p for p in thin if mean_width_mm(p) > width - spacing],
         bare_walls=bare_walls(section, contour, offset, CRUMB * width**2),
     )
-
-
-def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeometry:
-    """Return the solid region of a layer as one valid geometry; overlapping polygons unite.
-
-    Raises
-    ------
-    GeometryError
-        If a coordinate is not finite, or something else than a geometry is given.
-    """
-    given = [polygons] if isinstance(polygons, BaseGeometry) else list(polygons)
-    for number, geometry in enumerate(given):
-        if not isinstance(geometry, BaseGeometry):
-            raise GeometryError(
-                f"polygon {number} of the layer is a {type(geometry).__name__}, not a shapely geometry: "
-                "give those of one layer, such as layers.polygons(3)"
-            )
-        if not np.isfinite(shapely.get_coordinates(geometry)).all():
-            raise GeometryError(
-                f"polygon {number} of the layer has a coordinate that is not finite: mend the contour"
-            )
-    parts = [part for geometry in given for part in valid_polygons(geometry)]
-    if len(parts) > 1:
-        return shapely.union_all(parts)
-    return parts[0] if parts else shapely.Polygon()
-
-
-def inset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
-    """Points of a region deeper than a distance: outward corners stay corners, inward ones become arcs.
-
-    Parts that vanish but for rounding are left out.
-    """
-    parts = valid_polygons(eroded(region, distance_mm, ARC_SEGMENTS))
-    return shapely.MultiPolygon([p for p in parts if mean_width_mm(p) > NO_WIDTH_MM])
 
 
 def split_thin(
@@ -181,43 +142,5 @@ def _beside(region: BaseGeometry, taken: BaseGeometry) -> list[shapely.Polygon]:
     return [polygon for left in shapely.difference(parts, near) for polygon in valid_polygons(left)]
 
 
-def equivalent_rectangles_mm(
-    polygons: Sequence[BaseGeometry] | NDArray[np.object_],
-) -> tuple[Floats, Floats]:
-    """Width and length (I,) of the rectangle with the same area and the same border length as a polygon.
-
-    A wall that is bent, or closed to a ring, has the width and length of the straight one; anything
-    rounder than a square counts as a square of its border length.
-    """
-    geometries = np.asarray(polygons, object).reshape(-1)
-    quarter, area = 0.25 * shapely.length(geometries), shapely.area(geometries)
-    length = quarter + np.sqrt(np.maximum(quarter**2 - area, 0.0))
-    width = np.divide(area, length, out=np.zeros_like(length), where=length > 0)
-    return width, length
-
-
-def mean_width_mm(polygon: BaseGeometry) -> float:
-    """Width of a polygon as of a wall, see :func:`equivalent_rectangles_mm`."""
-    width, _ = equivalent_rectangles_mm([polygon])
-    return float(width[0])
-
-
-def aspect(polygon: BaseGeometry) -> float:
-    """Length over width of a polygon as of a wall; infinite without width."""
-    width, length = equivalent_rectangles_mm([polygon])
-    return float(length[0] / width[0]) if width[0] > 0 else math.inf
-
-
 def _offset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
     return shapely.buffer(region, distance_mm, quad_segs=ARC_SEGMENTS)
-
-
-def ring_columns(islands: NDArray[np.object_]) -> tuple[Floats, tuple[Ints, Ints]]:
-    """Points (N, 2) of all rings, first row of each ring (R + 1,), first ring of each polygon (I + 1,)."""
-    if not islands.size:
-        return np.zeros((0, 2)), (np.zeros(1, np.int64), np.zeros(1, np.int64))
-    kind, points, offsets = shapely.to_ragged_array(islands)
-    if kind == shapely.GeometryType.MULTIPOLYGON:  # pragma: no cover - islands are polygons
-        raise TypeError("islands must be polygons")
-    ring_starts, island_rings = (np.asarray(o, np.int64) for o in offsets)
-    return np.ascontiguousarray(points, np.float64), (ring_starts, island_rings)

@@ -12,10 +12,10 @@ import pandas as pd
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
 from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.order.simulation import entry_temperatures, nearest_options

@@ -8,8 +8,8 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
+from ebamcheck.geometry.regions import layer_section
 from ebamcheck.layers.stack import Layers
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
@@ -100,7 +100,7 @@ def plan_stack(
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     # Layers are cut at half their height: the part stands on the plate half a layer under the lowest cut.
     plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * config.layer_height_mm
-    sections = [layer_section(layers.polygons(k)) for k in range(len(layers))]
+    sections = [layers.section(k) for k in range(len(layers))]
     stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
     carry = config.scan.carry_heat and needs_heat(name)
     simulated = config.process.interpass != "off" or config.preheat.when != "off"

@@ -9,7 +9,6 @@ import pandas as pd
 
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH
 from ebamcheck.program.checking.metal_field import FIELD_FILE, read_field
-from ebamcheck.scan.islands.regions import layer_section
 from ebamcheck.showing.markup import inline
 from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart
@@ -85,7 +84,7 @@ def _worst(run: RunData, layers: pd.DataFrame) -> list[Markup]:
     name = f"layer {layer + 1}, Z {found['z_mm']:.3f}"
     svg = metal_picture.draw(
         field,
-        layer_section(run.folder.read_layers(run.part_of("program")["witness"]).polygons(layer)),
+        run.folder.read_layers(run.part_of("program")["witness"]).section(layer),
         thickness_mm,
         run.config.process.largest_unevenness_mm,
         name,

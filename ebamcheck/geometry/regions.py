@@ -1,4 +1,4 @@
-"""Insets of regions, checked by distances: what lies deeper in a region than a distance.
+"""Regions of layers: their polygons, sections, insets, mean widths, and the ground under beads.
 
 GEOS finds an inset by sides that it moves inwards; by a rule of thumb it takes some of a few sides for turned over, and leaves
 them out whole. So every inset is held against what must be true of it, by distances alone, and where it is not, the second
@@ -8,17 +8,26 @@ way is gone: the border of the region is widened, side by side, and taken away.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.nearest import distances, segments_of
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.numeric.rings import Floats, Ints
 
-if TYPE_CHECKING:
-    # Loaded only where regions are made; most commands make none.
-    from shapely.geometry.base import BaseGeometry
+ARC_SEGMENTS = 16
+"""Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the
+gun goes around without a stop, and mitred offsets of GEOS 3.14 lose whole regions or grow NaN points."""
+
+NO_WIDTH_MM = 1e-3
+"""An inset region narrower than this on average has vanished but for rounding."""
+
+POLYGON = 3
+"""Type of a polygon among shapely's geometries; collections have the greater ones."""
 
 SIMPLIFIED = 0.01
 """Share of the distance by which GEOS simplifies a border before it moves it (``BufferParameters::simplifyFactor``)."""
@@ -34,6 +43,90 @@ ROUNDING = 1e-12
 
 JUDGED = 1e-9
 """Share of the coordinates up to which a distance is mere rounding, and its inset is not judged."""
+
+
+def valid_polygons(geometry: BaseGeometry) -> list[shapely.Polygon]:
+    """Polygons with area in a geometry; invalid ones are made valid."""
+    if not geometry.is_valid:
+        geometry = shapely.make_valid(geometry)
+    parts = shapely.get_parts(geometry)
+    kind = shapely.get_type_id(parts)
+    if (kind > POLYGON).any():
+        return [polygon for part in parts for polygon in valid_polygons(part)]
+    found: list[shapely.Polygon] = parts[(kind == POLYGON) & (shapely.area(parts) > 0.0)].tolist()
+    return found
+
+
+def layer_section(polygons: BaseGeometry | Iterable[BaseGeometry]) -> BaseGeometry:
+    """Return the solid region of a layer as one valid geometry; overlapping polygons unite.
+
+    Raises
+    ------
+    GeometryError
+        If a coordinate is not finite, or something else than a geometry is given.
+    """
+    given = [polygons] if isinstance(polygons, BaseGeometry) else list(polygons)
+    for number, geometry in enumerate(given):
+        if not isinstance(geometry, BaseGeometry):
+            raise GeometryError(
+                f"polygon {number} of the layer is a {type(geometry).__name__}, not a shapely geometry: "
+                "give those of one layer, such as layers.polygons(3)"
+            )
+        if not np.isfinite(shapely.get_coordinates(geometry)).all():
+            raise GeometryError(
+                f"polygon {number} of the layer has a coordinate that is not finite: mend the contour"
+            )
+    parts = [part for geometry in given for part in valid_polygons(geometry)]
+    if len(parts) > 1:
+        return shapely.union_all(parts)
+    return parts[0] if parts else shapely.Polygon()
+
+
+def equivalent_rectangles_mm(
+    polygons: Sequence[BaseGeometry] | NDArray[np.object_],
+) -> tuple[Floats, Floats]:
+    """Width and length (I,) of the rectangle with the same area and the same border length as a polygon.
+
+    A wall that is bent, or closed to a ring, has the width and length of the straight one; anything
+    rounder than a square counts as a square of its border length.
+    """
+    geometries = np.asarray(polygons, object).reshape(-1)
+    quarter, area = 0.25 * shapely.length(geometries), shapely.area(geometries)
+    length = quarter + np.sqrt(np.maximum(quarter**2 - area, 0.0))
+    width = np.divide(area, length, out=np.zeros_like(length), where=length > 0)
+    return width, length
+
+
+def mean_width_mm(polygon: BaseGeometry) -> float:
+    """Width of a polygon as of a wall, see :func:`equivalent_rectangles_mm`."""
+    width, _ = equivalent_rectangles_mm([polygon])
+    return float(width[0])
+
+
+def aspect(polygon: BaseGeometry) -> float:
+    """Length over width of a polygon as of a wall; infinite without width."""
+    width, length = equivalent_rectangles_mm([polygon])
+    return float(length[0] / width[0]) if width[0] > 0 else math.inf
+
+
+def ring_columns(islands: NDArray[np.object_]) -> tuple[Floats, tuple[Ints, Ints]]:
+    """Points (N, 2) of all rings, first row of each ring (R + 1,), first ring of each polygon (I + 1,)."""
+    if not islands.size:
+        return np.zeros((0, 2)), (np.zeros(1, np.int64), np.zeros(1, np.int64))
+    kind, points, offsets = shapely.to_ragged_array(islands)
+    if kind == shapely.GeometryType.MULTIPOLYGON:  # pragma: no cover - islands are polygons
+        raise TypeError("islands must be polygons")
+    ring_starts, island_rings = (np.asarray(o, np.int64) for o in offsets)
+    return np.ascontiguousarray(points, np.float64), (ring_starts, island_rings)
+
+
+def inset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
+    """Points of a region deeper than a distance: outward corners stay corners, inward ones become arcs.
+
+    Parts that vanish but for rounding are left out.
+    """
+    parts = valid_polygons(eroded(region, distance_mm, ARC_SEGMENTS))
+    return shapely.MultiPolygon([p for p in parts if mean_width_mm(p) > NO_WIDTH_MM])
 
 
 def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> BaseGeometry:
@@ -55,12 +148,9 @@ def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> Bas
 
     Examples
     --------
-    >>> import shapely
     >>> eroded(shapely.box(0, 0, 10, 8), 3.0).bounds
     (3.0, 3.0, 7.0, 5.0)
     """
-    import shapely
-
     if distance_mm == 0.0 or region.is_empty:
         return region
     found = shapely.buffer(region, -distance_mm, quad_segs=quad_segs)
@@ -71,8 +161,6 @@ def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> Bas
 
 
 def _part_eroded(part: BaseGeometry, distance_mm: float, quad_segs: int) -> BaseGeometry:
-    import shapely
-
     found: BaseGeometry = shapely.buffer(part, -distance_mm, quad_segs=quad_segs)
     if is_inset(found, part, distance_mm, quad_segs):
         return found
@@ -99,8 +187,6 @@ def is_inset(found: BaseGeometry, region: BaseGeometry, distance_mm: float, quad
     And places at that distance in from a side, if no other side is nearer, lie on its border: none of it is left out that is as
     large as a quarter of the distance.
     """
-    import shapely
-
     if not np.isfinite(shapely.get_coordinates(found)).all():
         return False
     off = SIMPLIFIED + 1.0 - math.cos(0.25 * math.pi / quad_segs)
@@ -142,8 +228,6 @@ def _places_at(region: BaseGeometry, depth_mm: float, step_mm: float) -> Floats:
 
 def _sides(region: BaseGeometry) -> tuple[Floats, Floats, Floats]:
     """Start, end and unit normal inwards of every side of a region, (S, 2) each."""
-    import shapely
-
     rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(region)))
     points, ring = shapely.get_coordinates(rings, return_index=True)
     joined = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
@@ -151,3 +235,14 @@ def _sides(region: BaseGeometry) -> tuple[Floats, Floats, Floats]:
     way = end - start
     inwards = np.column_stack([-way[:, 1], way[:, 0]]) / np.hypot(way[:, 0], way[:, 1])[:, None]
     return start, end, inwards
+
+
+def ground(lines: NDArray[np.object_], bead_width_mm: float) -> BaseGeometry:
+    """Ground under beads along lines (S,); they end in half discs.
+
+    Lines that follow each other are widened as one: ten times as fast as one by one.
+    """
+    of_points = lines[shapely.length(lines) == 0.0]  # merging would drop them
+    chains = shapely.get_parts(shapely.line_merge(shapely.multilinestrings(lines)))
+    beads = shapely.buffer([*chains, *of_points], 0.5 * bead_width_mm, quad_segs=2 * ARC_SEGMENTS)
+    return shapely.union_all(beads)
