@@ -121,7 +121,7 @@ def _run(stl: Path, run: Path, config: Config) -> dict[str, Any]:
         "verify": _lines(verify_run(run, stl)),
         "text": _lines(verify_against_part(run / "program", stl, config)) if program else [],
     }
-    digests = _files(path for path in sorted(run.rglob("*")) if path.is_file())
+    digests = _files(run, [path for path in sorted(run.rglob("*")) if path.is_file()])
     return {**digests, "verdicts": verdicts}
 
 
@@ -129,13 +129,13 @@ def _lines(checks: Sequence[Check]) -> list[str]:
     return [f"{'pass' if check.passed else 'FAIL'} {check.value:.9g} {check.in_words()}" for check in checks]
 
 
-def _files(paths: Iterator[Path] | Sequence[Path]) -> dict[str, Any]:
+def _files(root: Path, paths: Sequence[Path]) -> dict[str, Any]:
     """Digests of files, and of the columns of those that are tables."""
     digests: dict[str, dict[str, str]] = {"bytes": {}, "numbers": {}}
     for path in paths:
         if path.name in NEW_EACH_TIME:
             continue
-        name = f"{path.parent.name}/{path.name}"
+        name = path.relative_to(root).as_posix()
         digests["bytes"][name] = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
         if path.suffix in (".parquet", ".csv"):
             digests["numbers"][name] = _digits(path)
@@ -176,7 +176,7 @@ def _command(folder: Path, words: Sequence[str]) -> dict[str, Any]:
     made = [path for path in sorted(folder.iterdir()) if before.get(path) != path.stat().st_mtime_ns]
     files = [file for path in made for file in ([path] if path.is_file() else sorted(path.rglob("*")))]
     return {
-        **_files([file for file in files if file.is_file()]),
+        **_files(folder, [file for file in files if file.is_file()]),
         "verdicts": {"exit_code": done.returncode, "said": done.stdout if "--json" in words else ""},
     }
 
