@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ebamcheck.program.checking.preheat_way import scans_of
+from ebamcheck.program.checking.text_heat import scans_of
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config

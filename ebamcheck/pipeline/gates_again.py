@@ -45,12 +45,11 @@ from ebamcheck.pipeline.text_again import text_again
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.cold_entries import COLD
 from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.end_gaps import NAME as ENDS_OF_BEADS
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
-from ebamcheck.program.checking.interpass_checks import AGAIN
+from ebamcheck.program.checking.interpass_checks import AGAIN, COLD
 from ebamcheck.program.checking.metal_field import FIELD_FILE
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
