@@ -329,7 +329,7 @@ CASES = (
     upwards("overhang", "process.bead_width_mm", lambda f: reaching(f * 6.0)),
     upwards("overhang", "process.largest_overhang_deg", lambda f: reaching(1.5 * math.tan(math.radians(f * 45.0)), largest_overhang_deg=45.0)),
     upwards("support", "process.bead_width_mm", over_a_gap, "layers"),
-    downwards("support", "in_the_air.WHOLLY", on_a_clamp),
+    downwards("support", "clearance.WHOLLY", on_a_clamp),
     upwards("collision", "standing.TOUCH_MM", lower_bead),
     downwards("collision", "machine.head_radius_mm machine.head_above_tip_mm", head),
     upwards("clearance", "standing.TOUCH_MM machine.clearance_mm", lambda f: travelling(1.5 + 5.0 - f * 1e-3, (0.0, 2.0))),

@@ -10,7 +10,7 @@ from limit_cases import Case, Subject, cube, upwards
 
 from ebamcheck.program import Check
 from ebamcheck.program.checking.tilt_checks import tilt_checks
-from ebamcheck.program.reading.table_columns import TableColumns
+from ebamcheck.program.reading.table import TableColumns
 
 AXIS = {
     "name": "C",

@@ -89,3 +89,26 @@ def test_a_bead_is_several_where_others_of_its_motions_part_it():
     assert len(nc.beads.among(np.delete(rows, 1))) == 2
     assert len(nc.beads.among(rows[:0])) == 0
     assert nc.beads.among(rows[:0]).total(np.zeros(0)).size == 0
+
+
+@pytest.mark.parametrize("shape", ["block with a channel", "two spheres"])
+def test_chords_join_the_ends_of_motions_and_keep_to_their_step(shape, tmp_path):
+    part = made(shape)
+    nc = read_program(write_program(part.beads, part.plan, part.config, tmp_path).main, part.config)
+    rows = np.flatnonzero(nc.deposit)[::3]
+    owner, chords = nc.chords(rows, 0.5)
+    assert (nc.kind[rows] > 1).any()
+    assert owner.tolist() == sorted(owner.tolist())
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    last = np.append(first[1:], owner.size) - 1
+    assert owner[first].tolist() == rows.tolist()
+    assert (chords[first, :2] == nc.start[rows, :2]).all()
+    assert chords[last, 2:] == pytest.approx(nc.end[rows, :2], abs=1e-6)
+    inner = np.setdiff1d(np.arange(owner.size), first)
+    assert (chords[inner, :2] == chords[inner - 1, 2:]).all()
+    length = np.hypot(*(chords[:, 2:] - chords[:, :2]).T)
+    assert length.max() <= 0.5 + 1e-9
+    assert np.bincount(owner, length, minlength=len(nc))[rows] == pytest.approx(nc.lengths[rows], rel=2e-3)
+    index, points = nc.lines(rows, 0.5)
+    assert points.shape == (owner.size + rows.size, 2)
+    assert (np.bincount(index) == np.bincount(np.searchsorted(rows, owner)) + 1).all()

@@ -14,9 +14,16 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.heat.melting import least_power_share, melted_mm3_s, own_power_shares
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
-from ebamcheck.program.checking.cold_entries import COLD, WARM_SHARE, least_entries_k
 from ebamcheck.program.checking.heat_again import MODELS_K, highest_entry_k, melting_power_w
-from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, heat_checks, layer_shares
+from ebamcheck.program.checking.interpass_checks import (
+    AGAIN,
+    COLD,
+    INTERPASS,
+    WARM_SHARE,
+    heat_checks,
+    layer_shares,
+    least_entries_k,
+)
 from ebamcheck.program.checking.melting_check import MELTING, melting_check, spread_mm
 from ebamcheck.program.checking.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
 from ebamcheck.program.reading.roles import by_height

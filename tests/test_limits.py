@@ -51,12 +51,12 @@ NO_LIMITS = {
     "how finely something is looked at": """
         bare_parts.MARGIN bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
         hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
-        heat_again.HOTTEST_K heat_again.SUMMED in_the_air.STEP_MM outside_check.STEP_MM overfill.CELLS overhang.OUTLINE_STEP_MM
+        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM outside_check.STEP_MM overfill.CELLS overhang.OUTLINE_STEP_MM
         overhang.INNER_STEP_MM overhang.FIRST_ASKED overhang.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
         standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
-        tilt_checks.STEP_DEG preheat_way.LONGEST_S
+        tilt_checks.STEP_DEG text_heat.LONGEST_S
         bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS end_gaps.REACH_BEADS
         narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
         mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
@@ -74,7 +74,7 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_region.ROUND_SHARE preheat_region.SLIVER_MM preheat_region.ALONG_MM
+        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
         bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
         turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
     "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from prism_program import Made
 
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.program.checking.preheat_checks import preheat_checks
-from ebamcheck.program.checking.preheat_region import WIDEST, widest_gap_mm
+from ebamcheck.program.checking.preheat_checks import WIDEST, preheat_checks, widest_gap_mm
 from ebamcheck.scan.filling import preheat_lines
 from ebamcheck.scan.filling.preheat_lines import pass_lines
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat

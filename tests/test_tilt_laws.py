@@ -13,7 +13,7 @@ from ebamcheck.mesh.on_table import on_table
 from ebamcheck.pipeline.turned import mounting_checks
 from ebamcheck.program import read_program, write_program
 from ebamcheck.program.language.words import WordError
-from ebamcheck.program.reading.frames import NONE, frame_after
+from ebamcheck.program.reading.table import NONE, frame_after
 from ebamcheck.program.reading.turned_table import table_at
 from ebamcheck.program.writing.tilt_text import positions_of, table_motion
 from ebamcheck.settings.config import Config

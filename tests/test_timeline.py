@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from limit_cases import cube
 from limits_of_heat import preheated
 
 from ebamcheck.program.checking.checks import event_faults
+from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.program.reading.timeline import Events, Kind
 
 NAMES = (
@@ -84,3 +86,12 @@ def test_faults_come_in_the_order_of_the_text_and_of_the_rules():
         (nc.where_event(second), f"at {second}"),
     ]
     assert len(faults) == on.sum() + 1
+
+
+def test_a_program_that_calls_nothing_is_told_that_its_plate_is_not_preheated():
+    subject = preheated()
+    events = subject.nc.events
+    nc = replace(subject.nc, events=events.chosen(events.kind != Kind.CALL))
+    found = {check.name: check for check in preheat_checks(nc, subject.config, None)}
+    assert not found["preheat calls"].passed
+    assert found["preheat calls"].text.startswith("the base plate is not preheated")

@@ -52,7 +52,7 @@ from ebamcheck.program import Check, ProgramFiles, verify_program
 from ebamcheck.program.checking.hatch_form import form_checks
 from ebamcheck.program.checking.marked import marked_validated
 from ebamcheck.program.checking.matching import matched
-from ebamcheck.program.checking.preheat_way import scans_of
+from ebamcheck.program.checking.text_heat import scans_of
 from ebamcheck.program.language.control import control
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.order.orders import needs_heat

@@ -19,10 +19,9 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
-from ebamcheck.program.checking.cold_entries import COLD
 from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.heat_again import highest_entry_k
-from ebamcheck.program.checking.interpass_checks import AGAIN, HEAT_CHECKS, INTERPASS, within_range
+from ebamcheck.program.checking.interpass_checks import AGAIN, COLD, HEAT_CHECKS, INTERPASS, within_range
 from ebamcheck.program.checking.melting_check import MELTING
 from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config

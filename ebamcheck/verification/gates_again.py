@@ -44,14 +44,13 @@ from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_program
 from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.cold_entries import COLD
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.program.checking.end_gaps import NAME as ENDS_OF_BEADS
 from ebamcheck.program.checking.entry_check import NAME as ENTRY
 from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
 from ebamcheck.program.checking.header_checks import Truth
-from ebamcheck.program.checking.interpass_checks import AGAIN
+from ebamcheck.program.checking.interpass_checks import AGAIN, COLD
 from ebamcheck.program.checking.metal_field import FIELD_FILE
 from ebamcheck.program.checking.narrow_features import NarrowFeature
 from ebamcheck.program.checking.verification import read_checked

@@ -247,13 +247,7 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
 
 def _segments(nc: NCProgram, rows: Ints) -> Floats:
     """Chords (S, 4) of the motions, x0, y0, x1, y1, mm; without those from or to a place that is not known."""
-    if not rows.size:
-        return np.zeros((0, 4))
-    owner, points = nc.samples(rows, BEAD_STEP_MM)
-    before = np.vstack([np.zeros((1, 2)), points[:-1]])
-    first = np.flatnonzero(np.diff(owner, prepend=-1))
-    before[first] = nc.start[owner[first], :2]
-    chords: Floats = np.hstack([before, points])
+    _, chords = nc.chords(rows, BEAD_STEP_MM)
     # Widened lines of unknown places end the process within GEOS.
     return np.asarray(chords[np.isfinite(chords).all(axis=1)])
 

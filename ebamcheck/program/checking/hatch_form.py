@@ -316,13 +316,8 @@ def _chords(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats]:
     """Motion of each chord (S,), and its ends (S, 4): one for a straight motion, several for a curve."""
     curved = nc.kind[rows] != STRAIGHT
     straight = rows[~curved]
-    owner, points = nc.samples(rows[curved], CHORD_MM)
-    before = np.vstack([np.zeros((1, 2)), points[:-1]])[: len(points)]
-    first = np.flatnonzero(np.diff(owner, prepend=-1))
-    before[first] = nc.start[owner[first], :2]
-    segments = np.vstack(
-        [np.hstack([nc.start[straight, :2], nc.end[straight, :2]]), np.hstack([before, points])]
-    )
+    owner, bent = nc.chords(rows[curved], CHORD_MM)
+    segments = np.vstack([np.hstack([nc.start[straight, :2], nc.end[straight, :2]]), bent])
     every = np.concatenate([straight, owner])
     order = np.argsort(every, kind="stable")
     moves = (segments[order, :2] != segments[order, 2:]).any(axis=1)

@@ -242,17 +242,16 @@ def _entries(nc: NCProgram, wanted: set[str]) -> list[tuple[int, int, dict[str, 
     A row of blocks that set modes ends with the next motion, and where a mode follows a switch or a value: in one file
     the first blocks of the program are followed by those of its first layer.
     """
+    e = nc.events
+    mode, value = e.named(*wanted), e.named(*BEAM_VALUES)
+    before, switched = e.latest(mode)[:-1], e.latest(value | e.named(*SWITCHES))[:-1]
+    here = (before >= 0) & (e.file == e.file[before]) & (e.row == e.row[before])
+    begins = mode & ~(here & (switched < before))
     runs: list[tuple[int, int, dict[str, str]]] = []
-    here, ended = (-1, -1), True
-    for i, name in enumerate(nc.events.name):
-        place = (int(nc.events.file[i]), int(nc.events.row[i]))
-        mode = name in wanted
-        if mode and (ended or place != here):
-            runs.append((*place, {}))
-        ended = (ended or name in SWITCHES or name in BEAM_VALUES) and not mode
-        if (mode or name in BEAM_VALUES) and runs and (mode or place == here):
-            runs[-1][2].setdefault(name, nc.where_event(i))
-        here = place if mode or place == here else here
+    for i in np.flatnonzero(mode | (value & here)).tolist():
+        if begins[i]:
+            runs.append((int(e.file[i]), int(e.row[i]), {}))
+        runs[-1][2].setdefault(e.name[i], nc.where_event(i))
     return runs
 
 

@@ -112,11 +112,8 @@ def _ring(points: Floats, *, closed: bool) -> shapely.LineString:
 
 def _paths(nc: NCProgram, rows: Ints) -> np.ndarray[tuple[int], np.dtype[np.object_]]:
     """Return the path of each motion as a line, with its start."""
-    row, points = nc.samples(rows, INNER_STEP_MM)
-    points = np.concatenate([nc.start[rows, :2], points])
-    line = np.concatenate([np.arange(rows.size), np.searchsorted(rows, row)])
-    order = np.argsort(line, kind="stable")
-    return np.asarray(shapely.linestrings(points[order], indices=line[order]), dtype=np.object_)
+    line, points = nc.lines(rows, INNER_STEP_MM)
+    return np.asarray(shapely.linestrings(points, indices=line), dtype=np.object_)
 
 
 def _reach(laid: Laid, below: Laid, allowed_mm: float, width_mm: float) -> tuple[float, Floats, float]:

@@ -9,8 +9,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.numeric.rings import Bools
+from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.program.checking.checks import Check, count_check, event_faults, row_faults
 from ebamcheck.program.checking.machine_state import modes_of_scans
 from ebamcheck.program.checking.preheat_heat import (
@@ -21,7 +22,6 @@ from ebamcheck.program.checking.preheat_heat import (
     temperature_again,
     temperatures_of,
 )
-from ebamcheck.program.checking.preheat_region import WIDEST, wanted_region, widest_gap_mm
 from ebamcheck.program.checking.state_checks import extremes
 from ebamcheck.program.checking.text_heat import sections_of_text
 from ebamcheck.program.language.codes import BEAM_VALUES, FOCUS
@@ -37,6 +37,19 @@ VALUE_SHARE = 1e-3
 
 PLACE_MM = 0.01
 """How far beside the region a line may end: the decimals of the program."""
+
+ROUND_SHARE = 2e-3
+"""Share of the spot by which a rounding of chords may lie beside its circle."""
+
+WIDEST = 1.5
+"""Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one."""
+
+SLIVER_MM = 0.1
+"""Lines across a narrower place may be left out."""
+
+ALONG_MM = 1e-3
+"""A line along an axis leaves it by no more: the decimals of a program, at their coarsest."""
+
 
 Faults = list[tuple[str, str]]
 
@@ -89,7 +102,7 @@ def _calls(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     calls = np.flatnonzero(e.kind == Kind.CALL).tolist()
     names = [e.said(i) for i in calls]
     layers = [file.rpartition(".")[0] for file in nc.layer_files]
-    for i, name, after in zip(calls, names, [*names[1:], ""], strict=True):
+    for i, name, after in zip(calls, names, [*names, ""][1:], strict=True):
         k = layer_of_preheat(stem, name)
         if k is None:
             continue
@@ -274,3 +287,73 @@ def _rows_off(
             scans.where(int(outside[0])),
             f"the beam leaves what is to be preheated on its way to ({x:g}, {y:g})",
         )
+
+
+# -- region ----------------------------------------------------------------------------------------
+
+
+def wanted_region(
+    sections: list[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None
+) -> BaseGeometry:
+    """Region that the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
+
+    Plan and writer take region and lines from one place: a mistake there would be in the program and in what it is held against.
+
+    On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
+    or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot.
+    """
+    half_mm = (0.5 - ROUND_SHARE) * config.preheat.spot_mm
+    below = under if k == 0 else sections[k - 1]
+    region: BaseGeometry
+    if below is not None:
+        region = eroded(below, half_mm)
+    else:
+        (x0, y0), (x1, y1) = np.reshape(shapely.bounds(sections[0]), (2, 2)).tolist()
+        margin_mm = config.preheat.margin_mm
+        region = shapely.box(x0 - margin_mm, y0 - margin_mm, x1 + margin_mm, y1 + margin_mm)
+        low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
+        if low is not None and high is not None:
+            spot_mm = 0.5 * config.preheat.spot_mm
+            plate = shapely.box(low[0] + spot_mm, low[1] + spot_mm, high[0] - spot_mm, high[1] - spot_mm)
+            region = shapely.intersection(region, plate)
+    floor_mm = 0.0 if below is None else z_mm
+    for place in config.process.keep_out:
+        if place.z_mm[1] > floor_mm:
+            clamp = shapely.buffer(shapely.Polygon(place.outline_mm), half_mm)
+            region = shapely.difference(region, clamp)
+    return region
+
+
+def widest_gap_mm(region: BaseGeometry, start: Floats, end: Floats, config: Config) -> float:
+    """Greatest distance between two lines of the beam, (n, 2) each, that run across the region side by side, and from its ends to the next.
+
+    A line counts where all of it within the region is driven. Lines along X are asked for, and along Y where there are any.
+    """
+    way = np.abs(end - start)
+    along, across = (way[:, 1] <= ALONG_MM), (way[:, 0] <= ALONG_MM)
+    gap_mm = _gap_mm(region, start[along], end[along])
+    # Shorter ones join two lines along X.
+    if way[across, 1].max(initial=0.0) > 2.0 * WIDEST * config.preheat.spacing_mm:
+        swapped = shapely.transform(region, lambda places: places[:, ::-1])
+        gap_mm = max(gap_mm, _gap_mm(swapped, start[across, ::-1], end[across, ::-1]))
+    return gap_mm
+
+
+def _gap_mm(region: BaseGeometry, start: Floats, end: Floats) -> float:
+    """The same of lines along X."""
+    row = np.round(start[:, 1] / ALONG_MM).astype(np.int64)
+    driven = {y * ALONG_MM: shapely.union_all(shapely.linestrings(np.stack([start[row == y], end[row == y]], axis=1)))
+              for y in np.unique(row).tolist()}  # fmt: skip
+    worst = 0.0
+    for part in shapely.get_parts(eroded(region, 0.6 * SLIVER_MM)):
+        x0, y0, x1, y1 = shapely.bounds(part).tolist()
+        places = [y0]
+        for y, lines in driven.items():
+            if y0 < y < y1:
+                whole = shapely.intersection(part, shapely.LineString([(x0 - 1.0, y), (x1 + 1.0, y)]))
+                near = shapely.buffer(lines, SLIVER_MM)
+                left = shapely.get_parts(shapely.difference(whole, near))
+                if shapely.length(left).max(initial=0.0) <= SLIVER_MM:
+                    places.append(y)
+        worst = max(worst, float(np.diff([*places, y1]).max()))
+    return worst

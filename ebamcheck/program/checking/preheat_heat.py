@@ -10,8 +10,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.program.checking.checks import Check, count_check
 from ebamcheck.program.checking.heat_again import MODELS_SHARE, plate_k
-from ebamcheck.program.checking.preheat_way import scanned_heat, scans_of
-from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.program.checking.text_heat import scanned_heat, scans_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.filling.preheat_lines import pass_length_mm, pass_lines
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k

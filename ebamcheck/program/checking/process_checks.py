@@ -115,11 +115,8 @@ def motion_lines(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
     result[straight] = shapely.linestrings(np.stack([nc.start[flat, :2], nc.end[flat, :2]], axis=1))
     curved = np.flatnonzero(~straight)
     if curved.size:
-        owner, points = nc.samples(rows[curved], KEEP_OUT_STEP_MM)
-        points = np.vstack([nc.start[rows[curved], :2], points])
-        index = np.concatenate([np.arange(curved.size), np.searchsorted(rows[curved], owner)])
-        order = np.argsort(index, kind="stable")
-        result[curved] = shapely.linestrings(points[order], indices=index[order])
+        index, points = nc.lines(rows[curved], KEEP_OUT_STEP_MM)
+        result[curved] = shapely.linestrings(points, indices=index)
     return result
 
 

@@ -16,10 +16,10 @@ from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.checking.preheat_way import begun_column, scans_of
 from ebamcheck.program.reading.motions import RAPID, NCProgram
-from ebamcheck.program.reading.timeline import PAUSE
-from ebamcheck.scan.heat.preheating import BeamWay
+from ebamcheck.program.reading.timeline import PAUSE, Kind
+from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
+from ebamcheck.scan.plan.preheated import Scanned, scanned, surface_heat
 from ebamcheck.settings.config import Config
 
 LONGEST_WAIT_S = 4.0 * 3600.0
@@ -30,6 +30,9 @@ LEAST_SHARE = 1e-6
 
 OUTLINE_STEP_MM = 0.5
 """Chords of the contours of which perimeters and areas are taken, where no section is known."""
+
+LONGEST_S = 86400.0
+"""A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative."""
 
 
 def motion_seconds(nc: NCProgram, config: Config) -> Floats:
@@ -275,3 +278,64 @@ def _dwell_s(
             return math.nan
     # One after the other, as they come.
     return float(np.cumsum(wait_s)[-1]) if len(beads) else 0.0
+
+
+# -- preheating ------------------------------------------------------------------------------------
+
+
+def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
+    """Way of the beam before each layer that is preheated, by its index, with waits as pieces that stand still."""
+    scans = nc.preheating
+    if scans is None:
+        return {}
+    time_s = np.clip(np.nan_to_num(motion_seconds(scans, config), posinf=0.0), 0.0, LONGEST_S)
+    power_w = np.where(scans.beam, np.nan_to_num(scans.power_w), 0.0)
+    start, end = np.nan_to_num(scans.start[:, :2]), np.nan_to_num(scans.end[:, :2])
+    waits = scans.events.chosen(scans.events.kind == Kind.WAIT)
+    layer_of_file = dict(zip(scans.file.tolist(), scans.layer.tolist(), strict=True))
+    found = {}
+    for layer in np.unique(scans.layer).tolist():
+        rows = np.flatnonzero(scans.layer == layer)
+        own = np.array([layer_of_file.get(file) == layer for file in waits.file.tolist()], np.bool_)
+        at = np.searchsorted(rows, waits.row[own])
+        here = end[rows[np.maximum(at - 1, 0)]]
+        pause_s = np.clip(waits.value[own], 0.0, LONGEST_S)
+        found[int(layer)] = BeamWay(
+            np.insert(start[rows], at, here, axis=0),
+            np.insert(end[rows], at, here, axis=0),
+            np.insert(time_s[rows], at, pause_s),
+            np.insert(power_w[rows], at, 0.0),
+        )
+    return found
+
+
+def scanned_heat(
+    way: BeamWay,
+    sections: list[BaseGeometry],
+    k: int,
+    z_mm: float,
+    column: HeatColumn | None,
+    config: Config,
+    under: BaseGeometry | None = None,
+) -> tuple[SurfaceHeat, Scanned] | None:
+    """Heat of what is scanned before layer `k` when the beam has gone its way; None where there is nothing to scan.
+
+    `column` is that of what stands, which is not changed; None: the bare plate. `under` is the section of what the lowest layer lies
+    on, where that is no plate.
+    """
+    on = scanned(sections, k, z_mm, config, under)
+    if on.region.is_empty or on.body.is_empty:
+        return None
+    heat = surface_heat(on, bare_plate(on.body, config) if column is None else column.copy(), config)
+    heat.simulate(way)
+    return heat, on
+
+
+def begun_column(scans: Mapping[int, BeamWay], lowest: BaseGeometry | None, config: Config) -> HeatColumn:
+    """Return the column with which a program begins on the plate: as its text preheats it, cold without."""
+    column = HeatColumn(config)
+    if config.base_mm == 0.0 and 0 in scans and lowest is not None and not lowest.is_empty:
+        found = scanned_heat(scans[0], [lowest], 0, 0.0, None, config)
+        if found is not None:
+            column.warm_plate = found[0].content_under_region()
+    return column

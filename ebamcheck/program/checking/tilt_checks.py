@@ -14,7 +14,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.program.checking.checks import Check, count_check, event_faults, row_faults, worst_check
 from ebamcheck.program.language.tilt_rules import carried_corners
 from ebamcheck.program.reading.motions import RAPID, NCProgram
-from ebamcheck.program.reading.table_columns import AXIS_EVENT
+from ebamcheck.program.reading.table import AXIS_EVENT
 from ebamcheck.program.reading.timeline import Kind
 from ebamcheck.program.reading.turned_table import SAME_PLACE_MM, table_at
 from ebamcheck.settings.config import Config

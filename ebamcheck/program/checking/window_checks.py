@@ -70,9 +70,9 @@ def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
         "current_ma": ((low, min(high, process.current_max_ma)), "mA"),
     }
     found, events = [], nc.events
-    for name, (window, unit) in windows.items():
-        at = events.named(name) & (events.value != 0.0) & bool(len(nc))
-        found += _outside(np.minimum(events.row[at], len(nc) - 1), events.value[at], window, unit)
+    for i in np.flatnonzero(events.named(*windows) & (events.value != 0.0) & bool(len(nc))):
+        window, unit = windows[events.name[i]]
+        found += _outside(np.minimum(events.row[[i]], len(nc) - 1), events.value[[i]], window, unit)
     return found
 
 

@@ -16,7 +16,7 @@ from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading.beads import Beads
-from ebamcheck.program.reading.table_columns import TableColumns
+from ebamcheck.program.reading.table import TableColumns
 from ebamcheck.program.reading.timeline import Events
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
@@ -277,6 +277,19 @@ class NCProgram(Columns[Motion]):
         t = (np.arange(starts[-1]) - starts[:-1][which] + 1) / parts[which]
         row = np.asarray(rows, dtype=np.int64)[which]
         return row, self.evaluate(row, t)
+
+    def lines(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
+        """Points along motions, each motion's start with them, at most `step_mm` apart: index (n,) in `rows`, and position (n, 2), mm."""
+        row, points = self.samples(rows, step_mm)
+        index = np.concatenate([np.arange(rows.size), np.searchsorted(rows, row)])
+        order = np.argsort(index, kind="stable")
+        return index[order], np.concatenate([self.start[rows, :2], points])[order]
+
+    def chords(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
+        """Chords between these points: motion (S,) of each, and its ends (S, 4) x0, y0, x1, y1, mm."""
+        index, points = self.lines(rows, step_mm)
+        within = index[1:] == index[:-1]
+        return rows[index[1:][within]], np.hstack([points[:-1], points[1:]])[within]
 
     # -- the path as layers ------------------------------------------------------------------------
 

@@ -43,20 +43,15 @@ def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
 
 def _by_focus(nc: NCProgram) -> NCProgram:
     """Scans told by the focus, each with the commands right before it that switch beam and wire off."""
-    motions, events = np.zeros(len(nc), np.bool_), np.zeros(len(nc.events), np.bool_)
-    names, first = nc.events.name, -1
-    for i, name in enumerate(names):
-        out = name == FOCUS and nc.events.value[i] != 0.0
-        if first < 0 and out:
-            first = i
-            while first and names[first - 1] in OFF and nc.events.file[first - 1] == nc.events.file[i]:
-                first -= 1
-            begins = int(nc.events.row[i])
-        ends = name == FOCUS and not out
-        if first >= 0 and (ends or i == len(names) - 1):
-            events[first : i + 1] = True
-            motions[begins : int(nc.events.row[i]) if ends else len(nc)] = True
-            first = -1
+    e, focus = nc.events, nc.events.named(FOCUS)
+    out = focus & (e.value != 0.0)
+    within = e.since(out, focus & ~out)
+    # What comes next, but for the commands that switch off.
+    others = np.flatnonzero(~e.named(*OFF))
+    ahead = np.append(others, len(e) - 1)[np.searchsorted(others, np.arange(len(e)))]
+    before = e.named(*OFF) & (out & ~within[:-1])[ahead] & (e.file == e.file[ahead])
+    events = before | out | within[:-1]
+    motions = within[np.searchsorted(e.row, np.arange(len(nc)), side="right")]
     if not events.any():
         return nc
     scans = replace(rows_of(nc, motions, events), layer_files=())

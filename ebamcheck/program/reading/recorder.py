@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from ebamcheck.program.reading.motions import ARC, RAPID, NCProgram, SourceFile
 from ebamcheck.program.reading.preheating import without_preheating
 from ebamcheck.program.reading.recognition import StateChange
 from ebamcheck.program.reading.roles import by_shape, with_travel
-from ebamcheck.program.reading.table_state import TableState, starts_in_frames
+from ebamcheck.program.reading.table import TableState, starts_in_frames
 from ebamcheck.program.reading.timeline import Events
 from ebamcheck.regular_file import regular_file
 
@@ -27,6 +28,8 @@ LARGEST = 1e8
 """No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis."""
 LEAST_FEED = 1e-6
 """A feed that is less and not 0 is under the steps of any control, and a motion by it has no end."""
+
+_KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
 
 
 class Recorder:
@@ -76,6 +79,11 @@ class Recorder:
         """Go on in a file."""
         self.file, self.line = file, line
         self._state = -1
+
+    def read_header(self, comment: str) -> None:
+        """Read ``KEY: VALUE`` of a comment; the first value of a key counts. Comments say nothing of motions."""
+        if key := _KEY.fullmatch(comment):
+            self.header.setdefault(key[1], key[2])
 
     def close(self, end_line: int, end_code: str) -> None:
         """Note where the file ended."""

@@ -12,7 +12,7 @@ import numpy as np
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.language.codes import DWELL, VALUES
 from ebamcheck.program.language.words import SKIPPED
-from ebamcheck.program.reading.table_columns import AXIS_EVENT
+from ebamcheck.program.reading.table import AXIS_EVENT
 from ebamcheck.showing import short_text
 
 PAUSE = "layer_pause_s"

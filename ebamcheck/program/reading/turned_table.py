@@ -15,7 +15,7 @@ import numpy as np
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.program.reading.preheating import rows_of
-from ebamcheck.program.reading.table_columns import TableColumns
+from ebamcheck.program.reading.table import TableColumns
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.tilt import RotaryAxis
 

@@ -23,7 +23,6 @@ from ebamcheck.program.language.words import (
     WordError,
 )
 from ebamcheck.program.reading.arcs import arc
-from ebamcheck.program.reading.comments import read_header
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import Templates
 from ebamcheck.program.reading.recorder import Recorder
@@ -125,7 +124,7 @@ class GcodeReader:
         code, comments = without_comments(text)
         if not code.strip() and not self.out.started:
             for comment in comments:
-                read_header(comment, self.out)
+                self.out.read_header(comment)
         if not code.strip():
             return None
         if code.strip() == "%":

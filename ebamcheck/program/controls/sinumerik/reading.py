@@ -27,12 +27,10 @@ from ebamcheck.program.language.words import (
     WordError,
 )
 from ebamcheck.program.reading.arcs import arc
-from ebamcheck.program.reading.comments import read_header
-from ebamcheck.program.reading.frames import NONE, frame_after
 from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.program.reading.recognition import StateChange, Templates
 from ebamcheck.program.reading.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
-from ebamcheck.program.reading.table_columns import AXIS_EVENT
+from ebamcheck.program.reading.table import AXIS_EVENT, NONE, frame_after
 from ebamcheck.program.reading.turned_table import on_part
 from ebamcheck.settings.config import Config
 
@@ -170,7 +168,7 @@ class SinumerikReader:
     def _note(self, comment: str, code: str) -> None:
         """Read what a comment says in the header; what one says of motions counts for nothing."""
         if not code.strip() and self.out.file == 0 and not self.out.started:
-            read_header(comment, self.out)
+            self.out.read_header(comment)
 
     # -- blocks ------------------------------------------------------------------------------------
 
