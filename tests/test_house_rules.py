@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -27,6 +28,9 @@ MOST_PARAMETERS = 9
 
 REASON = re.compile(r"# \w+ parameters: \S")
 """How such a comment begins."""
+
+KNOWN_CIRCLES: set[frozenset[str]] = {frozenset({"ebamcheck.pipeline.job", "ebamcheck.pipeline.slab_check"})}
+"""Modules that import each other all the same. The list only gets shorter."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -111,3 +115,100 @@ def test_a_reason_is_the_comment_above_the_kernel(text, told, tmp_path):
     path.write_text(f"import y\n\n{text}\n")
     function = next(node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, Function))
     assert is_told(path, function) is told
+
+
+# -- circles -----------------------------------------------------------------------------------------
+
+
+def imported(module: str, is_package: bool, text: str) -> Iterator[str]:
+    """Names that a module imports, at its head or inside functions, relative ones made absolute; not those for type checkers."""
+    waiting: list[ast.AST] = [ast.parse(text)]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+            waiting += node.orelse
+            continue
+        waiting += ast.iter_child_nodes(node)
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = module.split(".")[
+                : None if is_package and node.level == 1 else int(is_package) - node.level
+            ]
+            base = ".".join([*(above if node.level else []), *([node.module] if node.module else [])])
+            yield from (f"{base}.{name.name}" for name in node.names)
+
+
+def module_graph(files: dict[str, tuple[bool, str]]) -> dict[str, set[str]]:
+    """For each module, given as whether it is a package and its text, the modules of `files` that it imports."""
+
+    def found(name: str) -> str:
+        """The module that has a name, or is it."""
+        while name and name not in files:
+            name = name.rpartition(".")[0]
+        return name
+
+    return {
+        name: {found(other) for other in imported(name, *file)} - {"", name} for name, file in files.items()
+    }
+
+
+def circles(graph: dict[str, set[str]]) -> set[frozenset[str]]:
+    """Groups of modules each of which reaches the others of its group."""
+
+    def reached(start: str) -> set[str]:
+        seen: set[str] = set()
+        waiting = list(graph[start])
+        while waiting:
+            if (name := waiting.pop()) not in seen:
+                seen.add(name)
+                waiting += graph[name]
+        return seen
+
+    within = {name: reached(name) for name in graph}
+    return {
+        frozenset(other for other in within[name] if name in within[other])
+        for name in graph
+        if name in within[name]
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("import a.b, c", {"a.b", "c"}),
+        ("from a.b import c, d as e", {"a.b.c", "a.b.d"}),
+        ("def f():\n    from a import b", {"a.b"}),
+        ("from . import b\nfrom .c import d\nfrom ..e import f", {"p.q.b", "p.q.c.d", "p.e.f"}),
+        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import a\nelse:\n    import b", {"typing.TYPE_CHECKING", "b"}),
+    ],
+)  # fmt: skip
+def test_imports_are_found_wherever_they_stand(text, names):
+    assert set(imported("p.q.m", False, text)) == names
+
+
+def test_relative_imports_of_a_package_begin_in_it():
+    assert set(imported("p.q", True, "from .a import b\nfrom ..c import d")) == {"p.q.a.b", "p.c.d"}
+
+
+def test_a_circle_is_found_and_a_chain_is_none():
+    texts = {
+        "a": "import b",
+        "b": "def f():\n    from c import x",
+        "c": "import a\nimport d",
+        "d": "import e",
+        "e": "",
+    }
+    assert circles(module_graph({name: (False, text) for name, text in texts.items()})) == {frozenset("abc")}
+
+
+def test_no_module_imports_itself_by_way_of_others():
+    files = {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): (
+            path.name == "__init__.py",
+            path.read_text(),
+        )
+        for path in FILES
+        if path.parts[len(ROOT.parts)] == "ebamcheck"
+    }
+    assert circles(module_graph(files)) - KNOWN_CIRCLES == set()

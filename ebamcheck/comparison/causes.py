@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.comparison.surroundings import ROUNDING_SHARE, Surroundings, surroundings
-from ebamcheck.mesh.inspection import body_labels
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.topology import body_labels, edge_groups
 from ebamcheck.numeric.rings import Floats, Ints
 
 COPLANAR_FACE = "coplanar face"
@@ -142,7 +141,7 @@ class MeshFlaws:
     @cached_property
     def _body(self) -> Ints:
         """Body of each facet, (F,)."""
-        labels = body_labels(self.part, edge_groups(self.part.faces, len(self.part.vertices)))
+        labels = body_labels(self.part.faces, edge_groups(self.part.faces, len(self.part.vertices)))
         return labels.astype(np.int64)
 
     @cached_property

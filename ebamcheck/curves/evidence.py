@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.curves.allowances import Allowances
 from ebamcheck.curves.bezier import evaluate_bezier
-from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.nearest import boxed, closed_points, nearest
 from ebamcheck.layers.stack import Layers
@@ -38,51 +38,10 @@ NESTING_MM = 0.01
 
 RINGS_A_BLOCK = 16
 
-COLUMNS = ("cause", "method", "accepted", "value_mm", "limit_mm", "at", "mean_limit_mm")
-"""Columns of the evidence, one row a ring."""
-
-
-@dataclass(frozen=True, eq=False)
-class Evidence:
-    """Evidence for the rings of curves, and the method to which each ring without it fell back.
-
-    Parameters
-    ----------
-    cause
-        (R,) why the ring by the requested method was not accepted, of :data:`CAUSES`.
-    method
-        (R,) 0 the requested method, 1 the interpolating fit by chord length, 2 the polyline of the contour.
-    accepted
-        (R,) whether the ring by the method that it has now is accepted.
-    value_mm, limit_mm
-        (R,) distance and limit, by the requested method, at the place where the distance exceeds its limit most or, where
-        none does, comes nearest to it, mm.
-    at
-        (R, 2) that place, mm; NaN where there is none.
-    mean_limit_mm
-        (R,) mean limit along the ring, mm.
-    known
-        Whether the part was known. If not, the settings alone limit how far curves may leave their contours.
-    """
-
-    cause: NDArray[np.uint8]
-    method: NDArray[np.uint8]
-    accepted: Bools
-    value_mm: Floats
-    limit_mm: Floats
-    at: Floats
-    mean_limit_mm: Floats
-    known: bool = True
-
-    def of_rings(self, which: slice | Bools) -> Evidence:
-        """Evidence of some of the rings."""
-        columns: dict[str, Any] = {name: getattr(self, name)[which] for name in COLUMNS}
-        return replace(self, **columns)
-
 
 def joined(blocks: Sequence[Evidence]) -> Evidence:
     """Evidence of consecutive blocks of one stack."""
-    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in COLUMNS}
+    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in EVIDENCE_COLUMNS}
     return replace(blocks[0], **columns)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from ebamcheck.curves.allowances import Allowances
 from ebamcheck.curves.cleaning import clean
-from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.evidence import CROSSING, Evidence, evidence
+from ebamcheck.curves.columns import Curves, Evidence
+from ebamcheck.curves.evidence import CROSSING, evidence
 from ebamcheck.curves.splitting import LINE
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Ints

@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.columns import Curves
-from ebamcheck.curves.evidence import Evidence, ring_areas
+from ebamcheck.curves.columns import Curves, Evidence
+from ebamcheck.curves.evidence import ring_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.volumes import volumes_between

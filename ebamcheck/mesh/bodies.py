@@ -12,19 +12,15 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.mesh.inspection import (
-    body_boxes,
+from ebamcheck.mesh.topology import (
+    EdgeGroups,
     body_labels,
-    body_volumes,
     direction_balance,
     duplicates,
-    inside_out_bodies,
+    edge_groups,
 )
-from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import EdgeGroups, edge_groups
+from ebamcheck.mesh.triangles import Mesh
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -35,6 +31,9 @@ Index = NDArray[np.int32]
 
 ASIDE = 1e-6
 """How far within a body its points are taken, and how deep boxes must meet, over the size of the part: over the rounding of files."""
+
+NO_VOLUME = 1e-12
+"""Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
 
 SAME = 1e-6
 """Share by which volumes differ that are the same."""
@@ -116,33 +115,33 @@ class Bodies:
     known: bool = True
 
 
-def bodies_of(part: Part, groups: EdgeGroups | None = None) -> Bodies:
-    """Tell the bodies of a part apart; the result is kept with the part."""
-    if "bodies" not in part.__dict__:
-        part.__dict__["bodies"] = _bodies_of(part, groups or edge_groups(part.faces, len(part.vertices)))
-    found: Bodies = part.__dict__["bodies"]
+def bodies_of(mesh: Mesh, groups: EdgeGroups | None = None) -> Bodies:
+    """Tell the bodies of a mesh apart; the result is kept with the mesh."""
+    if "bodies" not in mesh.__dict__:
+        mesh.__dict__["bodies"] = _bodies_of(mesh, groups or edge_groups(mesh.faces, len(mesh.vertices)))
+    found: Bodies = mesh.__dict__["bodies"]
     return found
 
 
-def _bodies_of(part: Part, groups: EdgeGroups) -> Bodies:
-    label = body_labels(part, groups)
-    closed = not direction_balance(part.faces, groups).any()
+def _bodies_of(mesh: Mesh, groups: EdgeGroups) -> Bodies:
+    label = body_labels(mesh.faces, groups)
+    closed = not direction_balance(mesh.faces, groups).any()
     if closed:
-        label = _apart(part, label)
+        label = _apart(mesh, label)
     count = int(label.max(initial=-1)) + 1
-    volumes = body_volumes(part, label, count)
-    signed = part.signed_volume
-    if not closed or count < 2 or inside_out_bodies(part, label, volumes).any():
+    volumes = body_volumes(mesh, label, count)
+    signed = mesh.signed_volume
+    if not closed or count < 2 or inside_out_bodies(mesh, label, volumes).any():
         return Bodies(label, volumes, (), signed, signed)
-    return _Look(part, label, volumes).found(signed)
+    return _Look(mesh, label, volumes).found(signed)
 
 
-def _apart(part: Part, label: Index) -> Index:
+def _apart(mesh: Mesh, label: Index) -> Index:
     """Bodies with the facets that repeat others as bodies of their own, where these are closed."""
-    if not duplicates(part.faces):
+    if not duplicates(mesh.faces):
         return label
-    first = part.faces.argmin(axis=1)
-    turned = np.take_along_axis(part.faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    first = mesh.faces.argmin(axis=1)
+    turned = np.take_along_axis(mesh.faces, (first[:, None] + np.arange(3)) % 3, axis=1)
     order = np.lexsort(turned.T[::-1])
     same = (turned[order][1:] == turned[order][:-1]).all(axis=1)
     if not same.any():
@@ -154,23 +153,72 @@ def _apart(part: Part, label: Index) -> Index:
     found, count = np.full_like(label, -1), 0
     for k in range(int(times.max()) + 1):
         rows = np.flatnonzero(times == k)
-        some = Part(part.vertices, np.ascontiguousarray(part.faces[rows]))
-        groups = edge_groups(some.faces, len(some.vertices))
-        if direction_balance(some.faces, groups).any():
+        faces = np.ascontiguousarray(mesh.faces[rows])
+        groups = edge_groups(faces, len(mesh.vertices))
+        if direction_balance(faces, groups).any():
             return label
-        found[rows] = body_labels(some, groups) + np.int32(count)
+        found[rows] = body_labels(faces, groups) + np.int32(count)
         count = int(found.max()) + 1
     return found
+
+
+def body_volumes(mesh: Mesh, body: Index, bodies: int) -> Floats:
+    """Signed volume of each body (B,), mm3, taken about a point of the body, which keeps rounding small."""
+    if bodies == 0:
+        return np.zeros(0)
+    used = body >= 0
+    first = np.full(bodies, len(body))
+    np.minimum.at(first, body[used], np.flatnonzero(used))
+    origin = mesh.vertices[mesh.faces[first, 0]]
+    a, b, c = np.moveaxis(mesh.triangles[used] - origin[body[used], None, :], 1, 0)
+    sixfold = np.bincount(body[used], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=bodies)
+    return sixfold.astype(np.float64) / 6.0
+
+
+def inside_out_bodies(mesh: Mesh, body: Index, volumes: Floats) -> Bools:
+    """Bodies (B,) of negative volume that lie in no other body: those inside one are its cavities.
+
+    A body counts as a cavity if its bounding box lies in that of a body of larger, positive volume.
+    """
+    negative = volumes < -NO_VOLUME * float(mesh.size.max(initial=0.0)) ** 3
+    if not negative.any():
+        return negative
+    lower, upper = body_boxes(mesh, body, volumes.size)
+    return outermost(negative, volumes, lower, upper)
+
+
+def body_boxes(mesh: Mesh, body: Index, bodies: int) -> tuple[Floats, Floats]:
+    """Least and greatest corner of the box of each body, (B, 3) mm each."""
+    order = np.argsort(body, kind="stable")
+    starts = np.searchsorted(body[order], np.arange(bodies))
+    a, b, c = (mesh.vertices[mesh.faces[order, corner]] for corner in range(3))
+    lower = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts)
+    return lower, np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts)
+
+
+def outermost(
+    negative: Bools,
+    volumes: Floats,
+    lower: Floats,
+    upper: Floats,
+) -> Bools:
+    """Bodies of negative volume (B,) that are no cavity of another body, by their boxes (B, 3)."""
+    result = negative.copy()
+    solid = np.flatnonzero(volumes > 0)
+    for b in np.flatnonzero(negative):
+        around = (lower[solid] <= lower[b]).all(axis=1) & (upper[solid] >= upper[b]).all(axis=1)
+        result[b] = not (around & (volumes[solid] >= -volumes[b])).any()
+    return result
 
 
 class _Look:
     """A look at the bodies of a closed part."""
 
-    def __init__(self, part: Part, label: Index, volumes: Floats) -> None:
-        self.part, self.label, self.volumes = part, label, volumes
+    def __init__(self, mesh: Mesh, label: Index, volumes: Floats) -> None:
+        self.mesh, self.label, self.volumes = mesh, label, volumes
         self.count = len(volumes)
-        self.lower, self.upper = body_boxes(part, label, self.count)
-        self.aside_mm = ASIDE * float(np.linalg.norm(part.size))
+        self.lower, self.upper = body_boxes(mesh, label, self.count)
+        self.aside_mm = ASIDE * float(np.linalg.norm(mesh.size))
         order = np.argsort(label, kind="stable")
         self._rows = np.split(order, np.searchsorted(label[order], np.arange(self.count)))[1:]
         self._solids: dict[int, Manifold | None] = {}
@@ -220,7 +268,7 @@ class _Look:
         """Share of the surface of each body that lies in another one."""
         import shapely
 
-        corners = self.part.vertices[self.part.faces[self._rows[outer]]]
+        corners = self.mesh.vertices[self.mesh.faces[self._rows[outer]]]
         low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
         tree = shapely.STRtree(shapely.box(*low.T, *high.T))
         for body in inner.tolist():
@@ -231,7 +279,7 @@ class _Look:
     def _points(self, body: int) -> Floats:
         """Points (N, 3) just within a body, on some of its facets."""
         rows = self._rows[body]
-        corners = self.part.vertices[self.part.faces[rows[:: max(1, len(rows) // POINTS_OF_A_BODY)]]]
+        corners = self.mesh.vertices[self.mesh.faces[rows[:: max(1, len(rows) // POINTS_OF_A_BODY)]]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(across, axis=1)
         kept = length > 0.0
@@ -267,16 +315,19 @@ class _Look:
         import manifold3d
 
         if body not in self._solids:
-            used, faces = np.unique(self.part.faces[self._rows[body]], return_inverse=True)
+            used, faces = np.unique(self.mesh.faces[self._rows[body]], return_inverse=True)
             faces = faces.reshape(-1, 3)
             faces = faces if self.volumes[body] > 0.0 else faces[:, ::-1]
-            mesh = manifold3d.Mesh64(self.part.vertices[used], np.ascontiguousarray(faces, np.uint64))
+            mesh = manifold3d.Mesh64(self.mesh.vertices[used], np.ascontiguousarray(faces, np.uint64))
             solid = manifold3d.Manifold(mesh)
             self._solids[body] = solid if solid.status() == manifold3d.Error.NoError else None
         return self._solids[body]
 
     def _volume(self, inside: NDArray[np.int64], overlapping: NDArray[np.int64]) -> float | None:
         """Volume of the places with a winding number over 0; None where it is not found."""
+        from scipy.sparse import coo_array  # which loads when it is needed
+        from scipy.sparse.csgraph import connected_components
+
         sign = np.sign(self.volumes).astype(np.int64)
         outer = np.bincount(inside[:, 0], sign[inside[:, 1]], self.count).astype(np.int64)
         # A surface counts where the winding number changes between 0 and more.

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.mesh.bodies import (
+    MOST_LISTED,
+    NO_VOLUME,
+    Relation,
+    bodies_of,
+    body_volumes,
+    inside_out_bodies,
+)
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import EdgeGroups, edge_groups
+from ebamcheck.mesh.topology import body_labels, direction_balance, duplicates, edge_groups
+from ebamcheck.mesh.triangles import degenerate
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.showing import short_text
 
-if TYPE_CHECKING:
-    from ebamcheck.mesh.bodies import Relation
-
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat", "overlapping"]
-
-NO_VOLUME = 1e-12
-"""Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
 
 BOX_ROOM = 1e-9
 """Share by which a volume may be over that of its box: rounding of a block."""
@@ -119,8 +122,6 @@ def inspect(part: Part) -> Inspection:
     >>> inspect(from_arrays(corners, [(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])).verdict
     'sound'
     """
-    from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
-
     groups = edge_groups(part.faces, len(part.vertices))
     facets_at_edge = np.diff(groups.starts)
     balance = direction_balance(part.faces, groups)
@@ -200,134 +201,6 @@ def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdi
     return "sound", "closed, consistently oriented, volume positive"
 
 
-def body_labels(part: Part, groups: EdgeGroups) -> NDArray[np.int32]:
-    """Body of each facet (F,): facets that share an edge are one body; -1 for degenerate facets."""
-    return _bodies(len(part.faces), groups.half_edges, groups.starts)
-
-
-@kernel
-def _bodies(count: int, half_edges: NDArray[np.int32], starts: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Union-find over the facets of every edge; bodies are numbered by their first facet."""
-    root = np.full(count, -1, np.int32)
-    for h in half_edges:
-        root[h // 3] = h // 3
-    for e in range(starts.size - 1):
-        for i in range(starts[e] + 1, starts[e + 1]):
-            a, b = half_edges[starts[e]] // 3, half_edges[i] // 3
-            while root[a] != a:
-                root[a] = root[root[a]]
-                a = root[a]
-            while root[b] != b:
-                root[b] = root[root[b]]
-                b = root[b]
-            # The lesser facet stays the root, so that a body's root is its first facet.
-            if a < b:
-                root[b] = a
-            else:
-                root[a] = b
-    label = np.full(count, -1, np.int32)
-    bodies = 0
-    for f in range(count):
-        if root[f] < 0:
-            continue
-        if root[f] == f:
-            label[f] = bodies
-            bodies += 1
-        else:
-            # Roots are lesser than their members, so the parent is labelled by now.
-            label[f] = label[root[f]]
-    return label
-
-
-def body_volumes(part: Part, body: NDArray[np.int32], bodies: int) -> NDArray[np.float64]:
-    """Signed volume of each body (B,), mm3, taken about a point of the body, which keeps rounding small."""
-    if bodies == 0:
-        return np.zeros(0)
-    used = body >= 0
-    first = np.full(bodies, len(body))
-    np.minimum.at(first, body[used], np.flatnonzero(used))
-    origin = part.vertices[part.faces[first, 0]]
-    a, b, c = np.moveaxis(part.triangles[used] - origin[body[used], None, :], 1, 0)
-    sixfold = np.bincount(body[used], np.einsum("ij,ij->i", a, np.cross(b, c)), minlength=bodies)
-    return sixfold.astype(np.float64) / 6.0
-
-
-def inside_out_bodies(part: Part, body: NDArray[np.int32], volumes: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Bodies (B,) of negative volume that lie in no other body: those inside one are its cavities.
-
-    A body counts as a cavity if its bounding box lies in that of a body of larger, positive volume.
-    """
-    negative = volumes < -NO_VOLUME * float(part.size.max(initial=0.0)) ** 3
-    if not negative.any():
-        return negative
-    lower, upper = body_boxes(part, body, volumes.size)
-    return outermost(negative, volumes, lower, upper)
-
-
-def body_boxes(
-    part: Part, body: NDArray[np.int32], bodies: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least and greatest corner of the box of each body, (B, 3) mm each."""
-    order = np.argsort(body, kind="stable")
-    starts = np.searchsorted(body[order], np.arange(bodies))
-    a, b, c = (part.vertices[part.faces[order, corner]] for corner in range(3))
-    lower = np.minimum.reduceat(np.minimum(np.minimum(a, b), c), starts)
-    return lower, np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts)
-
-
-def outermost(
-    negative: NDArray[np.bool_],
-    volumes: NDArray[np.float64],
-    lower: NDArray[np.float64],
-    upper: NDArray[np.float64],
-) -> NDArray[np.bool_]:
-    """Bodies of negative volume (B,) that are no cavity of another body, by their boxes (B, 3)."""
-    result = negative.copy()
-    solid = np.flatnonzero(volumes > 0)
-    for b in np.flatnonzero(negative):
-        around = (lower[solid] <= lower[b]).all(axis=1) & (upper[solid] >= upper[b]).all(axis=1)
-        result[b] = not (around & (volumes[solid] >= -volumes[b])).any()
-    return result
-
-
-@kernel
-def _balance(
-    faces: NDArray[np.int32], half_edges: NDArray[np.int32], starts: NDArray[np.int32]
-) -> NDArray[np.int32]:
-    result = np.zeros(starts.size - 1, np.int32)
-    for e in range(starts.size - 1):
-        for i in range(starts[e], starts[e + 1]):
-            f, corner = half_edges[i] // 3, half_edges[i] % 3
-            result[e] += 1 if faces[f, corner] < faces[f, (corner + 1) % 3] else -1
-    return result
-
-
-def direction_balance(faces: NDArray[np.int32], groups: EdgeGroups) -> NDArray[np.int32]:
-    """Difference between the numbers of facets in the two directions of each edge (E,): 0 if they pair."""
-    return _balance(faces, groups.half_edges, groups.starts)
-
-
-def duplicates(faces: NDArray[np.int32]) -> int:
-    """Number of facets with the same three vertices as an earlier one, in any order."""
-    if not len(faces):
-        return 0
-    least, greatest = faces.min(axis=1).astype(np.int64), faces.max(axis=1).astype(np.int64)
-    middle = faces.sum(axis=1, dtype=np.int64) - least - greatest
-    bits = 21
-    if greatest.max() < 1 << bits:
-        keys = np.sort((least << (2 * bits)) | (middle << bits) | greatest)
-        return int(np.count_nonzero(keys[1:] == keys[:-1]))
-    return len(faces) - len(np.unique(np.stack([least, middle, greatest], axis=1), axis=0))
-
-
-def degenerate(part: Part) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Facets (F,) with a repeated vertex, and facets without area."""
-    a, b, c = part.faces.T
-    repeated = (a == b) | (b == c) | (c == a)
-    p, q, r = np.moveaxis(part.triangles, 1, 0)
-    return repeated, (np.cross(q - p, r - p) == 0.0).all(axis=1)
-
-
 def fix_orientation(part: Part) -> tuple[Part, int]:
     """Reverse flipped facets and inside-out closed bodies.
 
@@ -348,7 +221,7 @@ def fix_orientation(part: Part) -> tuple[Part, int]:
     faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)
     mended = replace(part, faces=np.ascontiguousarray(faces))
     groups = edge_groups(mended.faces, len(mended.vertices))
-    body = body_labels(mended, groups)
+    body = body_labels(mended.faces, groups)
     bodies = int(body.max(initial=-1)) + 1
     open_body = np.zeros(bodies, np.bool_)
     open_body[body[groups.half_edges[groups.starts[:-1][np.diff(groups.starts) == 1]] // 3]] = True

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.mesh.triangles import Mesh
 from ebamcheck.showing import short_text
 
 SMALLEST_EXTENT_MM = 1.0
@@ -32,7 +33,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Part(Mesh):
     """A triangle mesh in which equal vertices are merged.
 
     Parameters
@@ -60,8 +61,6 @@ class Part:
     (<Part: tip, 4 facets, 2 x 2 x 3 mm>, 2.0)
     """
 
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int32]
     name: str = "part"
     source: str = ""
     source_sha256: str = ""
@@ -105,41 +104,12 @@ class Part:
         digest.update(np.ascontiguousarray(self.faces).data)
         return digest.hexdigest()
 
-    @cached_property
-    def bounds(self) -> NDArray[np.float64]:
-        """Box of the vertices that facets use, (2, 3) mm: least and greatest corner."""
-        if not len(self.faces):
-            return np.zeros((2, 3))
-        used = (
-            self.vertices if len(self.vertices) <= 3 * len(self.faces) else self.vertices[self.faces.ravel()]
-        )
-        # Column by column: many times faster than numpy's reduction along the first axis of three columns.
-        columns = [used[:, c] for c in range(3)]
-        return np.array([[column.min() for column in columns], [column.max() for column in columns]])
-
-    @property
-    def size(self) -> NDArray[np.float64]:
-        """Extents along x, y and z, (3,) mm."""
-        result: NDArray[np.float64] = self.bounds[1] - self.bounds[0]
-        return result
-
-    @property
-    def triangles(self) -> NDArray[np.float64]:
-        """Corner points of every facet, (F, 3, 3) mm."""
-        return self.vertices[self.faces]
-
     @property
     def volume(self) -> float:
         """Volume of what is built, mm3: of the places with a winding number over 0; the signed one of an open part."""
-        from ebamcheck.mesh.bodies import bodies_of
+        from ebamcheck.mesh.bodies import bodies_of  # kernels load when they are needed
 
         return bodies_of(self).volume_mm3
-
-    @cached_property
-    def signed_volume(self) -> float:
-        """Signed volume, mm3, about the centre of the box: bodies that overlap count twice where they do."""
-        a, b, c = np.moveaxis(self.triangles - self.bounds.mean(axis=0), 1, 0)
-        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
     def along(self, direction: ArrayLike) -> Part:
         """Rotate the part so that `direction` (in the coordinates of the file) points up.

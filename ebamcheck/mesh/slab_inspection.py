@@ -14,19 +14,11 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.mesh.bodies import ASIDE, boxes_meeting
-from ebamcheck.mesh.inspection import (
-    NO_VOLUME,
-    Inspection,
-    body_labels,
-    direction_balance,
-    duplicates,
-    judged,
-    outermost,
-)
+from ebamcheck.mesh.bodies import ASIDE, NO_VOLUME, boxes_meeting, outermost
+from ebamcheck.mesh.inspection import Inspection, judged
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import Slab
-from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.topology import body_labels, direction_balance, duplicates, edge_groups
 from ebamcheck.numeric.kernels import kernel
 
 Floats = NDArray[np.float64]
@@ -112,7 +104,7 @@ class SlabInspection:
             compare(compare(corners[0], corners[1]), corners[2]) for compare in (np.minimum, np.maximum)
         )
         facet_told = _told(slab, lowest)
-        body = body_labels(part, groups)
+        body = body_labels(part.faces, groups)
         measured = _measured(part.vertices, part.faces, body, facet_told, self._outline.bounds.mean(axis=0))
         repeated = body < 0
         is_open = edge_told & (facets_at_edge == 1)

@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.mesh.inspection import direction_balance
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slab_file import FacetFile, Index, Singles
-from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.mesh.topology import direction_balance, edge_groups
 from ebamcheck.mesh.welding import weld
 from ebamcheck.numeric.kernels import kernel
 

@@ -1,4 +1,4 @@
-"""Topology of a mesh: the facets that meet at each edge, and the twin of each half-edge.
+"""Topology of a mesh: the facets that meet at each edge, the twin of each half-edge, and the facets that hang together.
 
 Half-edge ``3 f + i`` is the edge from corner i to corner i + 1 of facet f, in the facet's own direction.
 """
@@ -255,3 +255,70 @@ def split_corners(faces: Index, twin: Index) -> Index:
             corners += 1
         label[c] = label[r]
     return label.reshape(-1, 3)
+
+
+def body_labels(faces: Index, groups: EdgeGroups) -> Index:
+    """Body of each facet (F,): facets that share an edge are one body; -1 for degenerate facets."""
+    return _bodies(len(faces), groups.half_edges, groups.starts)
+
+
+@kernel
+def _bodies(count: int, half_edges: Index, starts: Index) -> Index:
+    """Union-find over the facets of every edge; bodies are numbered by their first facet."""
+    root = np.full(count, -1, np.int32)
+    for h in half_edges:
+        root[h // 3] = h // 3
+    for e in range(starts.size - 1):
+        for i in range(starts[e] + 1, starts[e + 1]):
+            a, b = half_edges[starts[e]] // 3, half_edges[i] // 3
+            while root[a] != a:
+                root[a] = root[root[a]]
+                a = root[a]
+            while root[b] != b:
+                root[b] = root[root[b]]
+                b = root[b]
+            # The lesser facet stays the root, so that a body's root is its first facet.
+            if a < b:
+                root[b] = a
+            else:
+                root[a] = b
+    label = np.full(count, -1, np.int32)
+    bodies = 0
+    for f in range(count):
+        if root[f] < 0:
+            continue
+        if root[f] == f:
+            label[f] = bodies
+            bodies += 1
+        else:
+            # Roots are lesser than their members, so the parent is labelled by now.
+            label[f] = label[root[f]]
+    return label
+
+
+@kernel
+def _balance(faces: Index, half_edges: Index, starts: Index) -> Index:
+    result = np.zeros(starts.size - 1, np.int32)
+    for e in range(starts.size - 1):
+        for i in range(starts[e], starts[e + 1]):
+            f, corner = half_edges[i] // 3, half_edges[i] % 3
+            result[e] += 1 if faces[f, corner] < faces[f, (corner + 1) % 3] else -1
+    return result
+
+
+def direction_balance(faces: Index, groups: EdgeGroups) -> Index:
+    """Difference between the numbers of facets in the two directions of each edge (E,): 0 if they pair."""
+    return _balance(faces, groups.half_edges, groups.starts)
+
+
+def duplicates(faces: Index) -> int:
+    """Number of facets with the same three vertices as an earlier one, in any order."""
+    if not len(faces):
+        return 0
+    least, greatest = faces.min(axis=1).astype(np.int64), faces.max(axis=1).astype(np.int64)
+    middle = faces.sum(axis=1, dtype=np.int64) - least - greatest
+    bits = 21
+    if greatest.max() < 1 << bits:
+        keys = np.sort((least << (2 * bits)) | (middle << bits) | greatest)
+        return int(np.count_nonzero(keys[1:] == keys[:-1]))
+    return len(faces) - len(np.unique(np.stack([least, middle, greatest], axis=1), axis=0))

@@ -19,7 +19,7 @@ import pyarrow as pa
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import LIFTED, fit_for_program
-from ebamcheck.curves.storage import table_of
+from ebamcheck.curves.columns import table_of
 from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import plain
