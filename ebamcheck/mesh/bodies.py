@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.mesh.topology import (
     EdgeGroups,
@@ -327,6 +325,9 @@ class _Look:
 
     def _volume(self, inside: NDArray[np.int64], overlapping: NDArray[np.int64]) -> float | None:
         """Volume of the places with a winding number over 0; None where it is not found."""
+        from scipy.sparse import coo_array  # which loads when it is needed
+        from scipy.sparse.csgraph import connected_components
+
         sign = np.sign(self.volumes).astype(np.int64)
         outer = np.bincount(inside[:, 0], sign[inside[:, 1]], self.count).astype(np.int64)
         # A surface counts where the winding number changes between 0 and more.
