@@ -12,12 +12,12 @@ from measured_surfaces import SIZE, level_metal, map_of, surface_of
 from parts import box
 from planted_faults import Text
 
-from ebamcheck.live import making
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.layer_feed import at_layer_feed, has_room
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
+from ebamcheck.pipeline import stages
 from ebamcheck.program import read_program
 from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.program.checking.wire_checks import wire_check
@@ -52,17 +52,17 @@ def made(request, tmp_path_factory, paths):
             in_cells(map_of(surface_of(3.4, 0.7, (14.0, 18.0), 5.0)), metal.surface), metal.surface, config
         )
         heat, under = HeatSoFar.cold(config), metal.mapped(figures, 1.0)
-        laid_out, last = making.planned_path, []
+        laid_out, last = stages.planned_path, []
 
         def recorded(*given):
             last.append(laid_out(*given))
             return last[-1]
 
-        making.planned_path = recorded
+        stages.planned_path = recorded
         try:
             maker.make(WANTED, heat, folder / "along" / "program", under)
         finally:
-            making.planned_path = laid_out
+            stages.planned_path = laid_out
         paths[folder / "along" / "program"] = last[-1]
         along = maker.make(WANTED, heat, folder / "along" / "program", under)
         alone = maker._made(

@@ -49,7 +49,7 @@ ELSEWHERE = {
 
 NO_LIMITS = {
     "how finely something is looked at": """
-        bare_parts.MARGIN bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
+        bare_parts.MARGIN bead_checks.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
         hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
         heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM outside_check.STEP_MM overfill.CELLS overhang.OUTLINE_STEP_MM
         overhang.INNER_STEP_MM overhang.FIRST_ASKED overhang.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE

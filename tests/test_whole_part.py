@@ -214,6 +214,7 @@ def test_who_stops_taking_layers_stops_their_making(threads, monkeypatch):
     assert next(rows)["layer"] == 0
     rows.close()
     assert made == [0]
+    # The threads on which blocks run stay for the whole process, and wait.
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPool")]
 
 

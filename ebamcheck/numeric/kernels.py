@@ -115,7 +115,7 @@ def _share_cores() -> None:
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     """Make the threads on which blocks run: once a process, since starting them takes as long as a small block."""
-    return ThreadPoolExecutor(threads, initializer=_share_cores)
+    return ThreadPoolExecutor(threads, "ebamcheck-blocks", _share_cores)
 
 
 if hasattr(os, "register_at_fork"):
