@@ -145,8 +145,10 @@ def module_graph(files: dict[str, tuple[bool, str]]) -> dict[str, set[str]]:
             name = name.rpartition(".")[0]
         return name
 
+    # A package names itself where it hands out what its modules have.
     return {
-        name: {found(other) for other in imported(name, *file)} - {"", name} for name, file in files.items()
+        name: {found(other) for other in imported(name, *file)} - {"", name if file[0] else ""}
+        for name, file in files.items()
     }
 
 

@@ -81,7 +81,6 @@ def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[Broke
 
 def run_summary(manifest: Mapping[str, Any]) -> str:
     """What a run came to: slicers, pairs, gates, findings and verdict."""
-    from ebamcheck.commands.summaries import worst_line
 
     slicers = [
         [name, b["status"], b["rings"], b["open_paths"], b["points"], float(b["error_bound_mm"]),

@@ -73,7 +73,7 @@ def run_job(
     workers
         Workers for the slicers that were spawned early; None: they are when they are needed.
     begun
-        What :func:`ebamcheck.preflight.ready` has made of the same part and settings; None: it is made here.
+        What :func:`ebamcheck.preflight.report.ready` has made of the same part and settings; None: it is made here.
     yes
         Go on where the job is more work than the settings allow.
 

@@ -192,7 +192,11 @@ def verify_program(
             )
             groups.append(lambda: _section_checks(nc, layers, smooth, z_of, offset, config, most))
             if metal or laid is not None:
-                groups.append(lambda: deposit_checks(nc, laid or deposit(nc, layers, z_of, config), config))
+                groups.append(
+                    lambda: deposit_checks(
+                        nc, deposit(nc, layers, z_of, config) if laid is None else laid, config
+                    )
+                )
             if path is None:
                 groups.append(lambda: [overfill_check(nc, z_of, config, layers)])
         if beads:
