@@ -25,6 +25,8 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.chance_parts import chance_part, kind_of
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.geometry.regions import eroded, valid_polygons
@@ -36,13 +38,11 @@ from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.pipeline.gates import deposit_gate
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import deposit_checks
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.islands.regions import CORNER, split_thin
 from ebamcheck.settings.config import Config, validated
+from ebamcheck.writing.inputs import deposition_heights
 from ebamcheck_models import write_stl
 
 BACKENDS = ("planecut", "manifold")

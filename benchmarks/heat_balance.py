@@ -27,6 +27,14 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
 from benchmarks.whole_program_heat import Balance, Deposits, constant_tables, heat_balance
+from ebamcheck.checks.text_heat import (
+    TextBeads,
+    sections_of,
+    text_beads,
+    text_bed_k,
+    text_shapes,
+)
+from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.heat.referee import judged, referee
 from ebamcheck.layers.stack import Layers, from_polygons
@@ -34,14 +42,6 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.text_heat import (
-    TextBeads,
-    sections_of,
-    text_beads,
-    text_bed_k,
-    text_shapes,
-)
-from ebamcheck.program.controls.sinumerik.writing import write_program
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.plan.times import beam_lines
 from ebamcheck.settings.config import Config

@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from ebamcheck.checks.checks import check_of_record
 from ebamcheck.curves import Curves
 from ebamcheck.errors import ExitCode, InputError
 from ebamcheck.findings import Finding
@@ -14,7 +15,6 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.job import check_job, run_job
 from ebamcheck.pipeline.work import Observer
 from ebamcheck.program import Check, NCProgram, read_program
-from ebamcheck.program.checking.checks import check_of_record
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated

@@ -20,9 +20,9 @@ from motion_faults import made
 from nc_stack import make_curves, make_plan
 
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.nc.motions import STRAIGHT, NCProgram
+from ebamcheck.nc.timeline import Events
 from ebamcheck.program import Check, read_program, verify_program, write_program
-from ebamcheck.program.reading.motions import STRAIGHT, NCProgram
-from ebamcheck.program.reading.timeline import Events
 from ebamcheck.settings.config import Config
 
 INSIDE, OUTSIDE = 1.0 / 1.2, 1.2

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 from limit_cases import Case, Subject, cube, upwards
 
+from ebamcheck.checks.tilt_checks import tilt_checks
+from ebamcheck.nc.table import TableColumns
 from ebamcheck.program import Check
-from ebamcheck.program.checking.tilt_checks import tilt_checks
-from ebamcheck.program.reading.table import TableColumns
 
 AXIS = {
     "name": "C",

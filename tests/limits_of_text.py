@@ -7,8 +7,8 @@ import re
 import numpy as np
 from limit_cases import HIGH_MM, Subject, cube, downwards, program_of, upwards
 
+from ebamcheck.checks.state_checks import far_away
 from ebamcheck.program import Check
-from ebamcheck.program.checking.state_checks import far_away
 
 MAIN, FIRST = "MAIN.MPF", "MAIN_L0001.SPF"
 

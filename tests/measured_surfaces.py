@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import HeightMap
 from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.program.checking.metal_below import MetalBelow
 
 SIZE = (42, 36, 7)
 

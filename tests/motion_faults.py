@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import shapely
 
+from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
+from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.curves import fit
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.program import verify_file
-from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
-from ebamcheck.program.controls.sinumerik.writing import write_program
 from ebamcheck.settings.config import Config
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ebamcheck.program.checking.matching import matched, tracks_known
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.toolpath.bead_ends import planned_path
-from ebamcheck.program.toolpath.inputs import CurveColumns, ScanColumns
+from ebamcheck.checks.matching import matched, tracks_known
+from ebamcheck.nc.motions import NCProgram
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import planned_path
+from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 
 
 def as_planned(

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import shapely
 
+from ebamcheck.checks.bare_parts import widest_part
 from ebamcheck.geometry.regions import ground
-from ebamcheck.program.checking.bare_parts import widest_part
 
 WIDTH_MM = 6.0
 REGION = shapely.box(0.0, 0.0, 120.0, 80.0).difference(shapely.Point(70.0, 40.0).buffer(9.0))

@@ -12,9 +12,9 @@ from planned_roles import as_planned
 from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline import noticed
 from ebamcheck.program import read_program, verify_program, write_program
-from ebamcheck.program.toolpath.cuts import segment_lengths, segment_parts
-from ebamcheck.program.toolpath.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.cuts import segment_lengths, segment_parts
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT
 
 WIDE = {"travel_min_mm": (-2000.0, -2000.0, 0.0), "travel_max_mm": (2000.0, 2000.0, 2000.0)}
 ENDS = {

@@ -10,20 +10,20 @@ import pytest
 import shapely
 
 from benchmarks.faults.program_text import without_comments
+from ebamcheck.checks.interpass_checks import INTERPASS
+from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.controls.gcode.writing import write_plain_gcode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program, verify_program
-from ebamcheck.program.checking.interpass_checks import INTERPASS
-from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
-from ebamcheck.program.controls.gcode.writing import write_plain_gcode
-from ebamcheck.program.toolpath.bead_ends import planned_path
-from ebamcheck.program.toolpath.events import MOVE, WAIT, process_events
 from ebamcheck.scan.plan.bead_sequence import bead_sequence, contour_beads
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import planned_path
+from ebamcheck.writing.events import MOVE, WAIT, process_events
 
 LAYERS = 4
 CONFIG = Config().changed(

@@ -7,8 +7,8 @@ import pytest
 import shapely
 from prism_program import Made
 
-from ebamcheck.program.checking.bead_wire import NAME, bead_wire_check, most_off
-from ebamcheck.program.reading.roles import by_height, by_section
+from ebamcheck.checks.bead_wire import NAME, bead_wire_check, most_off
+from ebamcheck.nc.roles import by_height, by_section
 
 LAYERS = 22
 

@@ -8,8 +8,8 @@ from limit_cases import cube, program_of
 from limits_of_heat import preheated
 from motion_faults import SHAPES, made
 
+from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.program import read_program
-from ebamcheck.program.controls.sinumerik.writing import write_program
 
 
 def begins_by_beam(nc):

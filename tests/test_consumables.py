@@ -12,6 +12,7 @@ from parts import box
 from program_text import CONTROLS, ProgramText, near
 from report_runs import write_stl
 
+from ebamcheck.checks.consumables import CATHODE, SPOOL, consumed
 from ebamcheck.live import metal_so_far
 from ebamcheck.live.building import Building
 from ebamcheck.live.making import LayerMaker
@@ -19,7 +20,6 @@ from ebamcheck.live.verifying import verify_build
 from ebamcheck.pipeline.noticed_in_program import of_consumables
 from ebamcheck.preflight.report import ready
 from ebamcheck.program import program_summary, read_program
-from ebamcheck.program.checking.consumables import CATHODE, SPOOL, consumed
 from ebamcheck.settings.config import Config
 
 SINUMERIK = CONTROLS[0]

@@ -6,10 +6,10 @@ from typing import ClassVar
 import pytest
 from nc_stack import stack
 
+from ebamcheck.controls import fanuc
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.nc.control import control, controls, simulators
 from ebamcheck.program import read_program, verify_file, write_program
-from ebamcheck.program.controls import fanuc
-from ebamcheck.program.language.control import control, controls, simulators
 from ebamcheck.settings.config import Config
 from ebamcheck.testing import ControlSuite
 

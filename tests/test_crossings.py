@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import affinity
 
-from ebamcheck.program.checking.hatch_form import _runs_across
+from ebamcheck.checks.hatch_form import _runs_across
 from ebamcheck.scan.filling.turns import follows
 
 POOL_MM = 3.0

@@ -6,9 +6,9 @@ import shapely
 from prism_program import CONFIG, Made
 
 import ebamcheck
+from ebamcheck.checks.end_gaps import NAME, end_gaps_check, most_on_average_mm
+from ebamcheck.nc.roles import by_height, by_section
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.end_gaps import NAME, end_gaps_check, most_on_average_mm
-from ebamcheck.program.reading.roles import by_height, by_section
 from ebamcheck_models import MODELS
 
 

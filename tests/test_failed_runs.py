@@ -6,12 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS
+from ebamcheck.checks.remedies import OTHERWISE, REMEDIES, layer_of, told
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
 from ebamcheck.plugins.model import models
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS
-from ebamcheck.program.checking.remedies import OTHERWISE, REMEDIES, layer_of, told
 from ebamcheck.testing.accuracy import reference_models
 from ebamcheck.testing.checks import CHECKS
 from ebamcheck.testing.sections import sections, winding_rule

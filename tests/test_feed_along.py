@@ -12,6 +12,8 @@ from measured_surfaces import SIZE, level_metal, map_of, surface_of
 from parts import box
 from planted_faults import Text
 
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.wire_checks import wire_check
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.layer_feed import at_layer_feed, has_room
@@ -19,8 +21,6 @@ from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
 from ebamcheck.pipeline import stages
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.wire_checks import wire_check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import feed_shares, speed_window, wire_at
 from ebamcheck.verification.verify import verify

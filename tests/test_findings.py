@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slicers_here import slicers_here
 
+from ebamcheck.checks.remedies import REMEDIES
 from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import CODES, SEVERITIES, Finding, from_record, has_fault, ordered, records
@@ -26,7 +27,6 @@ from ebamcheck.json_values import (
 from ebamcheck.pipeline import noticed, noticed_in_program, run_job
 from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
 from ebamcheck.program import Check
-from ebamcheck.program.checking.remedies import REMEDIES
 from ebamcheck.record.certificate import (
     APPROVAL,
     CODES_OF_THE_MAKER,

@@ -10,14 +10,14 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.remedies import told
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.live.loading import finished_run
 from ebamcheck.pipeline.gates import agreement_gate
 from ebamcheck.pipeline.manifest import _disagreements
 from ebamcheck.pipeline.noticed_in_program import _at
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.remedies import told
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 

@@ -9,13 +9,13 @@ from command_line import FAST, ebamcheck, started, write_stl
 from live_boxes import puts
 from parts import box
 
+from ebamcheck.controls.sinumerik.handshake import handshake_check
+from ebamcheck.controls.sinumerik.release_keys import PRIME, ReleaseKeys, key_below, seal
+from ebamcheck.controls.sinumerik.waiting import waiting_program
+from ebamcheck.controls.sinumerik.waiting_run import Expression, Run, run_text
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.publishing import layer_name
 from ebamcheck.pipeline.live_program import check_waits
-from ebamcheck.program.controls.sinumerik.handshake import handshake_check
-from ebamcheck.program.controls.sinumerik.release_keys import PRIME, ReleaseKeys, key_below, seal
-from ebamcheck.program.controls.sinumerik.waiting import waiting_program
-from ebamcheck.program.controls.sinumerik.waiting_run import Expression, Run, run_text
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(machine={"live_timeout_s": 60.0})

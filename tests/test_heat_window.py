@@ -10,12 +10,8 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import least_power_share, melted_mm3_s, own_power_shares
-from ebamcheck.pipeline.gates import heat_gate
-from ebamcheck.program import verify_program
-from ebamcheck.program.checking.heat_again import MODELS_K, highest_entry_k, melting_power_w
-from ebamcheck.program.checking.interpass_checks import (
+from ebamcheck.checks.heat_again import MODELS_K, highest_entry_k, melting_power_w
+from ebamcheck.checks.interpass_checks import (
     AGAIN,
     COLD,
     INTERPASS,
@@ -24,12 +20,16 @@ from ebamcheck.program.checking.interpass_checks import (
     layer_shares,
     least_entries_k,
 )
-from ebamcheck.program.checking.melting_check import MELTING, melting_check, spread_mm
-from ebamcheck.program.checking.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
-from ebamcheck.program.reading.roles import by_height
-from ebamcheck.program.toolpath import bead_power
-from ebamcheck.program.toolpath.inputs import interpass_of
+from ebamcheck.checks.melting_check import MELTING, melting_check, spread_mm
+from ebamcheck.checks.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.errors import SettingsError
+from ebamcheck.heat.melting import least_power_share, melted_mm3_s, own_power_shares
+from ebamcheck.nc.roles import by_height
+from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.program import verify_program
 from ebamcheck.settings.config import Config
+from ebamcheck.writing import bead_power
+from ebamcheck.writing.inputs import interpass_of
 
 WARM = CONFIG.changed(process={"interpass": "both"})
 HOLED = shapely.box(0, 0, 44, 40).difference(shapely.Point(20, 20).buffer(6, 32))

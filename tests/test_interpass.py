@@ -10,6 +10,15 @@ import pytest
 import shapely
 from planned_roles import as_planned
 
+from ebamcheck.checks.interpass_checks import (
+    INTERPASS,
+    OVER_RANGE,
+    layer_shares,
+)
+from ebamcheck.checks.melting_check import MELTING
+from ebamcheck.checks.text_heat import sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
+from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.enthalpy import enthalpy_tables
@@ -24,21 +33,12 @@ from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import program_summary, read_program, verify_program
-from ebamcheck.program.checking.interpass_checks import (
-    INTERPASS,
-    OVER_RANGE,
-    layer_shares,
-)
-from ebamcheck.program.checking.melting_check import MELTING
-from ebamcheck.program.checking.text_heat import sections_of, text_beads, text_bed_k, text_shapes
-from ebamcheck.program.controls.gcode.writing import write_linuxcnc, write_plain_gcode
-from ebamcheck.program.controls.sinumerik.writing import write_program
-from ebamcheck.program.toolpath.inputs import interpass_of
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.heat import interpass
 from ebamcheck.scan.heat.interpass import shortest_wait_s
 from ebamcheck.scan.plan import whole_part
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.inputs import interpass_of
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
 LAYERS = 14

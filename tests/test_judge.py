@@ -21,6 +21,8 @@ from typer.testing import CliRunner
 
 from ebamcheck.commands.command_group import guarded
 from ebamcheck.commands.judge import judge_command
+from ebamcheck.controls.heat_paths import LINE_MODE, HeatPath
+from ebamcheck.controls.thesis_case import INPUT
 from ebamcheck.errors import (
     BackendFailed,
     BackendMissing,
@@ -32,8 +34,6 @@ from ebamcheck.judge import THESIS, LayerCase, judge_layer
 from ebamcheck.judge.layer import COLUMNS, PLACES
 from ebamcheck.judge.thesis import TIMES_A_RUN, rises_k
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.program.simulators.heat_paths import LINE_MODE, HeatPath
-from ebamcheck.program.simulators.thesis_case import INPUT
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config
 

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from parts import box
 from slicers_here import runs_cut_here as runs_cut_here
 
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.heat.melting import melting_heat_j_kg
 from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar
@@ -23,8 +25,6 @@ from ebamcheck.live.map_files import HeightMap
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.metal import target_of
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.metal_below import MetalBelow
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, outside_window, wire_area_mm2
 from ebamcheck.settings.text import as_toml

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prism_program import Made
 
+from ebamcheck.checks.deposit import deposit
 from ebamcheck.metal.pools import pooled
-from ebamcheck.program.checking.deposit import deposit
 
 ANGLE = 2.0 * np.pi * np.arange(48) / 48
 SECTIONS = {

@@ -19,11 +19,11 @@ from limits_of_heat import preheated
 from planted_faults import FAULTS
 
 import ebamcheck
+from ebamcheck.checks import plugged
+from ebamcheck.checks.remedies import REMEDIES
 from ebamcheck.pipeline import loose_limits
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
-from ebamcheck.program.checking import plugged
-from ebamcheck.program.checking.remedies import REMEDIES
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.verification.verify import verify_run
 
@@ -155,11 +155,7 @@ def constants(folder):
 
 
 def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
-    known = {
-        name
-        for room in ("program/checking", "pipeline", "record", "verification")
-        for name in constants(room)
-    }
+    known = {name for room in ("checks", "pipeline", "record", "verification") for name in constants(room)}
     listed = {name for names in NO_LIMITS.values() for name in names.split()}
     cased = {name for case in CASES for name in case.limits}
     assert known - listed - cased == set(), (

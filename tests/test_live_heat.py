@@ -11,6 +11,7 @@ from command_line import write_stl
 from live_boxes import maker_of, run_of_box
 
 import ebamcheck
+from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.live import released_layer
 from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar, LayerText
@@ -18,7 +19,6 @@ from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.released_layer import Followed
 from ebamcheck.live.verifying import verify_build
-from ebamcheck.program.checking.interpass_checks import INTERPASS
 from ebamcheck.settings.config import Config
 from tests.parts import box
 

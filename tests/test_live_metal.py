@@ -9,14 +9,14 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
+from ebamcheck.checks.consumables import FRESH
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.live.metal_so_far import MetalSoFar, metal_checks
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.consumables import FRESH
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import deposit_checks
-from ebamcheck.program.checking.metal_below import MetalBelow
-from ebamcheck.program.toolpath.bead_ends import planned_path
+from ebamcheck.writing.bead_ends import planned_path
 
 SQUARE = shapely.box(0, 0, 70, 70)
 FIGURES = (

@@ -15,6 +15,9 @@ from command_line import ebamcheck
 from live_boxes import maker_of, puts, run_of_box
 from opcua_controls import LONGEST_S, control, free_url, on_a_desk
 
+from ebamcheck.controls.sinumerik.handshake import run_text
+from ebamcheck.controls.sinumerik.release_keys import ReleaseKeys
+from ebamcheck.controls.sinumerik.waiting import waiting_program
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
@@ -22,9 +25,6 @@ from ebamcheck.live.opcua.desk import desk_profile
 from ebamcheck.live.opcua.handshake import node_ids
 from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, installed
 from ebamcheck.live.opcua.playing import planned_s, top_of
-from ebamcheck.program.controls.sinumerik.handshake import run_text
-from ebamcheck.program.controls.sinumerik.release_keys import ReleaseKeys
-from ebamcheck.program.controls.sinumerik.waiting import waiting_program
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.showing.plotting import ExtraMissing

@@ -8,10 +8,10 @@ from parts import box
 from scipy.interpolate import BSpline
 
 from ebamcheck import installed
+from ebamcheck.checks.spline_points import spline_points
 from ebamcheck.curves.per_part import keep_surface_of, once_a_part
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.installed import entry_points
-from ebamcheck.program.checking.spline_points import spline_points
 from ebamcheck.scan.heat.enclosed import DIRECTIONS, ON_OUTLINE_MM, in_sight
 from ebamcheck.scan.heat.interpass import greatest_that_fits
 from ebamcheck.settings.config import Config

@@ -9,29 +9,29 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.heat import melting
-from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.metal import target
-from ebamcheck.pipeline.gates import heat_gate
-from ebamcheck.program import verify_program
-from ebamcheck.program.checking import heat_again, marked
-from ebamcheck.program.checking.heat_again import (
+from ebamcheck.checks import heat_again, marked
+from ebamcheck.checks.heat_again import (
     BeadHeat,
     FollowedHeat,
     entries_k,
     highest_entry_k,
     melting_power_w,
 )
-from ebamcheck.program.checking.interpass_checks import AGAIN, INTERPASS, heat_checks
-from ebamcheck.program.checking.melting_check import MELTING
-from ebamcheck.program.checking.text_heat import text_beads, text_bed_k, text_shapes
-from ebamcheck.program.checking.window_checks import window_check
-from ebamcheck.program.language import files
-from ebamcheck.program.reading.roles import by_height
-from ebamcheck.program.toolpath import inputs, tracks, wire
+from ebamcheck.checks.interpass_checks import AGAIN, INTERPASS, heat_checks
+from ebamcheck.checks.melting_check import MELTING
+from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.window_checks import window_check
+from ebamcheck.heat import melting
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.metal import target
+from ebamcheck.nc import files
+from ebamcheck.nc.roles import by_height
+from ebamcheck.pipeline.gates import heat_gate
+from ebamcheck.program import verify_program
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import process, wire_speed
 from ebamcheck.settings.config import Config
+from ebamcheck.writing import inputs, tracks, wire
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 

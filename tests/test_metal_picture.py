@@ -11,8 +11,8 @@ import numpy as np
 import shapely
 from PIL import Image
 
+from ebamcheck.checks.metal_field import LayerField
 from ebamcheck.metal import target_of
-from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck_reports.metal_picture import BLUE, COLOURS, RED, draw
 
 WHITE = (255, 255, 255)

@@ -9,17 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prism_program import CONFIG, Made
 
-from ebamcheck.layers.stack import from_polygons
-from ebamcheck.metal import Surface, levelled, reachable, target_of
-from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.metal_zones import (
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal_zones import (
     NO_ZONES,
     ZONES,
     zone_figures,
     zone_limit,
     zone_off,
 )
+from ebamcheck.layers.stack import from_polygons
+from ebamcheck.metal import Surface, levelled, reachable, target_of
+from ebamcheck.numeric.rings import Floats
 
 BLOCK = shapely.box(0, 0, 150, 130)
 NOTCH = shapely.box(132, 112, 150, 130)

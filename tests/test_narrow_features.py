@@ -8,10 +8,10 @@ import shapely
 from prism_program import CONFIG, Made
 from shapely import affinity
 
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.deposit_checks import NARROW, deposit_checks
+from ebamcheck.checks.narrow_features import narrow_features, narrow_places
 from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import NARROW, deposit_checks
-from ebamcheck.program.checking.narrow_features import narrow_features, narrow_places
 from ebamcheck.settings.config import Config
 
 PLATE = shapely.box(0, 0, 90, 50)

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from nc_stack import clamped_knots, stack
 from scipy.integrate import quad
 
+from ebamcheck.checks.state_checks import extremes
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.checking.state_checks import extremes
-from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.settings.config import Config
 
 EXAMPLE = np.array([(0, 0), (5, 10), (15, 15), (28, 12), (34, 4), (40, 0)], float)

@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from nc_stack import make_curves, make_plan
 from parts import box, moved
 
+from ebamcheck.checks.interpass_checks import INTERPASS
+from ebamcheck.checks.process_checks import seam_turns
 from ebamcheck.findings import CODES, SEVERITIES, Finding
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import noticed, noticed_in_program
 from ebamcheck.program import Check, read_program, write_program
-from ebamcheck.program.checking.interpass_checks import INTERPASS
-from ebamcheck.program.checking.process_checks import seam_turns
 from ebamcheck.settings.config import Config
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from ebamcheck.checks import plugged
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import Check
-from ebamcheck.program.checking import plugged
 from ebamcheck.settings import material
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import INCONEL_718

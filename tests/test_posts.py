@@ -30,8 +30,8 @@ from posted_curves import (
 from scipy.interpolate import BSpline
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 from ebamcheck.program import read_program
-from ebamcheck.program.reading.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT
 
 
 @pytest.mark.parametrize("form", EXACT)

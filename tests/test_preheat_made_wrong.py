@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prism_program import Made
 
+from ebamcheck.checks.preheat_checks import WIDEST, preheat_checks, widest_gap_mm
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.program.checking.preheat_checks import WIDEST, preheat_checks, widest_gap_mm
 from ebamcheck.scan.filling import preheat_lines
 from ebamcheck.scan.filling.preheat_lines import pass_lines
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat

@@ -10,12 +10,12 @@ from parts import box
 from planted_faults import Text
 from slicers_here import runs_cut_here as runs_cut_here
 
+from ebamcheck.checks.preheat_checks import preheat_checks
 from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
 from ebamcheck.program import read_program
-from ebamcheck.program.checking.preheat_checks import preheat_checks
 from ebamcheck.settings.config import Config
 from ebamcheck.verification.verify import verify
 

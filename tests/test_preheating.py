@@ -17,7 +17,7 @@ from slicers_here import runs_cut_here as runs_cut_here
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
 from ebamcheck.json_values import sha256_of_json
-from ebamcheck.program.language.templates import usable_templates
+from ebamcheck.nc.templates import usable_templates
 from ebamcheck.scan.filling.preheat_lines import pass_lines
 from ebamcheck.scan.heat.preheating import SIGMAS, BeamWay, SurfaceHeat, bare_plate, spot_peak_k
 from ebamcheck.settings.config import Config, load_config

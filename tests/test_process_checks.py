@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from nc_stack import hatch, make_curves, make_plan
 
+from ebamcheck.checks.process_checks import outside_sectors
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.program import read_program, verify_file, verify_program, write_program
-from ebamcheck.program.checking.process_checks import outside_sectors
 from ebamcheck.settings.config import Config
 
 SQUARE = np.array([(0, 0), (40, 0), (40, 40), (0, 40), (0, 0)], float)

@@ -14,6 +14,7 @@ from inset_layers import contour_paths
 from nc_stack import REACHES_OUT, clamped_knots, hatch, make_curves, make_plan, stack
 
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.nc.motions import POLYNOMIAL
 from ebamcheck.program import (
     program_summary,
     read_program,
@@ -21,9 +22,8 @@ from ebamcheck.program import (
     verify_program,
     write_program,
 )
-from ebamcheck.program.reading.motions import POLYNOMIAL
-from ebamcheck.program.toolpath.polynomials import chords, refined, spans
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.polynomials import chords, refined, spans
 
 FORMS = {
     "poly": {"curve_form": "poly"},

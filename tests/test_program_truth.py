@@ -7,8 +7,8 @@ import re
 import pytest
 from program_text import CONTROLS, ProgramText, near
 
+from ebamcheck.checks.header_checks import Truth
 from ebamcheck.program import mark_validated, verify_file
-from ebamcheck.program.checking.header_checks import Truth
 from ebamcheck.settings.files import differences
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS

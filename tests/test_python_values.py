@@ -17,8 +17,8 @@ from ebamcheck.curves import LIFTED
 from ebamcheck.curves.columns import Curves
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.program import NCProgram, read_program, write_program
-from ebamcheck.program.language.files import ProgramFiles
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.showing import short_text

@@ -7,10 +7,10 @@ import pytest
 import shapely
 from nc_stack import make_curves, make_plan
 
+from ebamcheck.checks.section_check import Evidence, section_check
 from ebamcheck.geometry.regions import inset
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.program import read_program, write_program
-from ebamcheck.program.checking.section_check import Evidence, section_check
 from ebamcheck.settings.config import Config
 
 INSET_MM, LIMIT_MM = 3.0, 0.25

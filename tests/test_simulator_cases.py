@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from nc_stack import stack
 
+from ebamcheck.controls.heat_paths import case_post, heat_path
 from ebamcheck.errors import SettingsError
+from ebamcheck.nc.control import simulators
 from ebamcheck.program import write_program
-from ebamcheck.program.language.control import simulators
-from ebamcheck.program.simulators.heat_paths import case_post, heat_path
-from ebamcheck.program.toolpath.bead_ends import driven_path
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import driven_path
 
 FILES = {
     "3dthesis": {

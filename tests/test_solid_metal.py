@@ -9,12 +9,12 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
+from ebamcheck.checks.deposit_checks import SOLID
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.layer_rule import layer_rule, level_faces, section_areas
 from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.pipeline.solid_metal import layer_borders, solid_check
 from ebamcheck.plugins.model import models
-from ebamcheck.program.checking.deposit_checks import SOLID
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 

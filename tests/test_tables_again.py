@@ -15,10 +15,10 @@ from slicers_here import slicers_here
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
+from ebamcheck.checks import verification
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import check_job, run_job
-from ebamcheck.program.checking import verification
 from ebamcheck.verification.verify import verify_run
 from ebamcheck.version import __version__
 

@@ -10,9 +10,9 @@ import pytest
 from slicers_here import slicers_here
 
 from benchmarks.faults.subjects import SUBJECTS
+from ebamcheck.checks.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
+from ebamcheck.checks.interpass_checks import scheduled_shares
 from ebamcheck.pipeline import run_job
-from ebamcheck.program.checking.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
-from ebamcheck.program.checking.interpass_checks import scheduled_shares
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window

@@ -10,13 +10,13 @@ from command_line import FAST, ebamcheck, write_stl
 from scipy.spatial.transform import Rotation
 from test_turned_layers import angle
 
+from ebamcheck.checks import tilt_checks
 from ebamcheck.json_values import sha256_of_file
+from ebamcheck.nc import tilt_rules
 from ebamcheck.program import read_program
-from ebamcheck.program.checking import tilt_checks
-from ebamcheck.program.language import tilt_rules
-from ebamcheck.program.writing import tilt_text
 from ebamcheck.settings.config import load_config
 from ebamcheck.verification.verify import verify
+from ebamcheck.writing import tilt_text
 
 TABLE = """[machine]
 park_mm = [-150.0, 12.0]

@@ -10,9 +10,9 @@ import pytest
 from limit_cases import cube
 from limits_of_heat import preheated
 
-from ebamcheck.program.checking.checks import event_faults
-from ebamcheck.program.checking.preheat_checks import preheat_checks
-from ebamcheck.program.reading.timeline import Events, Kind
+from ebamcheck.checks.checks import event_faults
+from ebamcheck.checks.preheat_checks import preheat_checks
+from ebamcheck.nc.timeline import Events, Kind
 
 NAMES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "current_ma", "power_w", "layer_pause_s", "dwell_s", "M0", "G64",

@@ -8,10 +8,10 @@ import pytest
 import shapely
 from prism_program import Made
 
+from ebamcheck.checks.bead_checks import bead_checks
+from ebamcheck.checks.checks import checks_of
+from ebamcheck.checks.overhang import overhang_check
 from ebamcheck.program import verify_program
-from ebamcheck.program.checking.bead_checks import bead_checks
-from ebamcheck.program.checking.checks import checks_of
-from ebamcheck.program.checking.overhang import overhang_check
 
 
 @pytest.mark.parametrize("lines", [25, 10**6], ids=["the-first-beads", "all-beads"])

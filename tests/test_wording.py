@@ -11,8 +11,8 @@ from ebamcheck.commands.options import assignments
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.map_files import read_map
 from ebamcheck.mesh.plates import read_plate
+from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.plugins import registry
-from ebamcheck.program.language.templates import ProcessValues
 from ebamcheck.regression.settings import read_tolerances
 from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.text import as_toml

@@ -17,9 +17,9 @@ from benchmarks.faults.results import Result, noted
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS, TWELVE, Subject
 from ebamcheck.curves import Curves
 from ebamcheck.json_values import write_json
+from ebamcheck.nc.control import control
 from ebamcheck.pipeline import run_job
 from ebamcheck.program import Check, ProgramFiles, mark_validated
-from ebamcheck.program.language.control import control
 from ebamcheck.record.run_folder import (
     MANIFEST,
     RunFolder,

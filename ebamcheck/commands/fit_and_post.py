@@ -21,6 +21,7 @@ from ebamcheck.commands.options import (
     within_work,
 )
 from ebamcheck.commands.run_stack import stack_of_run
+from ebamcheck.controls.heat_paths import SCRIPT, case_post
 from ebamcheck.curves import (
     METHODS,
     Curves,
@@ -37,17 +38,16 @@ from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part_source import read_reference
+from ebamcheck.nc.control import control as control_named
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import write_program
-from ebamcheck.program.language.control import control as control_named
-from ebamcheck.program.simulators.heat_paths import SCRIPT, case_post
-from ebamcheck.program.writing.entry import begin_at_layer, check_entry
 from ebamcheck.record.run_folder import MANIFEST
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.writing.entry import begin_at_layer, check_entry
 
 ALL = "all"
 

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layer_numbers import index_of_number
@@ -21,9 +22,8 @@ from ebamcheck.live.map_files import read_map
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import tilted
 from ebamcheck.live.relaying import Relayered, check_height, relayer
+from ebamcheck.nc.files import preheat_name
 from ebamcheck.pipeline.turned import stands_of
-from ebamcheck.program.checking.metal_below import MetalBelow
-from ebamcheck.program.language.files import preheat_name
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 

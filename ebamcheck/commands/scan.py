@@ -22,7 +22,7 @@ from ebamcheck.commands.options import (
 from ebamcheck.commands.scan_layer import scan_layer
 from ebamcheck.commands.scan_part import scan_all
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.program.language.control import simulators
+from ebamcheck.nc.control import simulators
 from ebamcheck.scan.plan.comparing import RANDOM, SEEDS, compared_orders
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window

@@ -103,9 +103,9 @@ def _errors_alone() -> Iterator[None]:
 
 def _what_a_box_has_not() -> None:
     """Splines in a program, and metal that lies beside the part."""
+    from ebamcheck.checks.shapes import shape_distance
+    from ebamcheck.checks.spline_points import spline_points
     from ebamcheck.metal.distances import moved_to_neighbours
-    from ebamcheck.program.checking.shapes import shape_distance
-    from ebamcheck.program.checking.spline_points import spline_points
 
     shape_distance(np.eye(2)[None], np.eye(2)[None])
     spline_points(np.repeat([0.0, 1.0], 4), np.zeros((4, 2)), np.array([[0.5]]))

@@ -23,18 +23,18 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.controls.heat_paths import HeatPath, heat_path, write_thesis
+from ebamcheck.controls.thesis_case import Mirrors, physics, readings
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.judge.thesis import rises_k
+from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.language.files import ProgramFiles
-from ebamcheck.program.simulators.heat_paths import HeatPath, heat_path, write_thesis
-from ebamcheck.program.simulators.thesis_case import Mirrors, physics, readings
-from ebamcheck.program.toolpath.inputs import CurveColumns, deposition_heights
 from ebamcheck.scan.heat.island_heat import island_heat
 from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.inputs import CurveColumns, deposition_heights
 
 BEADS = ("islands", "all")
 """Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""

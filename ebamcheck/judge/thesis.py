@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ebamcheck.controls.heat_paths import HeatPath, fill_case, write_thesis
+from ebamcheck.controls.thesis_case import INPUT, Mirrors, physics, readings, snapshot
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.simulators.heat_paths import HeatPath, fill_case, write_thesis
-from ebamcheck.program.simulators.thesis_case import INPUT, Mirrors, physics, readings, snapshot
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.outside.programs import Program, working_folder
 

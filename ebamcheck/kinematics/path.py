@@ -9,10 +9,10 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
+from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program import NCProgram
-from ebamcheck.program.reading.motions import ARC, RAPID, STRAIGHT
 from ebamcheck.settings.config import Config
 
 SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.heat_again import BeadHeat, FollowedHeat, highest_entry_k, may_differ_k
+from ebamcheck.checks.interpass_checks import within_range
+from ebamcheck.checks.text_heat import sections_of_text, text_beads
+from ebamcheck.checks.verification import read_checked
 from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.nc.roles import by_height, by_shape
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.heat_again import BeadHeat, FollowedHeat, highest_entry_k, may_differ_k
-from ebamcheck.program.checking.interpass_checks import within_range
-from ebamcheck.program.checking.text_heat import sections_of_text, text_beads
-from ebamcheck.program.checking.verification import read_checked
-from ebamcheck.program.reading.roles import by_height, by_shape
 from ebamcheck.scan.heat.interpass import SimulatedLayer
 from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers, ScanPlan

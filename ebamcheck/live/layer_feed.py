@@ -14,10 +14,10 @@ from typing import Protocol, TypeVar
 
 from ebamcheck.heat.melting import entry_limit_k, melted_mm3_s
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.program.toolpath.wire import MOST_MENDED
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import speed_window
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, wire_area_mm2
+from ebamcheck.writing.wire import MOST_MENDED
 
 LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
 """Least and greatest local height of a layer over its height, on a surface that was measured. The limits of a wire feed lie

@@ -20,6 +20,10 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import BackendSettings
+from ebamcheck.checks.hatch_form import form_checks
+from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.matching import matched
+from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
@@ -31,6 +35,8 @@ from ebamcheck.live.metal_so_far import MetalSoFar, mesh_and_metal
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
+from ebamcheck.nc.control import control
+from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
@@ -49,12 +55,6 @@ from ebamcheck.pipeline.stages import (
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, verify_program
-from ebamcheck.program.checking.hatch_form import form_checks
-from ebamcheck.program.checking.marked import marked_validated
-from ebamcheck.program.checking.matching import matched
-from ebamcheck.program.checking.text_heat import scans_of
-from ebamcheck.program.language.control import control
-from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated

@@ -13,26 +13,26 @@ import numpy as np
 import pandas as pd
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.verification import read_checked
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.height_map import MapFigures
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface, target_of
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check
-from ebamcheck.program.checking.consumables import FRESH, Spent, consumed, spent_after
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import deposit_checks
-from ebamcheck.program.checking.metal_below import MetalBelow
-from ebamcheck.program.checking.verification import read_checked
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.roles import by_height
-from ebamcheck.program.toolpath.inputs import deposition_heights
-from ebamcheck.program.toolpath.wire import metal_region
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.writing.inputs import deposition_heights
+from ebamcheck.writing.wire import metal_region
 
 
 @dataclass(frozen=True, eq=False)

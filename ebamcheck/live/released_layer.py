@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ebamcheck.checks.heat_again import FollowedHeat
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.live.heat_so_far import heated, layer_text
-from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.settings.config import Config
 
 SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ebamcheck.checks.consumables import FRESH, Spent, lasting
+from ebamcheck.checks.heat_again import FollowedHeat
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.live.heat_so_far import heated, layer_text
@@ -30,8 +32,6 @@ from ebamcheck.live.released_layer import current_off, ended_early
 from ebamcheck.pipeline.mesh_sections import layer_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.program import Check
-from ebamcheck.program.checking.consumables import FRESH, Spent, lasting
-from ebamcheck.program.checking.heat_again import FollowedHeat
 from ebamcheck.record.certificate_checks import part_hash
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.verification.verify import verify

@@ -17,13 +17,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.deposit_checks import BETWEEN
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import BETWEEN
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part

@@ -14,18 +14,18 @@ from typing import Any
 
 import numpy as np
 
+from ebamcheck.checks.checks import check_record
+from ebamcheck.checks.entry_check import NAME, PLACE_MM, entry_check
+from ebamcheck.checks.marked import marked_validated
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
+from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check, read_program
-from ebamcheck.program.checking.checks import check_record
-from ebamcheck.program.checking.entry_check import NAME, PLACE_MM, entry_check
-from ebamcheck.program.checking.marked import marked_validated
-from ebamcheck.program.language.files import ProgramFiles
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.writing.entry import begin_at_layer
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.settings.config import Config, validated
+from ebamcheck.writing.entry import begin_at_layer
 
 FOLDER = "entry"
 """Folder of the program within a run."""

@@ -9,6 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
+from ebamcheck.checks.heat_again import highest_entry_k
+from ebamcheck.checks.interpass_checks import AGAIN, COLD, HEAT_CHECKS, INTERPASS, within_range
+from ebamcheck.checks.melting_check import MELTING
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison import Finding as Disagreement
 from ebamcheck.comparison.doubt import doubted_layers
@@ -19,13 +23,9 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
-from ebamcheck.program.checking.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
-from ebamcheck.program.checking.heat_again import highest_entry_k
-from ebamcheck.program.checking.interpass_checks import AGAIN, COLD, HEAT_CHECKS, INTERPASS, within_range
-from ebamcheck.program.checking.melting_check import MELTING
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
+from ebamcheck.writing.inputs import deposition_heights
 
 NO_AGREEMENT = "layers without agreement"
 """Unit of the gate `agreement`."""

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.mesh.part_source import read_reference
+from ebamcheck.nc.control import control
+from ebamcheck.nc.templates import usable_templates
 from ebamcheck.pipeline import noticed
 from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check, primary_of
@@ -17,14 +19,12 @@ from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs
-from ebamcheck.program.language.control import control
-from ebamcheck.program.language.templates import usable_templates
-from ebamcheck.program.writing.entry import check_entry
 from ebamcheck.record.run_folder import finished_run, start_run
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.version import __version__
+from ebamcheck.writing.entry import check_entry
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline.finishing import ProgramStage, RunResult

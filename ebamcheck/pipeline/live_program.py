@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from ebamcheck.checks.checks import check_record
 from ebamcheck.errors import SettingsError
+from ebamcheck.nc.control import control
+from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED
 from ebamcheck.program import Check
-from ebamcheck.program.checking.checks import check_record
-from ebamcheck.program.language.control import control
-from ebamcheck.program.language.files import NOT_VALIDATED, VALIDATED
 from ebamcheck.settings.config import Config
 
 FOLDER = "live"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ebamcheck.findings import Finding
-from ebamcheck.program.language.increments import power_slack_w
+from ebamcheck.nc.increments import power_slack_w
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.materials import preset

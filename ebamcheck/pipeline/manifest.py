@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from ebamcheck.checks.checks import check_record
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
@@ -28,13 +29,12 @@ from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.programming import ProgramResult
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
-from ebamcheck.program.checking.checks import check_record
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.record.form import FORMAT_VERSION, PLATE
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
+from ebamcheck.writing.inputs import deposition_heights
 
 
 def manifest(

@@ -9,8 +9,8 @@ import pandas as pd
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.findings import Finding, at_layer
 from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.nc.control import control
 from ebamcheck.preflight.suspicions import of_bodies, suspicions
-from ebamcheck.program.language.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.wire_speed import wire_speed_mm_s

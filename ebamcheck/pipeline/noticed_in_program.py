@@ -9,16 +9,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from ebamcheck.findings import Finding, Severity, at_layer
-from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.consumables import consumed
-from ebamcheck.program.checking.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
-from ebamcheck.program.checking.interpass_checks import INTERPASS, within_range
-from ebamcheck.program.checking.narrow_features import NarrowFeature
-from ebamcheck.program.checking.process_checks import seam_turns
-from ebamcheck.program.checking.remedies import (
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.consumables import consumed
+from ebamcheck.checks.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
+from ebamcheck.checks.interpass_checks import INTERPASS, within_range
+from ebamcheck.checks.narrow_features import NarrowFeature
+from ebamcheck.checks.process_checks import seam_turns
+from ebamcheck.checks.remedies import (
     COARSE,
     FLAT,
     HATCH,
@@ -29,10 +26,13 @@ from ebamcheck.program.checking.remedies import (
     OFF_MESH,
     TOO_THIN,
 )
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.toolpath.inputs import deposition_heights
+from ebamcheck.findings import Finding, Severity, at_layer
+from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.inputs import deposition_heights
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 

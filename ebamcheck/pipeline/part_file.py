@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.deposit_checks import PART_FILE
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import PART_FILE
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.units import known_as
 

@@ -16,18 +16,18 @@ from ebamcheck.curves.turned import turned_over
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program.toolpath.bead_ends import uppermost_seams, with_bead_ends, written_form
-from ebamcheck.program.toolpath.bead_parts import path_points
-from ebamcheck.program.toolpath.bead_power import along_beads
-from ebamcheck.program.toolpath.cuts import segment_lengths
-from ebamcheck.program.toolpath.seams import NO_SEAMS
-from ebamcheck.program.toolpath.tracks import toolpath
-from ebamcheck.program.toolpath.wire import bare_surface, wired
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.heat.part_heat import BeadPower
 from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import uppermost_seams, with_bead_ends, written_form
+from ebamcheck.writing.bead_parts import path_points
+from ebamcheck.writing.bead_power import along_beads
+from ebamcheck.writing.cuts import segment_lengths
+from ebamcheck.writing.seams import NO_SEAMS
+from ebamcheck.writing.tracks import toolpath
+from ebamcheck.writing.wire import bare_surface, wired
 
 
 def plan_program(layers: Layers, config: Config, progress: Progress | None = None) -> ScanPlan:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import shapely
 
+from ebamcheck.checks.consumables import KG_MM3
+from ebamcheck.checks.text_heat import motion_seconds
 from ebamcheck.json_values import plain
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program import Check
-from ebamcheck.program.checking.consumables import KG_MM3
-from ebamcheck.program.checking.text_heat import motion_seconds
-from ebamcheck.program.reading.motions import NCProgram
 from ebamcheck.record.form import PLATE
 from ebamcheck.settings.config import Config
 

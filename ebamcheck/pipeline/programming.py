@@ -12,6 +12,13 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.atomic_file import COMPRESSION
+from ebamcheck.checks.deposit import Deposit, deposit
+from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.matching import matched
+from ebamcheck.checks.metal_field import FIELD_FILE, write_field
+from ebamcheck.checks.remedies import told
+from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
 from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.findings import has_fault
@@ -19,6 +26,8 @@ from ebamcheck.kinematics import side_by_side
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates, noticed_in_program
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
@@ -40,19 +49,10 @@ from ebamcheck.pipeline.stages import (
 )
 from ebamcheck.pipeline.work import Job, one_beside
 from ebamcheck.program import Check, program_summary, read_program, verify_program
-from ebamcheck.program.checking.deposit import Deposit, deposit
-from ebamcheck.program.checking.deposit_checks import deposit_checks
-from ebamcheck.program.checking.marked import marked_validated
-from ebamcheck.program.checking.matching import matched
-from ebamcheck.program.checking.metal_field import FIELD_FILE, write_field
-from ebamcheck.program.checking.remedies import told
-from ebamcheck.program.checking.text_heat import build_times_s, known_sections
-from ebamcheck.program.language.files import ProgramFiles
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.toolpath.events import event_totals, process_events
-from ebamcheck.program.toolpath.inputs import deposition_heights
-from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan import ScanPlan
+from ebamcheck.writing.events import event_totals, process_events
+from ebamcheck.writing.inputs import deposition_heights
+from ebamcheck.writing.tracks import Toolpath
 
 TOTALS = (
     "motions",

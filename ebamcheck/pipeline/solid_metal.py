@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.deposit_checks import SOLID, of_deposit
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -21,11 +23,9 @@ from ebamcheck.pipeline.between_cuts import between_check
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.preflight.layer_height import nearest_fitting
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.checking.deposit_checks import SOLID, of_deposit
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.writing.inputs import deposition_heights
 
 SAME_AREA = 1e-3
 """Share of the greatest section by which those of the mesh and of a slicer differ only where bodies overlap, or it is open."""

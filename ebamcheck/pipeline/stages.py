@@ -11,16 +11,16 @@ import pandas as pd
 from ebamcheck.curves import LIFTED, Curves
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.control import control
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.fit_evidence import FitVerdict
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.planned_power import bead_curves
 from ebamcheck.program import Check, ProgramFiles
-from ebamcheck.program.language.control import control
-from ebamcheck.program.toolpath.bead_ends import planned_path
-from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import planned_path
+from ebamcheck.writing.tracks import Toolpath
 
 SAMPLING_MM = 0.002
 """Beads are planned inside of polylines this near to the fitted curves, and their path is held against such: a tenth of the

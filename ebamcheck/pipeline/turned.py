@@ -15,13 +15,13 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.checks import Check
 from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.tilt_rules import NO_HEIGHT
+from ebamcheck.nc.turned_table import table_at
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.language.tilt_rules import NO_HEIGHT
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.reading.turned_table import table_at
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 

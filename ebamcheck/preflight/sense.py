@@ -31,8 +31,8 @@ def sense_checks(config: Config) -> Iterator[PreflightCheck]:
 def _control(config: Config) -> PreflightCheck:
     """There must be such a control, its programs must be read back, and its templates must make blocks."""
     # What writes programs is loaded where it is asked for: the rest of a preflight needs none of it.
-    from ebamcheck.program.language.control import control
-    from ebamcheck.program.language.templates import usable_templates
+    from ebamcheck.nc.control import control
+    from ebamcheck.nc.templates import usable_templates
 
     name = config.machine.control
     try:

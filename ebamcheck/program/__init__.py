@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 from ebamcheck.names_on_demand import on_demand
 
 if TYPE_CHECKING:
-    from ebamcheck.program.checking.checks import Check as Check
-    from ebamcheck.program.checking.summary import program_summary as program_summary
-    from ebamcheck.program.checking.verification import verify_file as verify_file
-    from ebamcheck.program.checking.verification import verify_program as verify_program
-    from ebamcheck.program.language.files import ProgramFiles as ProgramFiles
-    from ebamcheck.program.language.files import mark_validated as mark_validated
-    from ebamcheck.program.reading.motions import NCProgram as NCProgram
-    from ebamcheck.program.reading.reader import read_program as read_program
-    from ebamcheck.program.writing.posts import write_program as write_program
+    from ebamcheck.checks.checks import Check as Check
+    from ebamcheck.checks.summary import program_summary as program_summary
+    from ebamcheck.checks.verification import verify_file as verify_file
+    from ebamcheck.checks.verification import verify_program as verify_program
+    from ebamcheck.nc.files import ProgramFiles as ProgramFiles
+    from ebamcheck.nc.files import mark_validated as mark_validated
+    from ebamcheck.nc.motions import NCProgram as NCProgram
+    from ebamcheck.nc.reader import read_program as read_program
+    from ebamcheck.writing.posts import write_program as write_program
 
 __all__ = [
     "Check",
@@ -30,16 +30,16 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Check": "checking.checks",
-    "NCProgram": "reading.motions",
-    "ProgramFiles": "language.files",
-    "mark_validated": "language.files",
-    "program_summary": "checking.summary",
-    "read_program": "reading.reader",
-    "verify_file": "checking.verification",
-    "verify_program": "checking.verification",
+    "Check": "checks.checks",
+    "NCProgram": "nc.motions",
+    "ProgramFiles": "nc.files",
+    "mark_validated": "nc.files",
+    "program_summary": "checks.summary",
+    "read_program": "nc.reader",
+    "verify_file": "checks.verification",
+    "verify_program": "checks.verification",
     "write_program": "writing.posts",
 }
 """Names and where they live; they load when first used: who asks what a control is waits for no planning and no check."""
 
-__getattr__ = on_demand(__name__, _HOMES)
+__getattr__ = on_demand("ebamcheck", _HOMES)

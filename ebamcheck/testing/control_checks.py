@@ -14,16 +14,16 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.checks import Check
 from ebamcheck.curves import Curves, fit
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.nc.control import Control, control
+from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.stages import bead_paths, smooth_layers
 from ebamcheck.program import mark_validated, verify_file
-from ebamcheck.program.checking.checks import Check
-from ebamcheck.program.language.control import Control, control
-from ebamcheck.program.language.files import ProgramFiles
-from ebamcheck.program.language.templates import process_values, usable_templates
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.testing.figures import Figure, truth

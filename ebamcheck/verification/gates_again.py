@@ -16,6 +16,17 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from ebamcheck.checks.bead_wire import NAME as WIRE_OF_BEADS
+from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.deposit_checks import OF_THE_MESH, of_deposit
+from ebamcheck.checks.end_gaps import NAME as ENDS_OF_BEADS
+from ebamcheck.checks.entry_check import NAME as ENTRY
+from ebamcheck.checks.hatch_form import CROSSINGS, LINES
+from ebamcheck.checks.header_checks import Truth
+from ebamcheck.checks.interpass_checks import AGAIN, COLD
+from ebamcheck.checks.metal_field import FIELD_FILE
+from ebamcheck.checks.narrow_features import NarrowFeature
+from ebamcheck.checks.verification import read_checked
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves, fit_for_program
@@ -43,19 +54,6 @@ from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_program
-from ebamcheck.program.checking.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.program.checking.deposit import deposit
-from ebamcheck.program.checking.deposit_checks import OF_THE_MESH, of_deposit
-from ebamcheck.program.checking.end_gaps import NAME as ENDS_OF_BEADS
-from ebamcheck.program.checking.entry_check import NAME as ENTRY
-from ebamcheck.program.checking.hatch_form import CROSSINGS, LINES
-from ebamcheck.program.checking.header_checks import Truth
-from ebamcheck.program.checking.interpass_checks import AGAIN, COLD
-from ebamcheck.program.checking.metal_field import FIELD_FILE
-from ebamcheck.program.checking.narrow_features import NarrowFeature
-from ebamcheck.program.checking.verification import read_checked
-from ebamcheck.program.toolpath.bead_ends import planned_path
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
@@ -72,6 +70,8 @@ from ebamcheck.verification.tables_again import (
     tables_of_program,
 )
 from ebamcheck.version import __version__
+from ebamcheck.writing.bead_ends import planned_path
+from ebamcheck.writing.inputs import deposition_heights
 
 SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""

@@ -18,6 +18,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from ebamcheck.checks.deposit import Deposit
+from ebamcheck.checks.matching import matched
+from ebamcheck.checks.metal_field import FIELD_FILE, field_table
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.kinematics import side_by_side
@@ -28,15 +31,12 @@ from ebamcheck.pipeline.cross_check import layer_table
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import is_house
 from ebamcheck.program import Check, NCProgram, program_summary
-from ebamcheck.program.checking.deposit import Deposit
-from ebamcheck.program.checking.matching import matched
-from ebamcheck.program.checking.metal_field import FIELD_FILE, field_table
-from ebamcheck.program.toolpath.events import event_totals, process_events
-from ebamcheck.program.toolpath.tracks import Toolpath
 from ebamcheck.record.run_folder import MANIFEST, TIMINGS, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.version import __version__
+from ebamcheck.writing.events import event_totals, process_events
+from ebamcheck.writing.tracks import Toolpath
 
 NAME = "tables"
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.header_checks import Truth
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -17,6 +18,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
@@ -27,9 +29,6 @@ from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import Check, read_program, verify_file
-from ebamcheck.program.checking.header_checks import Truth
-from ebamcheck.program.reading.motions import NCProgram
-from ebamcheck.program.toolpath.inputs import deposition_heights
 from ebamcheck.record.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.record.certificate_checks import (
     certificate_checks,
@@ -48,6 +47,7 @@ from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.files import differences
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.gates_again import compared, truth_of, work_again
+from ebamcheck.writing.inputs import deposition_heights
 
 
 def verify(

@@ -9,9 +9,9 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.metal_field import LayerField
 from ebamcheck.drawing.islands import ring_path
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program.checking.metal_field import LayerField
 from ebamcheck.showing.image import palette_image, png_address
 from ebamcheck.showing.markup import Markup, element, svg_file, text
 
@@ -55,7 +55,7 @@ def draw(
     Parameters
     ----------
     field
-        What :func:`ebamcheck.program.checking.deposit.deposit` keeps of the layer.
+        What :func:`ebamcheck.checks.deposit.deposit` keeps of the layer.
     section
         The section that is drawn over it.
     thickness_mm

@@ -6,13 +6,13 @@ import argparse
 import re
 from pathlib import Path
 
+from ebamcheck.checks.deposit import deposit
 from ebamcheck.drawing.islands import islands_svg
 from ebamcheck.drawing.orders import pareto_svg
 from ebamcheck.drawing.scene import Scene
 from ebamcheck.layers.stack import Layers
 from ebamcheck.layers.svg import layer_svg, overlay_svg, sheet_svg
 from ebamcheck.program import NCProgram, read_program
-from ebamcheck.program.checking.deposit import deposit
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import SEEDS, OrderComparison, compared_orders, figures_of

@@ -23,7 +23,7 @@ from ebamcheck.live.bed import Growth
 from ebamcheck.live.opcua.panel import FAULTS, Panel
 from ebamcheck.live.opcua.playing import PlayedLayer, PlayedProgram
 from ebamcheck.live.opcua.server import SESSIONS, Access, PlayedServer
-from ebamcheck.program.language.control import control
+from ebamcheck.nc.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
 

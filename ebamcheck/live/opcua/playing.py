@@ -13,11 +13,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+from ebamcheck.controls.sinumerik.waiting_run import Run, run_text
 from ebamcheck.errors import BackendFailed
 from ebamcheck.live.bed import Growth
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
 from ebamcheck.live.opcua.panel import Panel
-from ebamcheck.program.controls.sinumerik.waiting_run import Run, run_text
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.controls.sinumerik.release_keys import PRIME, Release, ReleaseKeys, drawn_key
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.opcua.handshake import digest, program_number
-from ebamcheck.program.controls.sinumerik.release_keys import PRIME, Release, ReleaseKeys, drawn_key
 
 KEY_FILE = "release.key"
 """In the folder of a build: the key from which those of all its layers follow; its owner alone may read it."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from ebamcheck.errors import InputError
+from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.program import read_program
-from ebamcheck.program.language.files import layer_of_preheat
 from ebamcheck_reports import program_picture
 from ebamcheck_reports.figures import counted
 from ebamcheck_reports.markup import Markup, element, facts, paragraph, picture

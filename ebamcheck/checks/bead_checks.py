@@ -1,0 +1,318 @@
+"""Checks of the beads that a program lays: nothing left bare, no line missing, none laid twice."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
+
+from ebamcheck.checks.bare_parts import widest_part
+from ebamcheck.checks.bead_wire import bead_wire_check
+from ebamcheck.checks.checks import Check, CheckGroup, count_check, lines_of, row_faults
+from ebamcheck.checks.end_gaps import end_gaps_check
+from ebamcheck.checks.hatch_form import form_checks
+from ebamcheck.checks.matching import APART_MM
+from ebamcheck.geometry.raster import covered_fraction
+from ebamcheck.geometry.regions import ground, inset
+from ebamcheck.layers.stack import Layers
+from ebamcheck.nc.motions import STRAIGHT, NCProgram
+from ebamcheck.nc.roles import nearest_layer
+from ebamcheck.numeric.kernels import run_each
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
+
+CRUMB = 0.25
+"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
+
+BEAD_STEP_MM = 0.5
+"""Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
+
+SPACING_SHARE = 1.5
+"""Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
+
+SAME_LINE_MM = 0.01
+"""Lines nearer than this, along one another, are one line laid twice: far under any spacing."""
+
+PARALLEL_RAD = 1e-3
+"""Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
+
+WIDEST_GAP = 0.95
+"""Width of a gap between beads over that of the one which a missing line leaves."""
+
+GAP_MARGIN = 0.05
+"""Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size."""
+
+_NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
+
+LEAST_GAP_LIMIT = 0.15
+"""Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
+
+
+def bead_checks(
+    nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None
+) -> list[CheckGroup]:
+    """Checks of the beads by the text alone, and of the coverage of the sections where `layers` are given.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    """
+    groups: list[CheckGroup] = [
+        lambda: [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
+    ]
+    if layers is not None:
+        groups += [
+            lambda: [_coverage(nc, config, z_of, layers)],
+            lambda: [_gaps(nc, config, z_of, layers)],
+            lambda: [bead_wire_check(nc, config, z_of, layers)],
+            lambda: [end_gaps_check(nc, config, layers)],
+        ]
+    return groups
+
+
+# -- lines -------------------------------------------------------------------------------------------
+
+
+def _hatch_rows(nc: NCProgram) -> Ints:
+    moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
+    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
+
+
+def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:
+    """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies between."""
+    rows = _hatch_rows(nc)
+    limit = SPACING_SHARE * config.process.hatch_spacing_mm
+    group, offset, parallel = _offsets(nc, rows)
+    order = np.lexsort((offset, group))
+    step = np.diff(offset[order])
+    same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
+    wide = np.flatnonzero(same & (step > limit))
+    if wide.size:
+        seen = _LayersSeen(nc, layers)
+        wide = wide[[_is_bare(seen, rows[order[i : i + 2]], config, z_of) for i in wide]]
+    worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
+    if not wide.size:
+        text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
+        return Check("hatch spacing", True, worst, limit, "mm", "", text)
+    # The later of both lines stands where the missing one should have come before.
+    row = int(np.maximum(rows[order[wide]], rows[order[wide + 1]]).min())
+    text = f"neighbouring lines lie {worst:.6g} mm apart: one is missing between"
+    return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
+
+
+class _LayersSeen:
+    """Sections, and chords of beads, of the layers that were asked for: each is worked out once."""
+
+    def __init__(self, nc: NCProgram, layers: Layers | None) -> None:
+        self.nc, self.layers = nc, layers
+        self._sections: dict[int, BaseGeometry] = {}
+        self._beads: dict[int, NDArray[np.object_]] = {}
+
+    def section(self, k: int) -> BaseGeometry:
+        """Section of one of the layers."""
+        assert self.layers is not None
+        if k not in self._sections:
+            self._sections[k] = self.layers.section(k)
+            shapely.prepare(self._sections[k])
+        return self._sections[k]
+
+    def beads(self, layer: int) -> NDArray[np.object_]:
+        """Chords of the beads of a layer of the program."""
+        if layer not in self._beads:
+            segments = _segments(self.nc, np.flatnonzero(self.nc.deposit & (self.nc.layer == layer)))
+            self._beads[layer] = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)))
+        return self._beads[layer]
+
+
+def _is_bare(seen: _LayersSeen, pair: Ints, config: Config, z_of: Floats) -> bool:
+    """Whether the place half-way between two lines is in the section, and under no bead.
+
+    Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
+    """
+    nc = seen.nc
+    shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
+    middle = 0.5 * (nc.start + nc.end)[shorter, :2]
+    way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
+    from_other = middle - nc.start[other, :2]
+    along, room = float(from_other @ way), 0.5 * config.process.bead_width_mm
+    if not -room <= along <= float(nc.lengths[other]) + room:
+        return False
+    place = shapely.Point(middle - 0.5 * (from_other - along * way))
+    if seen.layers is not None:
+        k = int(nearest_layer(nc.end[shorter, 2], z_of))
+        if not shapely.intersects(seen.section(k), place):
+            return False
+    lines = seen.beads(int(nc.layer[shorter]))
+    return bool(np.min(shapely.distance(lines, place)) > room)
+
+
+def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
+    """Group (n,) of lines of one direction that follow each other, offset (n,) mm across the longest, and whether parallel to it."""
+    way = (nc.end - nc.start)[rows, :2]
+    unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
+    turned = np.abs(unit[1:, 0] * unit[:-1, 1] - unit[1:, 1] * unit[:-1, 0]) > PARALLEL_RAD
+    group = np.cumsum(np.append(False, turned | (np.diff(nc.layer[rows]) != 0))[: rows.size])
+    longest = np.zeros(int(group.max(initial=-1)) + 1, np.int64)
+    by_length = np.argsort(nc.lengths[rows], kind="stable")
+    longest[group[by_length]] = by_length
+    along = unit[longest[group]]
+    middle = 0.5 * (nc.start + nc.end)[rows, :2]
+    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
+    parallel = np.abs(along[:, 0] * unit[:, 1] - along[:, 1] * unit[:, 0]) <= PARALLEL_RAD
+    return group, across, parallel
+
+
+def _once(nc: NCProgram) -> Check:
+    """Whether a line, of the hatch or of a contour, lies on another of its layer; contours may overlap their start."""
+    contour = (nc.ring >= 0) & (nc.kind == STRAIGHT) & ~nc.overlap
+    rows = np.flatnonzero(nc.deposit & ~nc.turn & ((nc.island >= 0) | contour) & (nc.lengths > SAME_LINE_MM))
+    rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & np.isfinite(nc.end[rows]).all(axis=1)]
+    layer = APART_MM * nc.layer[rows]
+    # Each line in both directions: nothing else tells which of its ends is the first.
+    ways = [
+        np.column_stack([*ends, layer])
+        for ends in ((nc.start[rows, :2], nc.end[rows, :2]), (nc.end[rows, :2], nc.start[rows, :2]))
+    ]
+    pairs = cKDTree(np.vstack(ways)).query_pairs(SAME_LINE_MM, p=np.inf, output_type="ndarray")
+    pairs = pairs % max(rows.size, 1)
+    again = np.unique(pairs[pairs[:, 0] != pairs[:, 1]].max(axis=1))
+    faults = row_faults(nc, rows[again], "this line has been laid before in its layer")
+    return count_check("lines laid once", faults, f"{rows.size} lines, none twice")
+
+
+def repeated_blocks(nc: NCProgram) -> Check:
+    """Blocks that repeat the one before: a motion to where the tool stands, or the same text again."""
+    feed = np.flatnonzero(nc.deposit)
+    still = feed[nc.lengths[feed] == 0.0]
+    faults = row_faults(nc, still, "a motion that goes nowhere: the block before says the same")
+    faults += _same_text(nc)
+    return count_check("repeated blocks", faults, "no motion repeats the block before")
+
+
+def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
+    """Blocks of motions with metal whose words, but for their numbers, are those of the line before."""
+    faults, lines = [], [file.data.split(b"\n") for file in nc.files]
+    for file, line in lines_of(nc, np.flatnonzero(nc.deposit)):
+        before, block = lines[file][line - 2 : line] if line > 1 else (b"", lines[file][line - 1])
+        # Most blocks end in another digit than the one before, and need not be taken into words.
+        if (
+            before[-1:] != block[-1:]
+            and before[-1:].isdigit()
+            and block[-1:].isdigit()
+            and b";" not in before + block
+        ):
+            continue
+        words = _words_of(block)
+        if words and words == _words_of(before):
+            faults.append((f"{nc.files[file].name}:{line}", "the same block as the one before"))
+    return faults
+
+
+def _words_of(line: bytes) -> list[bytes]:
+    """Words of a line without its number and its comment."""
+    words = line.split(b";")[0].split()
+    if words and words[0][:1] == b"N" and words[0][1:].isdigit():
+        return words[1:]
+    return _NUMBERED.sub(b"", b" ".join(words)).split()
+
+
+# -- coverage ----------------------------------------------------------------------------------------
+
+
+def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Least share of a section that the beads cover; the overlap of all, and the widest gap of the worst."""
+    limit = config.scan.least_coverage
+    rows = np.flatnonzero(nc.deposit)
+    index = nearest_layer(nc.end[rows, 2], z_of)
+    width = config.process.bead_width_mm
+    sections = [layers.section(k) for k in range(len(layers))]
+    solid = [k for k, section in enumerate(sections) if not section.is_empty]
+
+    covered = run_each(lambda k: covered_fraction(sections[k], _segments(nc, rows[index == k]), width), solid)
+    laid = width * float(np.nansum(nc.lengths[rows[np.isin(index, solid)]]))
+    area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
+    worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
+    if layer < 0:
+        return Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")
+    where, gap = _gap(nc, rows[index == layer], sections[layer], width)
+    text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
+    return Check("coverage", worst >= limit, worst, limit, "of the area", where, text)
+
+
+def _segments(nc: NCProgram, rows: Ints) -> Floats:
+    """Chords (S, 4) of the motions, x0, y0, x1, y1, mm; without those from or to a place that is not known."""
+    _, chords = nc.chords(rows, BEAD_STEP_MM)
+    # Widened lines of unknown places end the process within GEOS.
+    return np.asarray(chords[np.isfinite(chords).all(axis=1)])
+
+
+def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
+    """Widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
+    width = config.process.bead_width_mm
+    missing_line_mm = WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width)
+    planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
+    limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
+    rows = np.flatnonzero(nc.deposit)
+    index = nearest_layer(nc.end[rows, 2], z_of)
+    known = [0.0]
+
+    def widest(k: int) -> tuple[float, int, BaseGeometry] | None:
+        inner = inset(layers.section(k), 0.5 * width)
+        mine = rows[index == k]
+        if inner.is_empty or not mine.size:
+            return None
+        # A gap as wide as the widest so far is found, too: whichever thread comes first, the lowest one is told.
+        across, bare = widest_part(inner, _segments(nc, mine), width, math.nextafter(known[0], 0.0))
+        if bare is None:
+            return None
+        known[0] = max(known[0], across)
+        return across, -k, bare
+
+    gaps = [gap for gap in run_each(widest, range(len(layers))) if gap is not None]
+    worst, where, place = 0.0, "", ""
+    if gaps:
+        worst, layer, bare = max(gaps, key=lambda gap: gap[:2])
+        centre = bare.representative_point()
+        where = nc.where(_nearest(nc, rows[index == -layer], centre))
+        place = f" at ({centre.x:.3f}, {centre.y:.3f})"
+    text = f"widest gap between beads{place}: {worst:.4g} mm"
+    return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
+
+
+def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> BaseGeometry:
+    """What beads along motions leave of a region."""
+    lines = np.asarray(shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2)), object)
+    return region.difference(ground(lines, width_mm))
+
+
+def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
+    known = rows[np.isfinite(np.hstack([nc.start[rows, :2], nc.end[rows, :2]])).all(axis=1)]
+    if not known.size:
+        return int(rows[0])
+    return int(known[np.argmin(shapely.distance(motion_chords(nc, known), place))])
+
+
+def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:
+    """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
+    if not rows.size:
+        return f"{nc.files[0].name}:1", "; the layer has no bead"
+    parts = [p for p in shapely.get_parts(_bare(nc, rows, section, width_mm)) if p.area > CRUMB * width_mm**2]
+    if not parts:
+        return "", "; no gap"
+    largest = max(parts, key=lambda p: float(p.area))
+    centre = largest.representative_point()
+    text = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at ({centre.x:.3f}, {centre.y:.3f})"
+    return nc.where(_nearest(nc, rows, centre)), text
+
+
+def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
+    """Chord (n,) of each motion."""
+    return np.asarray(
+        shapely.linestrings(np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)), dtype=np.object_
+    )

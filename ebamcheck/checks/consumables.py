@@ -1,0 +1,248 @@
+"""Checks of what a build uses up: the wire on the spool and the life of the gun's cathode, where the profile tells them.
+
+Wire that ends within a bead leaves a hole under a beam that burns on; a cathode that fails opens the chamber over a hot part. Both
+can be replaced at a stop before a layer, if the program has such stops (``machine.optional_stop``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ebamcheck.checks.checks import Check
+from ebamcheck.checks.text_heat import motion_seconds
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.settings.config import Config
+
+SPOOL, CATHODE = "wire on the spool", "life of the cathode"
+"""Names of the checks."""
+
+NEW = {SPOOL: "on a new spool", CATHODE: "in a new cathode"}
+"""What is done before a layer for which they do not last."""
+
+WORDS = {
+    SPOOL: (SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"),
+    CATHODE: (CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"),
+}
+"""Name, words, unit and setting of each, as :class:`Consumed` has them."""
+
+KG_MM3 = 1e-9
+"""Cubic metres in a cubic millimetre, for densities in kg/m3."""
+
+HOUR_S = 3600.0
+
+TOLD_LAYERS = 6
+"""Layers that a text names; of more the number."""
+
+
+@dataclass(frozen=True)
+class Spent:
+    """What the layers below took of the spool that is on, and of the cathode that is in.
+
+    Parameters
+    ----------
+    wire_kg, beam_h
+        Wire, and time under beam.
+    new
+        Names of the checks of what is put on new before the last of these layers.
+    """
+
+    wire_kg: float = 0.0
+    beam_h: float = 0.0
+    new: tuple[str, ...] = ()
+
+    def to_do(self) -> list[str]:
+        """What the operator has to do before the last layer, in words."""
+        return [f"put {NEW[name]} before this layer" for name in self.new]
+
+
+@dataclass(frozen=True)
+class Consumed:
+    """What a program uses up of one thing, and before which layers a new one is needed.
+
+    Parameters
+    ----------
+    name
+        Name of the check.
+    what
+        Of which the build takes so much, such as ``kg of wire``.
+    holder
+        Words for what holds it, such as ``a spool holds``.
+    unit
+        Unit of the figures.
+    setting
+        Setting that tells how much one holds.
+    holds
+        How much one holds.
+    total
+        How much the program uses.
+    changes
+        Layers, from 0, before which a new one is put on.
+    ends_in
+        Layer in which it ends before a stop; None where it lasts.
+    where
+        ``FILE:line`` of the motion in which it ends.
+    spent
+        How much of the one that is there was used before the program.
+    in_use
+        How much of the last one is used when the program is done.
+    """
+
+    name: str
+    what: str
+    holder: str
+    unit: str
+    setting: str
+    holds: float
+    total: float
+    changes: tuple[int, ...]
+    ends_in: int | None
+    where: str
+    spent: float
+    in_use: float
+
+    def check(self) -> Check:
+        """Whether what is there lasts from each stop to the next."""
+        text = f"the {'layer' if self.spent > 0.0 else 'build'} takes {self.total:.4g} {self.what}, {self.holder} {self.holds:g} {self.unit} ({self.setting})"
+        if self.spent > 0.0:
+            text += f", of which the layers below took {self.spent:.4g} {self.unit}"
+        if self.changes:
+            text += f"; a new one before layer{'s' if len(self.changes) > 1 else ''} {self.layers()}"
+        if self.ends_in is not None:
+            text += f"; it ends in layer {self.ends_in + 1}"
+        lasts = self.ends_in is None
+        used = self.spent + self.total
+        return Check(self.name, lasts, used, self.holds, self.unit, self.where, text, self.ends_in)
+
+    def layers(self) -> str:
+        """Layers before which a new one is put on, by their numbers in the program."""
+        named = [str(k + 1) for k in self.changes]
+        return ", ".join(named[:TOLD_LAYERS]) + (
+            f" and {len(named) - TOLD_LAYERS} more" if named[TOLD_LAYERS:] else ""
+        )
+
+
+FRESH = Spent()
+"""Nothing: a program from the plate up begins with a full spool and a new cathode."""
+
+
+def spent_after(found: Sequence[Consumed]) -> Spent:
+    """What is taken of spool and cathode when a program is done; nothing of one that is not weighed."""
+    in_use = {one.name: one.in_use for one in found}
+    new = tuple(one.name for one in found if one.changes)
+    return Spent(in_use.get(SPOOL, 0.0), in_use.get(CATHODE, 0.0), new)
+
+
+def consumables_checks(nc: NCProgram, config: Config) -> list[Check]:
+    """Check that spool and cathode last, each where the profile says how much it holds."""
+    return [found.check() for found in consumed(nc, config)]
+
+
+def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consumed]:
+    """What a program uses up of the things of which the profile says how much they hold.
+
+    With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there.
+    """
+    machine, found = config.machine, []
+    if machine.spool_kg is not None:
+        area_mm2 = math.pi * config.process.wire_diameter_mm**2 / 4.0
+        kg_mm = area_mm2 * KG_MM3 * config.material.density_kg_m3
+        feeds = nc.wire & (nc.wire_mm_s > 0.0)
+        # A motion that never ends, for it has no feed, uses up nothing where no wire runs.
+        wire_kg = (
+            kg_mm * np.where(feeds, motion_seconds(nc, config), 0.0) * np.where(feeds, nc.wire_mm_s, 0.0)
+        )
+        none = np.zeros(max(len(nc.layer_files), 1))
+        found.append(_used(nc, config, (wire_kg, none), machine.spool_kg, SPOOL, spent.wire_kg))
+    if machine.cathode_h is not None:
+        beam_h = np.where(nc.beam, motion_seconds(nc, config), 0.0) / HOUR_S
+        scans = _preheating_h(nc, config)
+        found.append(_used(nc, config, (beam_h, scans), machine.cathode_h, CATHODE, spent.beam_h))
+    return found
+
+
+def lasting(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[list[Check], Spent]:
+    """Check that spool and cathode last for a layer with what those below took, by its checks as a program by itself."""
+    machine, by_name, found = config.machine, {check.name: check for check in checks}, []
+    for name, holds, used in (
+        (SPOOL, machine.spool_kg, spent.wire_kg),
+        (CATHODE, machine.cathode_h, spent.beam_h),
+    ):
+        if holds is not None and (alone := by_name.get(name)) is not None:
+            changes, ends_in, in_use = _changes([alone.value], holds, machine.optional_stop, used)
+            found.append(
+                Consumed(*WORDS[name], holds, alone.value, changes, ends_in, alone.where, used, in_use)
+            )
+    return [one.check() for one in found], spent_after(found)
+
+
+def _preheating_h(nc: NCProgram, config: Config) -> Floats:
+    """Time under beam of the preheating before each layer, (L,) h; of one layer at least."""
+    result = np.zeros(max(len(nc.layer_files), 1))
+    if nc.preheating is not None:
+        scan = nc.preheating
+        layer = np.clip(scan.layer, 0, result.size - 1)
+        np.add.at(result, layer, np.where(scan.beam, motion_seconds(scan, config), 0.0) / HOUR_S)
+    return result
+
+
+def _used(
+    nc: NCProgram,
+    config: Config,
+    amounts: tuple[Floats, Floats],
+    holds: float,
+    name: str,
+    spent: float,
+) -> Consumed:
+    """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing.
+
+    A time that nobody knows is endless.
+    """
+    by_motion, before = amounts
+    layer, count = _layer_of(nc), before.size
+    used = np.where(np.isnan(by_motion), np.inf, by_motion)
+    in_layer = before + np.bincount(layer, used, minlength=count)
+    changes, ends_in, in_use = _changes(in_layer.tolist(), holds, config.machine.optional_stop, spent)
+    where = ""
+    if ends_in is not None:
+        first = changes[-1] if changes else 0
+        since = np.where(layer >= first, used, 0.0).cumsum() + before[first : ends_in + 1].sum()
+        since += 0.0 if changes else spent
+        rows = np.flatnonzero((layer == ends_in) & (since > holds))
+        where = nc.where(int(rows[0])) if rows.size else ""
+    return Consumed(*WORDS[name], holds, float(in_layer.sum()), changes, ends_in, where, spent, in_use)
+
+
+def _changes(
+    in_layer: Sequence[float], holds: float, stops: bool, spent: float = 0.0
+) -> tuple[tuple[int, ...], int | None, float]:
+    """Layers before which a new one is put on, as late as may be, the layer in which it ends nevertheless, and what of the last is used.
+
+    Examples
+    --------
+    >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=True)
+    ((2,), None, 6.0)
+    >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=False)
+    ((), 2, 8.0)
+    >>> _changes([3.0], 6.0, stops=True, spent=4.0)
+    ((0,), None, 3.0)
+    """
+    changes: list[int] = []
+    used = spent
+    for k, amount in enumerate(in_layer):
+        if used + amount > holds and stops and used > 0.0:
+            changes.append(k)
+            used = 0.0
+        used += amount
+        if used > holds:
+            return tuple(changes), k, used
+    return tuple(changes), None, used
+
+
+def _layer_of(nc: NCProgram) -> Ints:
+    """Layer of each motion (B,); of one between layers that before it, of one before all the first."""
+    return np.maximum.accumulate(np.maximum(nc.layer, 0)).astype(np.int64)

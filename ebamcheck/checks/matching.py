@@ -1,0 +1,287 @@
+"""Which bead of a program is which of a plan: found by where they lie and in which order they come.
+
+Beads and planned tracks of one layer with the same start and end are the same; what is left on both sides between two
+such pairs is taken together in its order, and then by nearness, so that a bead that was moved is compared with the
+track that it should have followed. A bead without a track is one that nobody planned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ebamcheck.checks.checks import Check, count_check, worst_check
+from ebamcheck.checks.shapes import shape_distance
+from ebamcheck.nc.beads import Beads
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.roles import nearest_layer
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import with_bead_ends
+from ebamcheck.writing.inputs import CurveColumns, ScanColumns
+from ebamcheck.writing.tracks import Toolpath, toolpath
+
+SAME_MM = 2e-3
+"""Ends of a bead and of its track, each rounded to the decimals of a program, at their coarsest."""
+
+APART_MM = 1e6
+"""Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
+
+
+@dataclass(frozen=True, eq=False)
+class _NoCurves:
+    """Contours of a stack that has none."""
+
+    heights: Floats
+    layer_starts: Ints
+    ring_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
+    closed: Bools = field(default_factory=lambda: np.zeros(0, np.bool_))
+    kind: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
+    control_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
+    control: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    knot_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
+    knots: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class _NoIslands:
+    """Plan of a stack without islands."""
+
+    heights: Floats
+    island_layer: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    order: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
+    island_kind: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, np.str_))
+    sections: NDArray[np.object_] | None = None
+    vectors: SimpleNamespace = field(
+        default_factory=lambda: SimpleNamespace(**dict.fromkeys(("island", "x0", "y0", "x1", "y1"), ()))
+    )
+
+
+def tracks_known(curves: CurveColumns | None, plan: ScanColumns | None, config: Config) -> Toolpath | None:
+    """Tracks of contours or of islands alone, where the others are not known; None without either."""
+    if curves is None and plan is None:
+        return None
+    if curves is None and plan is not None:
+        curves = _NoCurves(plan.heights, np.zeros(len(plan.heights) + 1, np.int64))
+    if plan is None and curves is not None:
+        plan = _NoIslands(curves.heights)
+    assert curves is not None
+    assert plan is not None
+    machine = config.machine
+    path = toolpath(curves, plan, config, machine.printed_decimals, "cubics", machine.line_tolerance_mm)
+    return with_bead_ends(path, config.process, machine.printed_decimals)
+
+
+@dataclass(frozen=True, eq=False)
+class Matching:
+    """Beads of a program and the tracks of a plan that they follow.
+
+    Parameters
+    ----------
+    beads
+        (P,) of the program.
+    track
+        (P,) track of each; -1 for a bead that nobody planned.
+    again
+        (P,) beads that follow a track which another bead follows already.
+    path
+        The plan.
+    """
+
+    beads: Beads
+    track: Ints
+    again: Bools
+    path: Toolpath
+
+
+def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
+    """Give every bead the role of the track that it follows.
+
+    Returns
+    -------
+    The program with the plan's numbers of rings and islands, its turns and further parts of lines; and what is matched
+    with what. A bead that nobody planned has no role.
+    """
+    beads = nc.beads
+    known = np.flatnonzero(np.diff(path.track_starts) > 0)
+    layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
+    ends = np.hstack([path.start[known], path.end[path.track_starts[known + 1] - 1]])
+    found = np.hstack([nc.start[beads.first, :2], nc.end[beads.last, :2]])
+    found_layer = (
+        nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else np.zeros(len(beads), np.int64)
+    )
+    if len(found) == len(ends) and (layer == found_layer).all() and (np.abs(found - ends) <= SAME_MM).all():
+        pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
+    else:
+        pick, again = _pairs(_placed(found, found_layer), _placed(ends, layer))
+    track = np.where(pick >= 0, np.append(known, -1)[pick], -1)
+    result = Matching(beads, track, again, path)
+    turn, goes_on = _marks(nc, result)
+    size = len(nc)
+    return (
+        replace(
+            nc,
+            ring=beads.spread(np.append(path.ring, -1)[track], size),
+            island=beads.spread(np.append(path.island, -1)[track], size),
+            turn=turn,
+            goes_on=goes_on,
+        ),
+        result,
+    )
+
+
+def _placed(ends: Floats, layer: Ints) -> Floats:
+    """Ends (n, 4) as points (n, 5) that are far apart in different layers."""
+    return np.nan_to_num(np.column_stack([ends, APART_MM * layer]), nan=-APART_MM)
+
+
+def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
+    """Track (P,) of each bead, or -1; and the beads whose track is taken by one before."""
+    pick, again = np.full(len(found), -1, np.int64), np.zeros(len(found), np.bool_)
+    if not len(wanted) or not len(found):
+        return pick, again
+    taken = np.zeros(len(wanted), np.bool_)
+    tree = cKDTree(wanted)
+    for i, place in enumerate(found):
+        near = np.sort(np.asarray(tree.query_ball_point(place, SAME_MM, p=np.inf), np.int64)).tolist()
+        free = [t for t in near if not taken[t]]
+        if free:
+            pick[i] = free[0]
+            taken[free[0]] = True
+        elif near:
+            pick[i], again[i] = near[0], True
+    _in_order(found, wanted, pick, taken)
+    _by_nearness(found, wanted, pick, taken)
+    return pick, again
+
+
+def _in_order(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> None:
+    """Take what is left between two pairs of neighbours together, where it is as many beads as tracks."""
+    left = np.flatnonzero(pick < 0)
+    if not left.size:
+        return
+    before = np.maximum.accumulate(np.where(pick >= 0, np.arange(pick.size), -1))[left]
+    after = np.minimum.accumulate(np.where(pick >= 0, np.arange(pick.size), pick.size)[::-1])[::-1][left]
+    for low, high in dict.fromkeys(zip(before.tolist(), after.tolist(), strict=True)):
+        mine = left[(before == low) & (after == high)]
+        a = int(pick[low]) + 1 if low >= 0 else 0
+        b = int(pick[high]) if high < pick.size else len(wanted)
+        free = np.arange(a, max(a, b))
+        free = free[~taken[free]]
+        if free.size == mine.size and (wanted[free, 4] == found[mine, 4]).all():
+            pick[mine], taken[free] = free, True
+
+
+def _by_nearness(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> None:
+    """Take each bead that is left with the free track of its layer that starts or ends where it does."""
+    free = np.flatnonzero(~taken)
+    for i in np.flatnonzero(pick < 0).tolist():
+        mine = free[~taken[free] & (wanted[free, 4] == found[i, 4])]
+        apart = np.abs(wanted[mine, :4] - found[i, :4])
+        near = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
+        if mine.size and near.min() <= SAME_MM:
+            pick[i] = mine[np.argmin(near)]
+            taken[pick[i]] = True
+
+
+# -- motions -----------------------------------------------------------------------------------------
+
+
+def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
+    """Turns and further parts of lines, (B,) both: those of the segments that motions follow."""
+    turn, goes_on = np.zeros(len(nc), np.bool_), np.zeros(len(nc), np.bool_)
+    beads, path = match.beads, match.path
+    one_by_one, rows, segment = _one_by_one(match)
+    turn[rows], goes_on[rows] = path.turn[segment], path.goes_on[segment]
+    other = np.flatnonzero(~one_by_one & (match.track >= 0))
+    for i in other[np.append(path.island, -1)[match.track[other]] >= 0].tolist():
+        mine = np.arange(beads.first[i], beads.last[i] + 1)
+        a, b = (int(n) for n in path.track_starts[match.track[i] : match.track[i] + 2])
+        begins = np.append(np.flatnonzero(~path.goes_on[a:b]), b - a) + a
+        line = _nearest_line(nc, mine, path.segment_start[begins[:-1]], path.end[begins[1:] - 1])
+        turn[mine] = path.turn[begins[line]]
+        goes_on[mine] = (np.diff(line, prepend=-1) == 0) & ~turn[mine]
+    return turn, goes_on
+
+
+def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
+    """Beads (P,) with a motion for each segment of their track; these motions (n,) and the segments of each."""
+    beads, path = match.beads, match.path
+    count = np.bincount(beads.bead, minlength=len(beads))
+    sizes = np.append(np.diff(path.track_starts), -1)[match.track]
+    alike = count == sizes
+    chosen = alike[beads.bead]
+    rows, bead = beads.rows[chosen], beads.bead[chosen]
+    first = np.append(path.track_starts[:-1], 0)[match.track]
+    return alike, rows, first[bead] + rows - beads.first[bead]
+
+
+def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
+    """Line (n,) from which the start, the middle and the end of each motion are least away in all."""
+    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.stack([start, end], axis=1)), dtype=np.object_))
+    away = np.zeros((rows.size, lines.size))
+    for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
+        points = np.atleast_1d(np.asarray(shapely.points(np.nan_to_num(place[rows, :2])), dtype=np.object_))
+        away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
+    return np.asarray(away.argmin(axis=1), np.int64)
+
+
+# -- checks ------------------------------------------------------------------------------------------
+
+
+def matching_checks(nc: NCProgram, match: Matching, limit_mm: float) -> list[Check]:
+    """Check that every bead was planned, that none is missing or comes twice or too early, and that all hatch keeps to its track."""
+    return [_bead_faults(nc, match), _hatch_path(nc, match, limit_mm)]
+
+
+def _bead_faults(nc: NCProgram, match: Matching) -> Check:
+    beads, track, path = match.beads, match.track, match.path
+    known = np.flatnonzero(np.diff(path.track_starts) > 0)
+    faults = [(int(beads.first[i]), "a bead that nobody planned") for i in np.flatnonzero(track < 0).tolist()]
+    faults += [
+        (int(beads.first[i]), f"{_named(path, int(track[i]))} is laid a second time")
+        for i in np.flatnonzero(match.again).tolist()
+    ]
+    once = np.flatnonzero((track >= 0) & ~match.again)
+    wrong = np.flatnonzero(track[once] != np.sort(track[once]))
+    if wrong.size:
+        i = int(once[wrong[0]])
+        faults.append((int(beads.first[i]), f"{_named(path, int(track[i]))} comes out of its order"))
+    for t in np.setdiff1d(known, track[once]).tolist():
+        before = once[track[once] < t]
+        row = int(beads.last[before[np.argmax(track[before])]]) if before.size else 0
+        faults.append((row, f"{_named(path, t)} is missing"))
+    faults.sort(key=lambda fault: fault[0])
+    places = [(nc.where(row) if len(nc) else f"{nc.files[0].name}:1", what) for row, what in faults]
+    return count_check("beads as planned", places, f"{known.size} beads, each once and in its order")
+
+
+def _named(path: Toolpath, track: int) -> str:
+    ring = int(path.ring[track])
+    return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
+
+
+def _hatch_path(nc: NCProgram, match: Matching, limit_mm: float) -> Check:
+    """Distance of the motions of hatch beads, turns among them, from their tracks, both ways."""
+    beads, path = match.beads, match.path
+    alike, rows, segment = _one_by_one(match)
+    hatch = path.island[np.searchsorted(path.track_starts, segment, side="right") - 1] >= 0
+    rows, segment = rows[hatch], segment[hatch]
+    away = np.full(len(nc), -1.0)
+    for driven, wanted in ((nc.start, path.segment_start), (nc.end, path.end)):
+        apart = np.hypot(*(driven[rows, :2] - wanted[segment]).T)
+        away[rows] = np.maximum(away[rows], np.where(nc.kind[rows] > 1, np.inf, apart))
+    other = np.flatnonzero(~alike & (match.track >= 0))
+    for i in other[np.append(path.island, -1)[match.track[other]] >= 0].tolist():
+        mine = np.arange(beads.first[i], beads.last[i] + 1)
+        a, b = path.track_starts[match.track[i] : match.track[i] + 2]
+        driven = np.stack([nc.start[mine, :2], nc.end[mine, :2]], axis=1)
+        away[mine] = shape_distance(driven, np.stack([path.segment_start[a:b], path.end[a:b]], axis=1))
+    found = np.flatnonzero(away >= 0.0)
+    what = "distance of hatch and turns from their plan"
+    return worst_check("hatch path", nc, found, away[found], limit_mm, "mm", what)

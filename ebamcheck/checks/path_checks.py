@@ -1,0 +1,379 @@
+"""Checks of the path that a program's text commands against what it was made from.
+
+The fitted curves are evaluated by SciPy here, as the writer and the reader do it each in their own way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ebamcheck.checks.checks import Check, count_check, worst_check
+from ebamcheck.checks.shapes import shape_distance
+from ebamcheck.checks.spline_points import spline_points
+from ebamcheck.nc import motions
+from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.nc.timeline import Kind
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
+from ebamcheck.writing.inputs import (
+    ARC,
+    LINE,
+    SPLINE,
+    CurveColumns,
+    ScanColumns,
+)
+
+SAMPLES = 9
+"""Places on each span where programmed and fitted curve are compared at the same parameter."""
+
+CHORD_SHARE = 0.02
+"""Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
+
+FLAT_ARC = 1e-12
+"""Sine of half the turn of an arc that is straight for numbers of 16 digits."""
+
+PLACE_MM = 1e-3
+"""Places nearer than this are one place, rounded to the decimals of a program."""
+
+HEIGHT_TOLERANCE_MM = 1e-3
+"""Z of a layer: the decimals of the program, at their coarsest."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedSpans:
+    """Every straight segment, arc and knot span of the fitted rings, sampled; a program block is expected for each."""
+
+    ring: Ints
+    """(E,)"""
+    kind: Ints
+    """(E,) of the piece: line, spline or arc."""
+    points: Floats
+    """(E, n, 2) at equal steps of the parameter."""
+
+
+def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | None = None) -> FittedSpans:
+    """Sample all curves, or those of one ring, span by span.
+
+    Segments that vanish at the decimals of the program are left out.
+    """
+    t = np.linspace(0.0, 1.0, samples)
+    ring_of = np.repeat(np.arange(len(curves.closed)), np.diff(curves.ring_starts))
+    rings, kinds, found = [], [], []
+    pieces = (0, len(curves.kind)) if ring is None else curves.ring_starts[ring : ring + 2]
+    for piece in range(int(pieces[0]), int(pieces[1])):
+        control = curves.control[curves.control_starts[piece] : curves.control_starts[piece + 1]]
+        if curves.kind[piece] == SPLINE:
+            knots = curves.knots[curves.knot_starts[piece] : curves.knot_starts[piece + 1]]
+            breaks = np.unique(knots)
+            at = breaks[:-1, None] + t * np.diff(breaks)[:, None]
+            at[:, -1] = breaks[1:]
+            sampled = spline_points(knots, control, at)
+        elif curves.kind[piece] == ARC:
+            sampled = _arc(control, t)[None]
+        else:
+            rounded = np.round(control, decimals)
+            moves = (rounded[1:] != rounded[:-1]).any(axis=1)
+            a, b = control[:-1][moves][:, None], control[1:][moves][:, None]
+            sampled = a + t[:, None] * (b - a)
+        found.append(np.asarray(sampled))
+        rings.append(np.full(len(sampled), ring_of[piece]))
+        kinds.append(np.full(len(sampled), int(curves.kind[piece])))
+    if not found:
+        return FittedSpans(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, samples, 2)))
+    return FittedSpans(np.concatenate(rings), np.concatenate(kinds), np.concatenate(found))
+
+
+def _arc(control: Floats, t: Floats) -> Floats:
+    """Points (n, 2) on the arc from the first to the last of three points, the second half-way.
+
+    The first spoke is turned about the centre, which is where the bisectors of both halves meet.
+    """
+    first, middle, last = control
+    halves = np.array([middle - first, last - middle])
+    middles = 0.5 * np.array([(middle + first) @ (middle - first), (last + middle) @ (last - middle)])
+    if abs(np.linalg.det(halves)) <= FLAT_ARC * np.linalg.norm(halves[0]) ** 2:
+        return np.asarray(first + t[:, None] * (last - first))
+    centre = np.linalg.solve(halves, middles)
+    spoke = first - centre
+    side = middle - centre
+    half = np.arctan2(spoke[0] * side[1] - spoke[1] * side[0], spoke @ side)
+    cos, sin = np.cos(2.0 * half * t), np.sin(2.0 * half * t)
+    turned = np.column_stack([cos * spoke[0] - sin * spoke[1], sin * spoke[0] + cos * spoke[1]])
+    return np.asarray(centre + turned)
+
+
+# -- contours --------------------------------------------------------------------------------------
+
+
+def closure_check(nc: NCProgram, curves: CurveColumns | None, limit_mm: float) -> Check:
+    """Check that every contour ring ends where it starts; open paths are known from `curves` alone."""
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
+    ring, first = np.unique(nc.ring[rows], return_index=True)
+    last = rows.size - 1 - np.unique(nc.ring[rows][::-1], return_index=True)[1] if rows.size else first
+    if curves is not None:
+        known = ring < len(curves.closed)
+        closed = known & np.asarray(curves.closed)[np.where(known, ring, 0)] if len(curves.closed) else known
+        first, last = first[closed], last[closed]
+    gap = np.linalg.norm(nc.start[rows[first], :2] - nc.end[rows[last], :2], axis=1)
+    return worst_check("contours close", nc, rows[last], gap, limit_mm, "mm", f"gap of {gap.size} rings")
+
+
+def contour_checks(
+    nc: NCProgram, curves: CurveColumns, config: Config, limit_mm: float, z_of: Floats
+) -> list[Check]:
+    """Compare the contour motions with the fitted curves, both ways.
+
+    Where the program has one block for each span, both are evaluated at the same parameters, which bounds
+    the distance of either from the other; other rings are compared as shapes. `z_of` (L,) is the Z expected.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    count = len(curves.closed)
+    faults = _ring_faults(nc, curves, rows, z_of)
+    rows = rows[nc.ring[rows] < count]
+    spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
+    faults += _turned_rings(nc, curves, rows, spans)
+    distance, alike = _same_parameters(nc, rows, spans, count)
+    limit = limit_mm + (config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0)
+    rings = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
+    motions_of, spans_of = _grouped(nc.ring[rows], count), _grouped(spans.ring, count)
+
+    def work(start: int, stop: int) -> None:
+        for ring in rings[start:stop]:
+            mine = motions_of[ring]
+            samples = _samples_for(spans.points[spans_of[ring]], CHORD_SHARE * limit)
+            dense = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring))
+            distance[mine] = _shape_distance(nc, rows[mine], dense.points)
+
+    run_blocks(work, len(rings))
+    return [
+        count_check("contour rings", faults, f"{count} rings, each once, in its layer and in its direction"),
+        worst_check(
+            "contour path", nc, rows, distance, limit, "mm", "distance from the fitted curve, both ways"
+        ),
+    ]
+
+
+def _grouped(ring: Ints, count: int) -> list[Ints]:
+    """Places of each ring's own in a column, rising."""
+    return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
+
+
+def _has_chords(nc: NCProgram, rows: Ints, curves: CurveColumns, config: Config) -> bool:
+    """Whether splines were written as lines or arcs: by the settings, or because the control has nothing else."""
+    carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
+    splines = (np.asarray(curves.kind) == SPLINE).any()
+    return config.machine.curve_form in ("lines", "arcs") or bool(splines and not carried)
+
+
+def _ring_faults(nc: NCProgram, curves: CurveColumns, rows: Ints, z_of: Floats) -> list[tuple[str, str]]:
+    layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))
+    filled = np.diff(curves.ring_starts) > 0
+    breaks = np.diff(rows, prepend=-2) > 1
+    return _group_faults(nc, rows, nc.ring, breaks, "contour ring", z_of[layer], np.flatnonzero(filled))
+
+
+def _turned_rings(
+    nc: NCProgram, curves: CurveColumns, rows: Ints, spans: FittedSpans
+) -> list[tuple[str, str]]:
+    """Closed rings that are driven the other way than planned: as a shape they are the same."""
+    count = len(curves.closed)
+    once = rows[~nc.overlap[rows]]
+    points = nc.evaluate(once, np.linspace(0.0, 1.0, SAMPLES)[None])
+    driven = np.bincount(nc.ring[once], _left_mm2(points), minlength=count)
+    planned = np.bincount(spans.ring, _left_mm2(spans.points), minlength=count)
+    turned = np.asarray(curves.closed) & (driven * planned < 0.0)
+    first = [int(once[np.argmax(nc.ring[once] == ring)]) for ring in np.flatnonzero(turned)]
+    return [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
+
+
+def _left_mm2(points: Floats) -> Floats:
+    """Twice the area (n,) between the origin and paths (n, m, 2), positive where it lies on their left."""
+    x, y = points[..., 0], points[..., 1]
+    return np.asarray((x[:, :-1] * y[:, 1:] - x[:, 1:] * y[:, :-1]).sum(axis=1), np.float64)
+
+
+def _group_faults(
+    nc: NCProgram, rows: Ints, group: Ints, breaks: Bools, what: str, z_of: Floats, wanted: Ints
+) -> list[tuple[str, str]]:
+    """Rings or islands that are missing, come twice, are unknown, or lie at another Z than expected.
+
+    `breaks` (n,) is true where a motion begins a new group even if the one before has the same number.
+    """
+    ids = group[rows]
+    begins = np.flatnonzero(breaks | (np.diff(ids, prepend=-1) != 0))
+    found = ids[begins]
+    faults = []
+    seen: set[int] = set()
+    for number, row in zip(found.tolist(), rows[begins], strict=True):
+        if number >= z_of.size:
+            faults.append((nc.where(row), f"{what} {number} is not known"))
+        elif number in seen:
+            faults.append((nc.where(row), f"{what} {number} comes a second time"))
+        elif not abs(nc.end[row, 2] - z_of[number]) <= HEIGHT_TOLERANCE_MM:
+            faults.append(
+                (nc.where(row), f"{what} {number} at Z {nc.end[row, 2]:g} in place of {z_of[number]:g}")
+            )
+        seen.add(number)
+    for number in sorted(set(wanted.tolist()) - seen):
+        after = rows[begins][found < number]
+        where = nc.where(int(after[-1])) if after.size else f"{nc.files[0].name}:1"
+        faults.append((where, f"{what} {number} is missing"))
+    return faults
+
+
+def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> tuple[Floats, Bools]:
+    """Largest distance of each motion from its span (n,), and the rings (R,) where blocks answer to spans."""
+    kind = np.full(rows.size, -1)
+    for piece, names in ((LINE, [STRAIGHT]), (SPLINE, [POLYNOMIAL, SPLINE_SPAN]), (ARC, [motions.ARC])):
+        kind[np.isin(nc.kind[rows], names)] = piece
+    order = np.argsort(nc.ring[rows], kind="stable")
+    row_count = np.bincount(nc.ring[rows], minlength=count)
+    span_count = np.bincount(spans.ring, minlength=count)
+    alike = (row_count == span_count) & _same_starts(nc, rows, spans, count)
+    pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
+    same_kind = kind[pick] == spans.kind[span_pick]
+    alike[spans.ring[span_pick][~same_kind]] = False
+    distance = np.full(rows.size, np.nan)
+    t = np.linspace(0.0, 1.0, spans.points.shape[1])
+    at = nc.evaluate(rows[pick], t[None])
+    distance[pick] = np.linalg.norm(at - spans.points[span_pick], axis=2).max(axis=1, initial=0.0)
+    return distance, alike
+
+
+def _same_starts(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> Bools:
+    """Rings (R,) that start where the fitted ones do; those of which either is missing do not."""
+    same = np.zeros(count, np.bool_)
+    ring, row = np.unique(nc.ring[rows], return_index=True)
+    fitted, span = np.unique(spans.ring, return_index=True)
+    both, i, j = np.intersect1d(ring, fitted, assume_unique=True, return_indices=True)
+    apart = nc.start[rows[row[i]], :2] - spans.points[span[j], 0]
+    same[both] = np.abs(apart).max(axis=1, initial=0.0) <= PLACE_MM
+    return same
+
+
+def _samples_for(points: Floats, tolerance_mm: float) -> int:
+    """Samples of each span whose chords err by at most `tolerance_mm`: the second difference over 8."""
+    bend = np.linalg.norm(np.diff(points, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
+    return 2 + int((SAMPLES - 1) * np.sqrt(bend / tolerance_mm))
+
+
+def _shape_distance(nc: NCProgram, rows: Ints, fitted: Floats) -> Floats:
+    """Largest distance between the motions of one ring and the fitted ring, both ways, for each motion."""
+    if not len(fitted):
+        return np.full(rows.size, np.inf)
+    samples = SAMPLES if (nc.kind[rows] == STRAIGHT).all() else fitted.shape[1]
+    return shape_distance(nc.evaluate(rows, np.linspace(0.0, 1.0, samples)[None]), fitted)
+
+
+# -- hatch -----------------------------------------------------------------------------------------
+
+
+def hatch_checks(
+    nc: NCProgram, plan: ScanColumns, config: Config, limit_mm: float, z_of: Floats
+) -> list[Check]:
+    """Compare islands, their order and their vectors with the plan."""
+    vectors = nc.vectors()
+    rows = vectors["row"].to_numpy()
+    driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
+    island, ends = _planned_lines(plan)
+    rounded = np.round(ends, config.machine.printed_decimals)
+    kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
+    island, ends = island[kept], ends[kept]
+    new_layer = np.diff(nc.layer[rows], prepend=-1) != 0
+    expected_z = z_of[np.asarray(plan.island_layer, dtype=np.int64)]
+    faults = _group_faults(nc, rows, nc.island, new_layer, "island", expected_z, np.unique(island))
+    order = np.asarray(plan.order, dtype=np.int64)
+    order = order[np.isin(order, island)]
+    found = nc.island[rows][np.flatnonzero(np.diff(nc.island[rows], prepend=-1))]
+    size = min(order.size, found.size)
+    wrong = np.flatnonzero(order[:size] != found[:size])
+    if not faults and wrong.size:
+        row = int(rows[nc.island[rows] == found[wrong[0]]][0])
+        faults.append((nc.where(row), f"island {found[wrong[0]]} comes in place of island {order[wrong[0]]}"))
+    return [
+        count_check("islands", faults, f"{np.unique(island).size} islands, each once, in the planned order"),
+        _vectors(nc, rows, driven, island, ends, limit_mm),
+    ]
+
+
+def _planned_lines(plan: ScanColumns) -> tuple[Ints, Floats]:
+    """Island (V,) and ends (V, 4) of the lines of a plan, by its own columns: what the writer takes of them is on trial."""
+    columns = [np.asarray(getattr(plan.vectors, name), np.float64) for name in ("x0", "y0", "x1", "y1")]
+    return np.asarray(plan.vectors.island, np.int64), np.stack(columns, axis=1)
+
+
+def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floats, limit_mm: float) -> Check:
+    size = min(rows.size, len(ends))
+    apart = np.abs(driven[:size] - ends[:size]).max(axis=1, initial=0.0)
+    apart[nc.island[rows[:size]] != island[:size]] = np.inf
+    over = np.flatnonzero(apart > limit_mm)
+    name = "hatch vectors"
+    if over.size:
+        row, value = int(rows[over[0]]), float(apart[over[0]])
+        text = f"vector of island {nc.island[row]} leaves the plan by {value:g} mm"
+        return Check(name, False, value, limit_mm, "mm", nc.where(row), text)
+    if rows.size != len(ends):
+        where = nc.where(int(rows[min(size, rows.size - 1)])) if rows.size else f"{nc.files[0].name}:1"
+        text = f"{rows.size} vectors in the program, {len(ends)} in the plan"
+        return Check(name, False, float(abs(rows.size - len(ends))), 0.0, "vectors", where, text)
+    return worst_check(name, nc, rows, apart, limit_mm, "mm", f"{rows.size} vectors as planned")
+
+
+# -- layers ----------------------------------------------------------------------------------------
+
+
+def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
+    """Check the layers that are laid, in the order in which they are, against the heights expected.
+
+    Parameters
+    ----------
+    z_of, filled
+        (L,) Z of each layer, and whether it is to have metal.
+    """
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    calls = nc.events.row[(nc.events.kind == Kind.CALL) & (nc.events.file == 0)]
+    part = np.searchsorted(calls, rows, side="right")
+    begins = rows[
+        np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))
+    ]
+    laid, wanted = nc.layer[begins], np.flatnonzero(filled)
+    size = min(laid.size, wanted.size)
+    order = np.flatnonzero(laid[:size] != wanted[:size])
+    off = np.abs(nc.end[begins, 2] - z_of[laid])
+    faults = [(i, f"layer {laid[i] + 1} comes in place of layer {wanted[i] + 1}") for i in order[:1].tolist()]
+    faults += [
+        (i, f"layer {laid[i] + 1} at Z {nc.end[begins[i], 2]:g} in place of {z_of[laid[i]]:g}")
+        for i in np.flatnonzero(~(off <= HEIGHT_TOLERANCE_MM)).tolist()
+    ]
+    faults.sort(key=lambda fault: fault[0])
+    last = [_where_called(nc, int(begins[order[0] if order.size else -1]))] if begins.size else [""]
+    count = Check(
+        "layer count", laid.size == wanted.size, float(laid.size), float(wanted.size), "layers",
+        "" if laid.size == wanted.size else last[0],
+        f"{laid.size} layers in the program, {wanted.size} expected",
+    )  # fmt: skip
+    heights = [(_where_called(nc, int(begins[i])), what) for i, what in faults]
+    return [
+        count,
+        count_check("layer heights", heights, "steps of Z are those of the layers"),
+        count_check("flat layers", _not_flat(nc), "every deposit of a layer at its Z"),
+    ]
+
+
+def _where_called(nc: NCProgram, row: int) -> str:
+    """Place of the call by which a motion is run; of the motion itself in a program without calls."""
+    events = nc.events
+    before = np.flatnonzero((events.kind == Kind.CALL) & (events.file == 0) & (events.row <= row))
+    return nc.where_event(int(before[-1])) if before.size and nc.file[row] != 0 else nc.where(row)
+
+
+def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:
+    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
+    z = nc.layer_heights[nc.layer[rows]]
+    off = (nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)
+    return [
+        (nc.where(int(row)), f"deposit at Z {nc.end[row, 2]:g} in a layer at another Z") for row in rows[off]
+    ]

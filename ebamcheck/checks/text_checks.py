@@ -1,0 +1,180 @@
+"""Checks of a program's text: encoding, names, headers, numbers, ends, hashes. They look at bytes."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.nc.control import control
+from ebamcheck.nc.files import layer_of_preheat
+from ebamcheck.nc.motions import NCProgram, SourceFile
+from ebamcheck.nc.timeline import Kind
+from ebamcheck.printable import printable
+from ebamcheck.settings.config import Config
+
+BLOCK_LIMIT = 200
+"""Characters; every software version of the control reads shorter blocks."""
+
+FIRST_PRINTABLE, LAST_PRINTABLE = 0x20, 0x7E
+BLANK_BYTES = tuple(b"\t\n\r")
+"""Bytes of a program: printable ASCII, tabs and ends of lines."""
+
+_LAYER_NAME = re.compile(r"(.+)_L(\d+)")
+_ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
+_MAIN_ENDS = ("M30", "M2")
+
+Faults = list[tuple[str, str]]
+
+
+def text_checks(nc: NCProgram, config: Config, sha256: Mapping[str, str] | None = None) -> list[Check]:
+    """Check the bytes of every file that the program opened."""
+    checks = [
+        count_check("encoding", _each(nc, _encoding), "printable ASCII throughout"),
+        count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
+        _block_length(nc),
+        *_headers(nc, config),
+        count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
+        count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
+        count_check(
+            "subprograms", _calls(nc), "each is a layer of this program, in its order, and called once"
+        ),
+    ]
+    if sha256 is not None:
+        checks.append(count_check("unchanged", _changed(nc, sha256), "SHA-256 of every file as recorded"))
+    return checks
+
+
+def _each(nc: NCProgram, check: Callable[[SourceFile], Faults]) -> Faults:
+    return [fault for file in nc.files for fault in check(file)]
+
+
+def _line_at(data: bytes, offset: int) -> int:
+    return data.count(b"\n", 0, offset) + 1
+
+
+def _encoding(file: SourceFile) -> Faults:
+    data = np.frombuffer(file.data, np.uint8)
+    # Carriage returns have a check of their own; what a control makes of other control characters, nobody says.
+    bad = np.flatnonzero((data > LAST_PRINTABLE) | ((data < FIRST_PRINTABLE) & ~np.isin(data, BLANK_BYTES)))
+    if not bad.size:
+        return []
+    offset = int(bad[0])
+    what = f"byte 0x{file.data[offset]:02X} is not {'printable' if file.data[offset] < 128 else 'ASCII'}"
+    return [(f"{file.name}:{_line_at(file.data, offset)}", what)]
+
+
+def _line_ends(file: SourceFile) -> Faults:
+    offset = file.data.find(b"\r")
+    if offset < 0:
+        return []
+    return [(f"{file.name}:{_line_at(file.data, offset)}", "carriage return: lines must end with LF alone")]
+
+
+def _block_length(nc: NCProgram) -> Check:
+    longest, where = 0, ""
+    for file in nc.files:
+        for number, line in enumerate(file.data.split(b"\n"), start=1):
+            if len(line) > longest:
+                longest, where = len(line), f"{file.name}:{number}"
+    text = f"longest block has {longest} characters"
+    return Check("block length", longest < BLOCK_LIMIT, longest, BLOCK_LIMIT - 1, "characters", where, text)
+
+
+def _headers(nc: NCProgram, config: Config) -> list[Check]:
+    """Names and first lines, where the control asks something of them."""
+    if not control(nc.dialect).file_faults:
+        return []
+    faults = control(nc.dialect).load("file_faults")(nc, config)
+    return [count_check("names and headers", faults, "legal names, first lines and paths")]
+
+
+def _numbers(nc: NCProgram) -> Faults:
+    faults: Faults = []
+    for index, file in enumerate(nc.files):
+        rows = nc.numbers[nc.numbers[:, 0] == index]
+        rows = rows[np.sort(np.unique(rows[:, 1], return_index=True)[1])]
+        faults += [
+            (f"{file.name}:{rows[i + 1, 1]}", f"N{rows[i + 1, 2]} follows N{rows[i, 2]}")
+            for i in np.flatnonzero(np.diff(rows[:, 2]) <= 0)
+        ]
+    return faults
+
+
+def _end(file: SourceFile) -> Faults:
+    wanted = _ENDS.get(file.name[-4:].upper(), _MAIN_ENDS)
+    last = f"{file.name}:{file.line_count}"
+    if not file.end_line:
+        return [(last, f"no {wanted[0]} at the end: the file is cut off")]
+    if file.end_code not in wanted:
+        return [(f"{file.name}:{file.end_line}", f"ends with {file.end_code} in place of {wanted[0]}")]
+    if not file.data.endswith(b"\n"):
+        return [(last, "the last block has no LF: the file is cut off")]
+    return []
+
+
+def _calls(nc: NCProgram) -> Faults:
+    at = np.flatnonzero(nc.events.kind == Kind.CALL).tolist()
+    calls = [nc.events.said(i) for i in at]
+    last = dict(zip(calls, at, strict=True))
+    main = nc.files[0].name
+    faults = _foreign(nc)
+    faults += [
+        (nc.where_event(last[name]), f"{name} is called {count} times")
+        for name, count in Counter(calls).items()
+        if count > 1
+    ]
+    loads, suffix = control(nc.dialect).loads, control(nc.dialect).subprogram_suffix
+    if calls and loads:
+        # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
+        there = {path.name for path in nc.folder.iterdir() if re.fullmatch(loads, path.name.upper())}
+        faults += [
+            (
+                f"{main}:{nc.events.line[at].max()}",
+                f"{printable(name)} is never called, and lies beside the program",
+            )
+            for name in sorted(
+                there - {file.name for file in nc.files} - {f"{call}{suffix}" for call in calls}
+            )
+        ]
+    return faults
+
+
+def _foreign(nc: NCProgram) -> Faults:
+    """Calls of what is no layer of this program, or of one out of its order, by their names: MAIN_L0001 and on."""
+    faults: Faults = []
+    stem = nc.files[0].name.rpartition(".")[0].upper()
+    before: int | None = None
+    for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist():
+        name, where = nc.events.said(i), nc.where_event(i)
+        if layer_of_preheat(stem, name) is not None:
+            continue  # checked by itself: see preheat_checks
+        found = _LAYER_NAME.fullmatch(name)
+        if found is None or found[1] != stem or int(nc.events.file[i]) != 0:
+            faults.append((where, f"{name} is no layer of {stem}: nothing says what it is for"))
+            continue
+        number = int(found[2])
+        if before is not None and number != before + 1:
+            faults.append((where, f"{name} follows layer {before}"))
+        before = number
+    return faults
+
+
+def _changed(nc: NCProgram, sha256: Mapping[str, str]) -> Faults:
+    faults = []
+    for file in nc.files:
+        if file.name not in sha256:
+            faults.append((f"{file.name}:1", "is not among the files recorded"))
+        elif hashlib.sha256(file.data).hexdigest() != sha256[file.name]:
+            faults.append((f"{file.name}:1", "its bytes are not those recorded"))
+    read = {file.name for file in nc.files}
+    faults += [
+        (f"{nc.files[0].name}:1", f"{name} was recorded but is not run")
+        for name in sha256
+        if name not in read
+    ]
+    return faults

@@ -1,0 +1,210 @@
+"""Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
+
+A number without a decimal point may be read in thousandths (parameter 3401; 1403 of a feed), so places, values of beam and wire,
+feeds and waits carry one, and a program in which one does not is refused. Beam and wire values are arguments of G codes that call
+custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Each axis of a rapid goes at its own speed
+(non-linear positioning, parameter 1401, as a control is delivered), so that its way is a dog-leg. Source: Fanuc 30i operator's manual
+B-64484EN, preparatory functions, decimal point programming and custom macros.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+from ebamcheck.controls.gcode import groups
+from ebamcheck.controls.gcode.reading import GcodeReader
+from ebamcheck.controls.gcode.words import ENDS, MODES, MOTIONS, without_comments
+from ebamcheck.controls.gcode.writing import one_file
+from ebamcheck.nc.control import Control, Group
+from ebamcheck.nc.files import ProgramFiles, write_files
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.words import WordError
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.writing.inputs import CurveColumns, ScanColumns
+
+NAME = "fanuc"
+
+TEMPLATES = {
+    "beam_on": ("M60 ; beam on",),
+    "beam_off": ("M61 ; beam off",),
+    "set_beam": (
+        "G101 A{voltage_kv:.4f} ; accelerating voltage, kV",
+        "G102 A{current_ma:.4f} ; beam current, mA",
+    ),
+    "set_power": ("G102 A{current_ma:.4f} ; beam current, mA",),
+    "wire_start": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s", "M62 ; wire on"),
+    "set_wire": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s",),
+    "wire_stop": ("M63 ; wire off",),
+    "wire_retract": ("G104 A{wire_retract_mm:.4f} ; wire drawn back, mm",),
+    "layer_pause": ("G4 X{layer_pause_s:.3f} ; wait, s",),
+}
+
+CODES = {
+    "M60": "beam_on", "M61": "beam_off", "M62": "wire_start", "M63": "wire_stop",
+    "G101 A": "voltage_kv", "G102 A": "current_ma", "G103 A": "wire_mm_s", "G104 A": "wire_retract_mm",
+}  # fmt: skip
+
+GROUPS = (
+    *(group for group in groups.GROUPS if group.name not in ("path control", "work offset", "axis offset")),
+    Group("work offset", ("G53", "G54", "G55", "G56", "G57", "G58", "G59", "G54.1", "G10")),
+    Group("local offset", ("G52", "G92", "G92.1")),
+    Group("scaling", ("G50", "G51")),
+    Group("rotation", ("G68", "G69")),
+    Group("exact stop", ("G9", "G61", "G62", "G63", "G64"), path=True),
+    Group("look-ahead", ("G5.1", "G8"), path=True),
+)
+
+SCALES_OFF = "G50 G69"
+LOOK_AHEAD_OFF = "G5.1 Q0"
+SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
+"""Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system)."""
+_PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
+_FEED = re.compile(r" F(\d+)(?![\d.])")
+_SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
+_POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
+_NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
+"""An address that may have a decimal point, with a number that has none."""
+
+
+def words(machine: MachineSettings) -> tuple[str, ...]:
+    """Words that hold at every motion."""
+    return (
+        "G17",
+        "G21",
+        "G90",
+        "G94",
+        "G40",
+        "G49",
+        "G80",
+        "G50",
+        "G69",
+        machine.work_offset,
+        "G92.1",
+        "G64",
+        "G5.1",
+    )
+
+
+def form_lines(machine: MachineSettings) -> dict[str, str]:
+    """Lines of the header on curves and smoothing."""
+    within = (
+        f"{'G1' if machine.curve_form == 'lines' else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"
+    )
+    return {"CURVES": within, "SMOOTHING": "G64, look-ahead off, corners are the control's own"}
+
+
+CONTROL = Control(
+    name=NAME,
+    title="Fanuc",
+    writer="ebamcheck.controls.fanuc:write_program",
+    reader="ebamcheck.controls.fanuc:read_program",
+    suffixes=(".CNC",),
+    templates=TEMPLATES,
+    codes=CODES,
+    dwell_address="X",
+    groups=GROUPS,
+    words=words,
+    form_lines=form_lines,
+    splines="arcs",
+    parentheses=True,
+    rapids_apart=True,
+)
+
+
+# -- writing -------------------------------------------------------------------------------------------
+
+
+def write_program(
+    curves: CurveColumns,
+    plan: ScanColumns,
+    config: Config,
+    folder: str | Path,
+    *,
+    validated: bool = False,
+    header: Mapping[str, str] | None = None,
+) -> ProgramFiles:
+    """Write one ``.cnc`` file between percent signs, with arcs or lines for splines.
+
+    The program's number is ``machine.program_name`` where that is one, such as O1234, and O0001 where it is none.
+    Takes and raises what :func:`ebamcheck.write_program` does.
+    """
+    machine = config.machine
+    form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
+    modes = [
+        "G17 G21 G90 G94",
+        "G40 G49 G80",
+        SCALES_OFF,
+        machine.work_offset,
+        SHIFTS_OFF,
+        "G64",
+        LOOK_AHEAD_OFF,
+    ]
+    lines = one_file(curves, plan, config, CONTROL, form, modes, validated, header or {})
+    own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
+    first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
+    text = "\n".join(["%", first, *(_in_parentheses(line) for line in lines), "M30", "%"]) + "\n"
+    return write_files({f"{machine.program_name}.cnc": text}, Path(folder), validated=validated)
+
+
+def _in_parentheses(line: str) -> str:
+    """Turn what stands behind a semicolon into a comment in parentheses, and give the feed its decimal point."""
+    code, mark, note = line.partition(";")
+    code = _FEED.sub(r" F\1.0", code)
+    return f"{code}({CONTROL.comment_text(note.strip())})" if mark else code
+
+
+# -- reading -------------------------------------------------------------------------------------------
+
+
+def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
+    """Read a program from its one file."""
+    reader = FanucReader(main.parent, config, NAME)
+    reader.run(main)
+    return reader.out.program()
+
+
+class FanucReader(GcodeReader):
+    """State of a Fanuc-like control while it runs a program from top to bottom."""
+
+    known = (MOTIONS | MODES | ENDS | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
+    _in_blocks = False
+
+    def _run_plain(self, text: str) -> bool:
+        return ";" not in text and _NO_POINT.search(text) is None and super()._run_plain(text)
+
+    def _run_line(self, text: str) -> str | None:
+        """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
+        if ";" in text:
+            raise WordError(
+                "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
+            )
+        code = without_comments(text)[0]
+        small = re.search("[a-z]", code)
+        if small:
+            raise WordError(f"{small[0]!r}: this control takes capitals alone", small.start())
+        # Anywhere else a number begins another program, and this one is what stands before it.
+        number = None if self._in_blocks else _PROGRAM_NUMBER.match(text)
+        self._in_blocks = self._in_blocks or code.strip() not in ("", "%")
+        return super()._run_line(" " * number.end() + text[number.end() :] if number else text)
+
+    def _run_block(self, code: str) -> str:
+        bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
+        if bare is not None:
+            raise WordError(
+                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)",
+                bare.start(),
+            )
+        pointed = _POINTED_CODE.search(code)
+        if pointed is not None:
+            raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())
+        if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
+            self.out.event("G5.1")
+            return ""
+        if _SHIFTS_OFF.fullmatch(code):
+            self.out.event("G92.1")
+            return ""
+        return super()._run_block(code)

@@ -1,0 +1,56 @@
+"""Splines as BSPLINE blocks of the SINUMERIK.
+
+Repeated inner knots are written as they are, with an interval PL=0: the end blocks carry PL=0 in any case, by
+either convention, so that a control that did not take it could drive no clamped spline at all.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.writing.blocks import BlockFormat
+from ebamcheck.writing.inputs import DEGREE
+from ebamcheck.writing.polynomials import halved, refined
+
+LEAST_SPLINE_BLOCKS = 6
+"""The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly."""
+
+EVEN_SHARE = 1e-9
+"""Knot intervals that differ by less, as a share of the longest, are even."""
+
+FASTEST = 2.0
+"""Curves move on by at most about so many mm for each mm of their knots, or the rounding of the knots would count;
+those of a fit run at 1."""
+
+
+def spline_blocks(
+    control: Floats, knots: Floats, form: BlockFormat, shift: Literal[2, 3, "uniform"]
+) -> list[str]:
+    """Blocks of one spline: its own G1, so that the control starts it anew, BSPLINE, and the control points."""
+    opening = ["G1", f"BSPLINE SD={DEGREE}"]
+    if shift == "uniform":
+        while len(control) - 1 < LEAST_SPLINE_BLOCKS:
+            control, knots = halved(control, knots)
+        return opening + form.even_control_points(control)
+    control, knots = refined(control, knots, LEAST_SPLINE_BLOCKS)
+    return opening + form.control_points(control, knots * _stretch(control, knots), shift)
+
+
+def even(knots: Floats) -> bool:
+    """Whether the intervals of a clamped knot vector are all alike."""
+    intervals = np.diff(knots[DEGREE : knots.size - DEGREE])
+    return bool(np.ptp(intervals) <= EVEN_SHARE * intervals.max())
+
+
+def _stretch(control: Floats, knots: Floats) -> float:
+    """Factor of the knots such that the curve is nowhere much faster than they; the curve stays as it is.
+
+    The derivative lies in the hull of ``3 (C[i+1] - C[i]) / (U[i+4] - U[i+1])``.
+    """
+    length = knots[DEGREE + 1 : DEGREE + len(control)] - knots[1 : len(control)]
+    leg = np.hypot(*np.diff(control, axis=0).T)
+    fastest = float(np.max(DEGREE * leg[length > 0.0] / length[length > 0.0]))
+    return fastest if fastest > FASTEST else 1.0

@@ -1,0 +1,298 @@
+"""What a reader notes down while it runs a program: motions, events and block numbers, and their columns."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ebamcheck.errors import InputError
+from ebamcheck.nc.codes import BEAM_VALUES, DWELL, SWITCHES
+from ebamcheck.nc.motions import ARC, RAPID, NCProgram, SourceFile
+from ebamcheck.nc.preheating import without_preheating
+from ebamcheck.nc.recognition import StateChange
+from ebamcheck.nc.roles import by_shape, with_travel
+from ebamcheck.nc.table import TableState, starts_in_frames
+from ebamcheck.nc.timeline import Events
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.regular_file import regular_file
+
+NAN = float("nan")
+LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
+"""Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none."""
+NO_CENTRE = (NAN, NAN, NAN)
+MOST_DIGITS = 8
+"""Digits of a block number: a SINUMERIK takes eight, and no control here takes more."""
+LARGEST = 1e8
+"""No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis."""
+LEAST_FEED = 1e-6
+"""A feed that is less and not 0 is under the steps of any control, and a motion by it has no end."""
+
+_KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
+
+
+class Recorder:
+    """State of the control, and the motions (rows) that it made so far."""
+
+    def __init__(
+        self, folder: Path, dialect: str, axes: tuple[str, ...] = (), scans_in_layers: bool = False
+    ) -> None:
+        self._scans_in_layers = scans_in_layers
+        self.folder = folder
+        self.dialect = dialect
+        self.files: list[SourceFile] = []
+        self.header: dict[str, str] = {}
+        self.layer_files: list[str] = []
+        self.file = self.line = 0
+        self.x = self.y = self.z = NAN
+        self._rows: list[tuple[float, ...]] = []
+        self._states: list[tuple[float, ...]] = []
+        self._state = -1
+        self._events: list[tuple[int, int, int, str, float]] = []
+        self._numbers: list[tuple[int, int, int]] = []
+        self._file_index: dict[str, int] = {}
+        self._feed = NAN
+        self._beam = self._wire = False
+        self._set: dict[str, float] = {}
+        self._layer = -1
+        self._templates: list[str] = []
+        self._templates_at = (-1, -1)
+        self.table = TableState(axes)
+
+    # -- files -------------------------------------------------------------------------------------
+
+    def open(self, path: Path) -> list[str]:
+        """Read a file, and return its lines; a carriage return stays at the end of its line."""
+        try:
+            data = regular_file(path).read_bytes()
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        lines = data.decode("latin-1").split("\n")
+        index = self._file_index.setdefault(path.name, len(self.files))
+        if index == len(self.files):
+            self.files.append(SourceFile(path.name, data, len(lines) - (not lines[-1]), 0, ""))
+        self.enter(index, 0)
+        return lines
+
+    def enter(self, file: int, line: int) -> None:
+        """Go on in a file."""
+        self.file, self.line = file, line
+        self._state = -1
+
+    def read_header(self, comment: str) -> None:
+        """Read ``KEY: VALUE`` of a comment; the first value of a key counts. Comments say nothing of motions."""
+        if key := _KEY.fullmatch(comment):
+            self.header.setdefault(key[1], key[2])
+
+    def close(self, end_line: int, end_code: str) -> None:
+        """Note where the file ended."""
+        known = self.files[self.file]
+        self.files[self.file] = SourceFile(known.name, known.data, known.line_count, end_line, end_code)
+
+    @property
+    def main_stem(self) -> str:
+        """Name of the main program without its ending."""
+        return self.files[0].name.rpartition(".")[0] if self.files else ""
+
+    def error(self, what: str, column: int) -> InputError:
+        """Return a refusal with its place; `column` counts from 0."""
+        return InputError(f"{self.files[self.file].name}:{self.line}:{column + 1}: {what}")
+
+    # -- state -------------------------------------------------------------------------------------
+
+    @property
+    def started(self) -> bool:
+        """Whether there was a motion."""
+        return bool(self._rows)
+
+    def feed(self, mm_min: float) -> None:
+        """Set the feed."""
+        self._feed, self._state = mm_min, -1
+
+    def layer(self, index: int) -> None:
+        """Say which layer the motions are of that follow; -1 for none."""
+        self._layer, self._state = index, -1
+
+    def change(self, change: StateChange) -> None:
+        """Do what a block of a template does."""
+        self._state = -1
+        self._follow(change)
+        # The control takes the values of a block before it switches.
+        for name, value in sorted(change.actions, key=lambda action: action[0] in SWITCHES):
+            if name in SWITCHES:
+                if name.startswith("beam"):
+                    self._beam = name == "beam_on"
+                else:
+                    self._wire = name == "wire_start"
+            elif name != DWELL:
+                runs = (name in BEAM_VALUES and self._beam) or (name == "wire_mm_s" and self._wire)
+                if runs and not change.running:
+                    self.event(f"not along a bead {change.block}")
+                self._set[name] = value
+            self.event(name, value)
+
+    def _follow(self, change: StateChange) -> None:
+        """Note where a block that switches does not follow the blocks before it in its template."""
+        here = (self.file, len(self._rows))
+        if self._templates_at != here:
+            self._templates, self._templates_at = [], here
+        count = len(change.before)
+        if count and tuple(self._templates[-count:]) != change.before:
+            self.event(f"lacks {change.before[-1]}")
+        self._templates.append(change.block)
+
+    def event(self, name: str, value: float = NAN) -> None:
+        """Note a change of the state."""
+        self._events.append((self.file, self.line, len(self._rows), name, value))
+
+    def number(self, digits: str) -> None:
+        """Note the number of a block."""
+        if len(digits.lstrip("0")) > MOST_DIGITS:
+            raise self.error(f"block number of {len(digits)} digits: {MOST_DIGITS} at most", 0)
+        self._numbers.append((self.file, self.line, int(digits)))
+
+    # -- motions -----------------------------------------------------------------------------------
+
+    def move(
+        self,
+        kind: int,
+        x: float,
+        y: float,
+        z: float,
+        curve: tuple[float, ...] = LINE_OF_T,
+        centre: tuple[float, ...] = NO_CENTRE,
+        line: int = 0,
+    ) -> None:
+        """Note a motion to x, y, z; `line` where it is not the present one."""
+        # Here and not behind all motions: an arc from such a place would be refused in the place of it.
+        if x > LARGEST or y > LARGEST or z > LARGEST or x < -LARGEST or y < -LARGEST or z < -LARGEST:
+            raise self.error(f"a place over {LARGEST:g}, which no control takes", 0)
+        if self._state < 0 or self.table.changed:
+            self._keep_state()
+        self._rows.append((line or self.line, self._state, kind, x, y, z, *curve, *centre))
+        self.x, self.y, self.z = x, y, z
+
+    def _keep_state(self) -> None:
+        values = self._set
+        self._state = len(self._states)
+        self._states.append(
+            (
+                self.file, self._layer, self._feed, self._beam, self._wire,
+                values.get("voltage_kv", NAN) * values.get("current_ma", NAN),
+                values.get("power_w", NAN), values.get("wire_mm_s", NAN), *self.table.kept(),
+            )
+        )  # fmt: skip
+
+    def set_frame(self, frame: Floats) -> None:
+        """Put another frame in force: the tool stays where it is, which is another place in the new frame."""
+        here = np.array([self.x, self.y, self.z])
+        if np.isnan(here).all():
+            self.table.set_frame(frame)
+        else:
+            self.x, self.y, self.z = self.table.seen_from(frame, here).tolist()
+
+    # -- result ------------------------------------------------------------------------------------
+
+    def program(self) -> NCProgram:
+        """Gather all that was read into columns.
+
+        Raises
+        ------
+        InputError
+            For a number that no control takes.
+        """
+        rows = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 14).T
+        kept = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10).T
+        self._refuse_numbers(rows, kept)
+        line, state, kind = rows[:3].astype(np.int64)
+        states = kept[:, state]
+        file, layer = states[:2].astype(np.int64)
+        beam = states[3] > 0
+        end = np.ascontiguousarray(rows[3:6].T)
+        start = np.vstack([np.full((1, 3), np.nan), end[:-1]])[: len(end)]
+        table = self.table.columns(states[8:].astype(np.int64))
+        if table is not None:
+            start = starts_in_frames(start, table)
+        nothing = np.full(len(end), -1, np.int64)
+        layer, layer_files = self._layers(layer, end[:, 2], beam & (kind != RAPID))
+        events = self._events
+        made = NCProgram(
+            files=tuple(self.files),
+            header=self.header,
+            folder=self.folder,
+            file=file,
+            line=line,
+            layer=layer,
+            kind=kind,
+            start=start,
+            end=end,
+            coefficients=_coefficients(kind, start, end, rows[6:11]),
+            arc=np.ascontiguousarray(rows[11:14].T),
+            feed_mm_min=states[2],
+            beam=beam,
+            wire=states[4] > 0,
+            power_w=np.where(np.isnan(states[6]), states[5], states[6]),
+            wire_mm_s=states[7],
+            ring=nothing,
+            island=nothing,
+            turn=nothing > 0,
+            goes_on=nothing > 0,
+            events=Events(
+                file=np.array([e[0] for e in events], dtype=np.int64),
+                line=np.array([e[1] for e in events], dtype=np.int64),
+                row=np.array([e[2] for e in events], dtype=np.int64),
+                name=tuple(e[3] for e in events),
+                value=np.array([e[4] for e in events], dtype=np.float64),
+            ),
+            numbers=np.array(self._numbers, dtype=np.int64).reshape(-1, 3),
+            layer_files=layer_files,
+            dialect=self.dialect,
+            table=table,
+        )
+        return by_shape(without_preheating(made, self._scans_in_layers))
+
+    def _refuse_numbers(self, rows: Floats, states: Floats) -> None:
+        """Refuse a program with a number that no control takes: what follows its path would not end.
+
+        Parameters
+        ----------
+        rows, states
+            (14, B) motions and (10, S) states, as columns.
+        """
+        feeds = states[2]
+        bad_feed = (feeds > LARGEST) | ((feeds > 0.0) & (feeds < LEAST_FEED))
+        # The centre of an arc that is nearly straight may lie farther away.
+        of_motion = np.asarray((np.abs(rows[3:11]) > LARGEST).any(axis=0), np.bool_)
+        wrong = np.flatnonzero(of_motion | bad_feed[rows[1].astype(np.int64)])
+        if wrong.size:
+            row = rows[:, wrong[0]]
+            state = states[:, int(row[1])]
+            self.file, self.line = int(state[0]), int(row[0])
+            what = f"a number over {LARGEST:g}" if of_motion[wrong[0]] else f"a feed of {state[2]:g} mm/min"
+            raise self.error(f"{what}, which no control takes", 0)
+        for file, line, _, name, value in self._events:
+            if abs(value) > LARGEST:
+                self.file, self.line = file, line
+                raise self.error(f"{name} is over {LARGEST:g}, which no control takes", 0)
+
+    def _layers(self, layer: Ints, z: Floats, deposit: Bools) -> tuple[Ints, tuple[str, ...]]:
+        """Layers as subprograms are called for them; in a program without calls, by the levels of Z of its deposits."""
+        if self.layer_files:
+            return layer, tuple(self.layer_files)
+        rows = np.flatnonzero(deposit)
+        layer = np.full(layer.size, -1, dtype=np.int64)
+        layer[rows] = np.cumsum(np.diff(z[rows], prepend=z[rows[:1]]) != 0.0)
+        count = int(layer.max(initial=-1)) + 1
+        return with_travel(layer), (self.files[0].name,) * count
+
+
+def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floats:
+    """Powers of t in X and Y over 0 <= t <= 1, (B, 2, 4); `curve` (5, B) as :data:`LINE_OF_T`."""
+    length = curve[4]
+    second = (curve[[0, 2]] * length**2).T
+    third = (curve[[1, 3]] * length**3).T
+    first = end[:, :2] - start[:, :2] - second - third
+    coefficients = np.stack([start[:, :2], first, second, third], axis=2)
+    coefficients[kind == ARC] = np.nan
+    return coefficients

@@ -1,0 +1,211 @@
+"""Roles of motions by their geometry: contours, islands, turns, layers. What comments say of them counts for nothing.
+
+A motion with beam or wire on is metal. Metal that follows metal at one height is one bead; a bead that comes back to
+its start is a contour, any other is hatch. Who knows more of the part or of its plan gives better roles:
+:func:`by_section` and :func:`ebamcheck.checks.matching.matched`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ebamcheck.geometry.nearest import distances
+from ebamcheck.layers.stack import Layers
+from ebamcheck.nc.beads import Beads
+from ebamcheck.nc.depths import depth_lines
+from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
+from ebamcheck.nc.timeline import PAUSE
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+CLOSED_MM = 1e-3
+"""A bead that comes this near to its start has come back: the decimals of a program, at their coarsest."""
+
+PARALLEL = 1e-3
+"""Sine of the angle between lines of one direction."""
+
+JOINT_MM = 2e-5
+"""Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else."""
+
+STEP_MM = 0.5
+"""Distance of the places at which a bead's distance from the depth of contours is looked at."""
+
+MOST = 0.5
+"""Share of a bead's length at the depth of contours from which on it is a contour."""
+
+
+def by_shape(nc: NCProgram) -> NCProgram:
+    """Give every bead its role by its shape alone: a contour comes back to its start, other beads are hatch."""
+    return with_contours(nc, nc.beads, _comes_back(nc, nc.beads))
+
+
+def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
+    """Give every bead its role by the sections of a part: contours run at a depth of the section.
+
+    In a layer where none does, the beads that come back to their start are taken for contours.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    offset_mm, near_mm
+        Depth of contour beads, and how near to it a bead runs that is one for most of its length.
+    """
+    beads = nc.beads
+    contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
+    layer = nearest_layer(nc.end[beads.first, 2], z_of)
+    pieces = np.zeros(len(nc), np.int64)
+
+    def work(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            mine = np.flatnonzero(layer == k)
+            if not mine.size:
+                continue
+            border = depth_lines(layers.section(k), offset_mm)
+            if not len(border):
+                continue
+            row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
+            # Under a beam that is switched on too early there are places that no block has given.
+            known = np.isfinite(at).all(axis=1)
+            row, at = row[known], at[known]
+            near = distances(np.ascontiguousarray(at), border) <= near_mm
+            # Each sample stands for its share of the motion.
+            np.add.at(pieces, row, 1)
+            weight = np.nan_to_num(nc.lengths[row]) / pieces[row]
+            bead = np.searchsorted(beads.first, row, side="right") - 1
+            whole = np.bincount(bead, weight, minlength=len(beads))[mine]
+            contour[mine] = np.bincount(bead, weight * near, minlength=len(beads))[mine] >= MOST * whole
+            if not contour[mine].any():
+                contour[mine] = back[mine]
+
+    run_blocks(work, len(layers))
+    return with_contours(nc, beads, contour)
+
+
+def with_contours(nc: NCProgram, beads: Beads, contour: Bools) -> NCProgram:
+    """Return the program with roles, where some of the beads (P,) are contours and the others hatch."""
+    ring = np.where(contour, np.cumsum(contour) - 1, -1)
+    group = np.cumsum(_begins_island(nc, beads, contour)) - 1
+    island = np.where(contour, -1, group)
+    size = len(nc)
+    rings, islands = beads.spread(ring, size), beads.spread(island, size)
+    turn, goes_on = _turns(nc, beads, contour)
+    return replace(nc, ring=rings, island=islands, turn=turn, goes_on=goes_on)
+
+
+def _comes_back(nc: NCProgram, beads: Beads) -> Bools:
+    """Beads (P,) that come back to their start, around something."""
+    rows, bead = beads.rows, beads.bead
+    away = np.abs(nc.end[rows, :2] - nc.start[beads.first, :2][bead]).max(axis=1, initial=0.0)
+    back = (away <= CLOSED_MM) & (nc.lengths[rows] > CLOSED_MM)
+    several = np.bincount(bead, minlength=len(beads)) > 2
+    return np.asarray(beads.any(back) & (beads.any(nc.kind[rows] > STRAIGHT) | several))
+
+
+def _begins_island(nc: NCProgram, beads: Beads, contour: Bools) -> Bools:
+    """Hatch beads (P,) that begin an island.
+
+    The others follow the bead before at its height, or from above in the same direction: islands that touch never share
+    one. After a wait an island begins in any case.
+    """
+    if not len(beads):
+        return np.zeros(0, np.bool_)
+    waits = nc.events.row[nc.events.named(PAUSE)]
+    rises = np.concatenate([[0], np.cumsum(nc.end[:, 2] != nc.start[:, 2])])
+    before, after = beads.last[:-1], beads.first[1:]
+    way = nc.end[:, :2] - nc.start[:, :2]
+    length = np.hypot(way[before, 0], way[before, 1]) * np.hypot(way[after, 0], way[after, 1])
+    turned = ~(np.abs(_cross(way[before], way[after])) <= PARALLEL * length)
+    waited = np.searchsorted(waits, before, side="right") != np.searchsorted(waits, after, side="right")
+    begins = np.ones(len(beads), np.bool_)
+    begins[1:] = (turned & (rises[after] != rises[before + 1])) | waited
+    begins[1:] |= contour[:-1] | (nc.end[after, 2] != nc.end[before, 2])
+    return begins & ~contour
+
+
+def _turns(nc: NCProgram, beads: Beads, contour: Bools) -> tuple[Bools, Bools]:
+    """Turns between lines driven to and fro, and further parts of a line at another power or wire, (B,) both."""
+    turn, goes_on = np.zeros(len(nc), np.bool_), np.zeros(len(nc), np.bool_)
+    hatch = ~contour[beads.bead] & (nc.kind[beads.rows] <= STRAIGHT) & (nc.lengths[beads.rows] > 0.0)
+    rows, bead = beads.rows[hatch], beads.bead[hatch]
+    if rows.size < 2:
+        return turn, goes_on
+    follows = (np.diff(rows) == 1) & (np.diff(bead) == 0)
+    changes = (np.diff(nc.power_w[rows]) != 0.0) | (np.diff(nc.wire_mm_s[rows]) != 0.0)
+    a, joint, b = nc.start[rows[:-1], :2], nc.end[rows[:-1], :2], nc.end[rows[1:], :2]
+    whole = np.hypot(*(b - a).T)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        off = np.abs(_cross(b - a, joint - a)) / whole
+    ahead = ((joint - a) * (b - joint)).sum(axis=1) > 0.0
+    further = np.append(False, follows & changes & ahead & (off <= JOINT_MM))
+    goes_on[rows[further]] = True
+    lines = np.flatnonzero(~further)
+    end = rows[np.append(lines[1:], rows.size) - 1]
+    turn[_between_opposite(nc, rows[lines], end, bead[lines], rows)] = True
+    return turn, goes_on & ~turn
+
+
+def _between_opposite(nc: NCProgram, first: Ints, last: Ints, bead: Ints, rows: Ints) -> Ints:
+    """Motions of lines that lie between two of opposite directions, and across them."""
+    if first.size < 3:
+        return first[:0]
+    way = nc.end[last, :2] - nc.start[first, :2]
+    unit = way / np.maximum(np.hypot(way[:, 0], way[:, 1]), np.finfo(float).tiny)[:, None]
+    before, middle, after = unit[:-2], unit[1:-1], unit[2:]
+    opposite = (np.abs(_cross(before, after)) <= PARALLEL) & ((before * after).sum(axis=1) < 0.0)
+    found = opposite & (np.abs(_cross(before, middle)) > PARALLEL) & (bead[:-2] == bead[2:])
+    a, b = (np.searchsorted(rows, ends[1:-1][found]) for ends in (first, last))
+    marks = np.zeros(rows.size + 1, np.int64)
+    np.add.at(marks, a, 1)
+    np.add.at(marks, b + 1, -1)
+    return rows[np.cumsum(marks[:-1]) > 0]
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+# -- layers ------------------------------------------------------------------------------------------
+
+
+def nearest_layer(z: Floats, z_of: Floats) -> Ints:
+    """Index of the layer (n,) whose height is nearest to each Z."""
+    return np.asarray(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), z), np.int64)
+
+
+def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
+    """Return the program with each motion in the layer whose height it works at; travel in the one that it leads to.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each layer, rising.
+    """
+    if not z_of.size:
+        return nc
+    metal = np.flatnonzero((nc.beam | nc.wire) & (nc.kind != RAPID))
+    layer = np.full(len(nc), -1, np.int64)
+    layer[metal] = nearest_layer(nc.end[metal, 2], z_of)
+    known, first = np.unique(layer[metal], return_index=True)
+    files = [nc.files[0].name] * z_of.size
+    for k, row in zip(known.tolist(), metal[first].tolist(), strict=True):
+        files[k] = nc.files[int(nc.file[row])].name
+    return replace(nc, layer=with_travel(layer), layer_files=tuple(files))
+
+
+def with_travel(layer: Ints) -> Ints:
+    """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to.
+
+    Its first motion away from a layer is still of that layer, and what follows the last bead is of the last layer.
+    """
+    metal = np.flatnonzero(layer >= 0)
+    if not metal.size:
+        return layer
+    ahead = np.searchsorted(metal, np.arange(layer.size))
+    result = layer[metal[np.minimum(ahead, metal.size - 1)]]
+    leaves = np.flatnonzero(layer[:-1] >= 0) + 1
+    leaves = leaves[layer[leaves] < 0]
+    result[leaves] = layer[leaves - 1]
+    return np.asarray(result, np.int64)

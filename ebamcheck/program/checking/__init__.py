@@ -1,1 +1,0 @@
-"""Checks of a program that was read back: path, state, metal, heat, text."""

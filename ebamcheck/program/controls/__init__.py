@@ -1,1 +1,0 @@
-"""Controls: how the programs of each are written and read."""

@@ -1,1 +1,0 @@
-"""What the text of a control means: words, modal groups, codes, templates, header."""

@@ -1,1 +1,0 @@
-"""From text to motions: what a control would do, and the roles of its motions."""

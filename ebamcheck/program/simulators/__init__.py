@@ -1,1 +1,0 @@
-"""Cases of heat simulators: what a program is to a code that computes its heat."""

@@ -1,1 +1,0 @@
-"""From a toolpath to text: blocks, layers, safe states."""

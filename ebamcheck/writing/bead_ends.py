@@ -1,0 +1,145 @@
+"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps.
+
+Each track is cut into parts along itself, every cut exactly, so that the path stays the same curve.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ebamcheck.nc.control import control
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.process import ProcessSettings
+from ebamcheck.writing.bead_parts import (
+    ROUNDING_MM,
+    SHORTEST_BLOCK_MM,
+    Stretches,
+    Tracks,
+    cut,
+    parts_of,
+    path_points,
+    snapped,
+)
+from ebamcheck.writing.cuts import segment_lengths
+from ebamcheck.writing.inputs import CurveColumns, ScanColumns
+from ebamcheck.writing.seams import NO_SEAMS, seam_shifts
+from ebamcheck.writing.segments import Form
+from ebamcheck.writing.tracks import Toolpath, toolpath
+from ebamcheck.writing.wire import with_wire
+
+
+def driven_path(
+    curves: CurveColumns, plan: ScanColumns, config: Config, decimals: int, form: Form, tolerance_mm: float
+) -> Toolpath:
+    """Lay out the tracks of a stack as :func:`~ebamcheck.writing.tracks.toolpath` does, with starts, ends and wire of its beads."""
+    path = toolpath(curves, plan, config, decimals, form, tolerance_mm)
+    return with_wire(with_bead_ends(path, config.process, decimals), plan, config, decimals)
+
+
+def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
+    """Lay out the tracks of a stack in the form of curves that the control gets.
+
+    Lengths of curves differ by their form, if little, and with them where the wire of a bead changes.
+    """
+    machine = config.machine
+    form = written_form(machine)
+    return driven_path(curves, plan, config, machine.printed_decimals, form, machine.line_tolerance_mm)
+
+
+def written_form(machine: MachineSettings) -> Form:
+    """What becomes of splines in the program for a control."""
+    forms: dict[str, Form] = {"arcs": "arcs", "lines": "chords"}
+    return forms.get(machine.curve_form) or control(machine.control).splines
+
+
+def with_bead_ends(
+    path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS
+) -> Toolpath:
+    """Start, overlap and ramp the beads of a path as the process asks.
+
+    A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start
+    for ``process.overlap_mm``, at most once around. Along the first ``process.ramp_up_mm`` of every bead the power
+    rises in steps, along the last ``process.crater_fill_mm`` it falls; where a bead is shorter than both, they
+    shrink alike. `below` (n, 2) are the seams under the lowest layer.
+    """
+    if not (process.shapes_bead_ends and path.kind.size):
+        return path
+    points = path_points(path)
+    lengths = segment_lengths(path.kind, points)
+    tracks = Tracks.of(path, lengths)
+    seams, _ = _seams(path, process, tracks, points, lengths, below)
+    return cut(path, points, lengths, parts_of(path, tracks, _stretches(tracks, seams, process)), decimals)
+
+
+def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> Floats:
+    """Seams (n, 2) of the uppermost layer of a path before its beads are started; `below` as of :func:`with_bead_ends`."""
+    if process.seam_shift_mm <= 0.0 or not path.kind.size:
+        return below
+    points = path_points(path)
+    lengths = segment_lengths(path.kind, points)
+    return _seams(path, process, Tracks.of(path, lengths), points, lengths, below)[1]
+
+
+def _seams(
+    path: Toolpath, process: ProcessSettings, tracks: Tracks, points: Floats, lengths: Floats, below: Floats
+) -> tuple[Floats, Floats]:
+    """Shift of each track, (T,), and the seams of the uppermost layer."""
+    if process.seam_shift_mm <= 0.0:
+        return np.zeros(path.ring.size), below
+    return seam_shifts(
+        path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm, below
+    )
+
+
+def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:
+    """Cut every track where it starts, closes, ends, and where the power changes."""
+    every, whole = np.arange(seams.size), tracks.length
+    shift = snapped(tracks, every, seams)
+    shift[shift > whole - SHORTEST_BLOCK_MM] = 0.0
+    total = whole + np.where(tracks.closed, np.minimum(process.overlap_mm, whole), 0.0)
+    up, down = ramp_lengths(total, process)
+    # Places along what is driven of a track, which begins at its shift.
+    steps = np.arange(process.ramp_steps + 1) / process.ramp_steps
+    places = [np.zeros(whole.size), whole - shift, 2.0 * whole - shift, whole, total]
+    places += [up * s for s in steps] if process.ramp_up_mm > 0.0 else []
+    places += [total - down * s for s in steps] if process.crater_fill_mm > 0.0 else []
+    at = np.sort(np.minimum(np.stack(places, axis=1), total[:, None]), axis=1)
+    track = np.repeat(every, at.shape[1] - 1)
+    low, high = at[:, :-1].ravel(), at[:, 1:].ravel()
+    middle = 0.5 * (low + high)
+    power = ramp_power(middle, total[track] - middle, up[track], down[track], process)
+    low, high = (snapped(tracks, track, place + shift[track]) for place in (low, high))
+    lap = np.floor(0.5 * (low + high) / np.maximum(whole[track], SHORTEST_BLOCK_MM)).astype(np.int64)
+    first = tracks.low[track] - lap * whole[track]
+    kept = high - low > ROUNDING_MM
+    return Stretches(track[kept], (first + low)[kept], (first + high)[kept], lap[kept], power[kept])
+
+
+def ramp_lengths(bead_mm: Floats, process: ProcessSettings) -> tuple[Floats, Floats]:
+    """Lengths (n,) of the ramps at the start and at the end of beads: those set, less where a bead is shorter."""
+    ramps = process.ramp_up_mm + process.crater_fill_mm
+    share = np.minimum(1.0, bead_mm / ramps) if ramps > 0.0 else np.zeros(bead_mm.size)
+    return share * process.ramp_up_mm, share * process.crater_fill_mm
+
+
+def ramp_power(
+    from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
+) -> Floats:
+    """Share of the full power at places on beads, (n,): that in the middle of each of ``process.ramp_steps``.
+
+    Parameters
+    ----------
+    from_start, to_end
+        (n,) lengths along the bead from its start and to its end, mm.
+    up_mm, down_mm
+        (n,) of :func:`ramp_lengths`.
+    """
+    power = np.ones(from_start.size)
+    for along, length in ((from_start, up_mm), (to_end, down_mm)):
+        share = np.divide(along, length, out=np.ones_like(along), where=length > 0.0)
+        middle = (np.floor(share * process.ramp_steps) + 0.5) / process.ramp_steps
+        risen = process.ramp_power + (1.0 - process.ramp_power) * middle
+        power = np.where(along < length, np.minimum(power, risen), power)
+    return power

@@ -1,0 +1,263 @@
+"""The plain description of a program that every post-processor writes: tracks of beads, layer by layer.
+
+A track is one unbroken bead: the beam and the wire go on at its start and off at its end. Contour rings come
+first, then the hatch of the islands in scan order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.turns import follows
+from ebamcheck.settings.config import Config
+from ebamcheck.writing.circles import Circles, circles
+from ebamcheck.writing.inputs import (
+    CurveColumns,
+    ScanColumns,
+    check_same_stack,
+    deposition_heights,
+    hatch_columns,
+    layer_thickness,
+)
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Form, contour_segments
+
+STRAIGHT_SAGITTA_MM = 1e-5
+"""An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and
+its centre would lie too far away for the numbers of a control."""
+
+
+@dataclass(frozen=True, eq=False)
+class Toolpath:
+    """Tracks of a whole stack, positions rounded as they will be printed, mm.
+
+    Parameters
+    ----------
+    cut
+        (L,) heights at which the layers were cut.
+    z
+        (L,) tops of the layers, where the tool works.
+    layer_starts
+        (L + 1,) first track of each layer.
+    track_starts
+        (T + 1,) first segment of each track.
+    start
+        (T, 2) where each track starts.
+    ring, island
+        (T,) number of the contour ring or of the island; -1 for the other.
+    kind, end
+        (N,) :data:`STRAIGHT`, :data:`CUBIC` or :data:`CIRCULAR`, and (N, 2) end of each segment.
+    turn
+        (N,) a turn between two hatch lines.
+    piece
+        (N,) piece of the curves that each segment is of; -1 for hatch.
+    bezier
+        (C, 4, 2) of the cubic segments alone, in their order; not rounded.
+    middle
+        (A, 2) of the circular segments alone, in their order; not rounded.
+    power
+        (N,) share of the full beam power.
+    goes_on
+        (N,) a further part of the hatch line before.
+    width
+        (N,) metal that is laid, in section over the height of the layer, mm.
+    base_mm
+        Z of what the lowest layer lies on.
+    """
+
+    cut: Floats
+    z: Floats
+    layer_starts: Ints
+    track_starts: Ints
+    start: Floats
+    ring: Ints
+    island: Ints
+    kind: NDArray[np.uint8]
+    end: Floats
+    turn: Bools
+    piece: Ints
+    bezier: Floats
+    middle: Floats
+    power: Floats
+    goes_on: Bools
+    width: Floats
+    base_mm: float = 0.0
+
+    @property
+    def thickness(self) -> Floats:
+        """Height of each layer, (L,) mm."""
+        return layer_thickness(self.z, self.base_mm)
+
+    @cached_property
+    def segment_start(self) -> Floats:
+        """(N, 2) where each segment starts."""
+        begin = np.vstack([np.zeros((1, 2)), self.end[:-1]])[: len(self.end)]
+        filled = np.diff(self.track_starts) > 0
+        begin[self.track_starts[:-1][filled]] = self.start[filled]
+        return begin
+
+    @cached_property
+    def circles(self) -> Circles:
+        """Circles of the circular segments alone, in their order."""
+        at = self.kind == CIRCULAR
+        return circles(self.segment_start[at], self.middle, self.end[at])
+
+
+def toolpath(
+    curves: CurveColumns, plan: ScanColumns, config: Config, decimals: int, form: Form, tolerance_mm: float
+) -> Toolpath:
+    """Lay out the tracks of a stack, each at one power from its start to its end.
+
+    Parameters
+    ----------
+    curves, plan
+        Centre lines of the contour beads; islands, their order and their hatch vectors.
+    decimals
+        Decimals to which positions are rounded.
+    form, tolerance_mm
+        What becomes of splines, and how far that may leave them.
+
+    Raises
+    ------
+    SettingsError
+        If curves and plan are of different stacks, or heights do not rise.
+    """
+    check_same_stack(curves, plan)
+    cut = np.asarray(curves.heights, dtype=np.float64)
+    z = deposition_heights(cut, config.layer_height_mm, config.base_mm)
+    if (layer_thickness(z, config.base_mm) <= 0.0).any():
+        raise SettingsError("layer heights must rise from layer to layer: sort them and drop repeats")
+    contours = _contour_tracks(curves, form, tolerance_mm, decimals)
+    hatch = _hatch_tracks(plan, config.process.hatch_spacing_mm, decimals)
+    path = _merged(cut, z, contours, hatch, config.process.bead_metal_mm)
+    return cleaned(replace(path, base_mm=config.base_mm), decimals)
+
+
+def cleaned(path: Toolpath, decimals: int) -> Toolpath:
+    """Flat arcs made straight, and segments left out that vanish at the decimals of the program."""
+    round_ = np.flatnonzero(path.kind == CIRCULAR)
+    flat = ~(path.circles.sagitta_mm >= STRAIGHT_SAGITTA_MM)
+    kind = path.kind.copy()
+    kind[round_[flat]] = STRAIGHT
+    keep = (path.end != path.segment_start).any(axis=1)
+    bend = np.abs(path.bezier - path.bezier[:, :1]).max(axis=(1, 2), initial=0.0)
+    keep[kind == CUBIC] = bend >= 0.5 * 10.0**-decimals
+    return replace(
+        path,
+        track_starts=np.concatenate([[0], np.cumsum(keep)])[path.track_starts].astype(np.int64),
+        kind=kind[keep],
+        end=path.end[keep],
+        turn=path.turn[keep],
+        piece=path.piece[keep],
+        bezier=path.bezier[keep[kind == CUBIC]],
+        middle=path.middle[~flat][keep[kind == CIRCULAR]],
+        power=path.power[keep],
+        goes_on=path.goes_on[keep],
+        width=path.width[keep],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracks:
+    """Tracks of one sort."""
+
+    layer: Ints
+    starts: Ints
+    start: Floats
+    ring: Ints
+    island: Ints
+    kind: NDArray[np.uint8]
+    end: Floats
+    turn: Bools
+    piece: Ints
+    bezier: Floats
+    middle: Floats
+
+
+def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decimals: int) -> _Tracks:
+    made = contour_segments(curves, form, tolerance_mm)
+    ring_starts = np.asarray(curves.ring_starts, dtype=np.int64)
+    ring = np.flatnonzero(np.diff(ring_starts) > 0)
+    layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))[ring]
+    first = np.asarray(curves.control_starts)[ring_starts[ring]]
+    return _Tracks(
+        layer=layer,
+        starts=np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64),
+        start=rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals),
+        ring=ring,
+        island=np.full(ring.size, -1),
+        kind=made.kind,
+        end=rounded(made.end, decimals),
+        turn=np.zeros(made.kind.size, np.bool_),
+        piece=np.repeat(np.arange(len(curves.kind)), np.diff(made.starts)),
+        bezier=made.bezier,
+        middle=made.middle,
+    )
+
+
+def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Tracks:
+    """Hatch tracks: lines of one island that follow each other are one track, with the turns between them."""
+    island, ends = hatch_columns(plan)
+    ends = rounded(ends, decimals)
+    layer = np.asarray(plan.island_layer, dtype=np.int64)[island]
+    if (np.diff(layer) < 0).any():
+        raise SettingsError("hatch vectors of the scan plan are not in the order of layers")
+    joined = follows(island, ends[:, :2], ends[:, 2:], spacing_mm)
+    # A vector is a line to its end, and a turn to its start before it where it is joined.
+    points = ends.reshape(-1, 2)
+    turn = np.tile([True, False], len(ends))
+    present = np.repeat(joined, 2) | ~turn
+    first = np.flatnonzero(~joined)
+    track_starts = np.append(np.concatenate([[0], np.cumsum(present)])[2 * first], present.sum())
+    size = int(present.sum())
+    return _Tracks(
+        layer=layer[first],
+        starts=track_starts.astype(np.int64),
+        start=ends[first, :2],
+        ring=np.full(first.size, -1),
+        island=island[first],
+        kind=np.full(size, STRAIGHT, np.uint8),
+        end=points[present],
+        turn=turn[present],
+        piece=np.full(size, -1),
+        bezier=np.zeros((0, 4, 2)),
+        middle=np.zeros((0, 2)),
+    )
+
+
+def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks, width_mm: float) -> Toolpath:
+    """Contours of each layer before its hatch. Only contours have cubics and arcs, so that their order stays."""
+    layer = np.concatenate([contours.layer, hatch.layer])
+    order = np.argsort(layer, kind="stable")
+    count = np.concatenate([np.diff(contours.starts), np.diff(hatch.starts)])[order]
+    first = np.concatenate([contours.starts[:-1], hatch.starts[:-1] + contours.kind.size])[order]
+    starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    rows = np.repeat(first - starts[:-1], count) + np.arange(starts[-1])
+    return Toolpath(
+        cut=cut,
+        z=z,
+        layer_starts=np.searchsorted(layer[order], np.arange(cut.size + 1)).astype(np.int64),
+        track_starts=starts,
+        start=np.concatenate([contours.start, hatch.start])[order],
+        ring=np.concatenate([contours.ring, hatch.ring])[order],
+        island=np.concatenate([contours.island, hatch.island])[order],
+        kind=np.concatenate([contours.kind, hatch.kind])[rows],
+        end=np.concatenate([contours.end, hatch.end])[rows],
+        turn=np.concatenate([contours.turn, hatch.turn])[rows],
+        piece=np.concatenate([contours.piece, hatch.piece])[rows],
+        bezier=contours.bezier,
+        middle=contours.middle,
+        power=np.ones(rows.size),
+        goes_on=np.zeros(rows.size, np.bool_),
+        width=np.full(rows.size, width_mm),
+    )
+
+
+def rounded(values: Floats, decimals: int) -> Floats:
+    """Values as they will be printed and read back; no negative zero."""
+    return np.asarray(np.round(values, decimals) + 0.0)
