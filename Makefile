@@ -84,7 +84,7 @@ format: setup ## Format the code
 	@$(BIN)/ruff check --fix .
 	@$(BIN)/ruff format .
 
-map: setup ## Make docs/map.md and ARCHITECTURE's table of rooms from the docstrings
+map: setup ## Make docs/map.md from the docstrings
 	@$(BIN)/python docs/make_map.py
 
 docs: setup ## Build the documentation into site/, with warnings as errors

@@ -1,4 +1,4 @@
-"""Make docs/map.md and the table of rooms in ARCHITECTURE.md from the modules' first docstring lines: ``make map``."""
+"""Make docs/map.md from the modules' first docstring lines: ``make map``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,6 @@ HEAD = """# Map of modules
 
 Made by `make map` from the first docstring line of every module; ARCHITECTURE.md says how the rooms hang together.
 """
-BEGIN, END = "<!-- rooms: made by `make map` -->\n", "<!-- end of rooms -->"
 
 
 def sentence(module: Path) -> str:
@@ -48,24 +47,6 @@ def module_map() -> str:
     return "\n".join(parts)
 
 
-def room_table() -> str:
-    """Return the rows of ARCHITECTURE's table: the rooms, without the rooms within them."""
-    rows = [f"| `{name}/` | {said} |" for name, said, _ in folders() if name.count("/") < 2]
-    return "\n".join(["| room | what lives there |", "|---|---|", *rows, ""])
-
-
-def pages() -> dict[Path, str]:
-    """Return the two files as they have to be, by path."""
-    architecture = ROOT / "ARCHITECTURE.md"
-    text = architecture.read_text(encoding="utf-8")
-    before, after = text.split(BEGIN)[0], text.split(END)[1]
-    return {
-        ROOT / "docs" / "map.md": module_map(),
-        architecture: f"{before}{BEGIN}\n{room_table()}\n{END}{after}",
-    }
-
-
 if __name__ == "__main__":
     argparse.ArgumentParser(description=__doc__).parse_args()
-    for page, text in pages().items():
-        page.write_text(text, encoding="utf-8")
+    (ROOT / "docs" / "map.md").write_text(module_map(), encoding="utf-8")
