@@ -306,10 +306,6 @@ def test_the_order_of_facets_changes_no_surface() -> None:
     assert np.array_equal(of_facet[0][order], of_facet[1])
 
 
-def test_without_regions_nothing_is_known() -> None:
-    assert len(surface_normals(ellipsoid(), CurveSettings(regions="off")).exact.rows) == 0
-
-
 def test_a_surface_that_the_turns_of_the_mesh_do_not_bear_out_is_allowed_nothing() -> None:
     part = turned(scattered_torus(3000), 1)
     low, high = part.bounds[:, 2]

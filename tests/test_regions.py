@@ -233,15 +233,6 @@ def test_points_of_planes_stay_and_say_so() -> None:
     assert moved.max() > 0.01
 
 
-def test_without_regions_it_is_done_as_before() -> None:
-    part = bent_plate(10.0)
-    cut = slice_part(part, [25.0])
-    on, off = (surface_normals(part, SETTINGS.model_copy(update={"regions": r})) for r in ("on", "off"))
-    # Without them the bend counts as a rounding; the evidence of the fit then finds that it is none.
-    assert on.smooth.sum() < off.smooth.sum()
-    assert contour_error(fit(cut, part=part, regions="off"), cut)["normal_max_abs_mm"].max() <= EXACT_MM
-
-
 def test_arcs_close_on_their_ends() -> None:
     quarter = arc(1.0, 2.0, 3.0, 0.0, 90.0, 0.01)
     assert quarter[0] == pytest.approx([4.0, 2.0])

@@ -46,7 +46,6 @@ def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
         normals.noise,
         starts,
         corners,
-        normals.with_regions,
         *normals.sagittas,
         normals.rims,
         nothing_asked(),
@@ -55,9 +54,7 @@ def judged_mesh(part: Part, normals: SurfaceNormals) -> SurfaceMesh:
         1.0,
         *normals.exact,
     )
-    noisy = False
-    if normals.with_regions:
-        mesh, noisy = _with_ends(mesh, part, normals)
+    mesh, noisy = _with_ends(mesh, part, normals)
     ends = judge_ends(mesh)
     rough = mesh.rough.copy()
     share = normals.offsets.lift_share

@@ -201,7 +201,7 @@ def _bends(mesh: SurfaceMesh, up: int, down: int, chord: Vector, smooth: bool) -
         up_low, up_high = down_low, down_high  # a strip's normals stand across its rulings
     bend_low = bend_at(chord, up_low, down_low, smooth)
     bend_high = bend_at(chord, up_high, down_high, smooth)
-    if not mesh.limited or not smooth:
+    if not smooth:
         return bend_low, bend_high
     if mesh.kind[up // 3] != FREEFORM or mesh.kind[down // 3] != FREEFORM:
         return bend_low, bend_high

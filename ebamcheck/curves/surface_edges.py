@@ -37,7 +37,6 @@ class SurfaceMesh(NamedTuple):
     noise: Floats
     corner_starts: Ints
     corners: Index
-    limited: bool
     mean: Floats
     largest: Floats
     typical: float

@@ -17,10 +17,6 @@ class CurveSettings(Section):
     """Distance that `bounded` may keep from the smooth curve."""
     crease_angle_deg: InnerAngle = 40.0
     """Edges of the mesh whose facets differ by this angle are sharp, for `bounded` and `surface`."""
-    regions: Literal["on", "off"] = "on"
-    """Find planes, strips with straight rulings and freely curved regions before the normals, for `bounded` and `surface`:
-    planes stay planes, a bend between two planes is sharp whatever its angle. "off" tells flat sides by their width
-    alone."""
     polygon_angle_deg: InnerAngle = 12.0
     """Flat strips between two rims are a cylinder or cone where they turn by less than this from one to the next (30 sides
     around)."""
