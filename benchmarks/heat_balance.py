@@ -25,6 +25,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
+from benchmarks.referee import judged, referee
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
 from benchmarks.whole_program_heat import Balance, Deposits, constant_tables, heat_balance
 from ebamcheck.checks.text_heat import (
@@ -36,7 +37,6 @@ from ebamcheck.checks.text_heat import (
 )
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.heat.melting import entry_limit_k
-from ebamcheck.heat.referee import judged, referee
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.stages import bead_paths

@@ -18,10 +18,10 @@ from scipy.stats import kendalltau
 from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
+from benchmarks.referee import referee_of, second_opinion
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.plugins.model import models
 from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, compared_orders
-from ebamcheck.scan.plan.refereed import referee_of, second_opinion
 from ebamcheck.settings.config import Config
 
 BUILD_SIZE = ("bulkhead", "nozzle")

@@ -142,7 +142,7 @@ GIVEN: dict[str, dict[str, Any]] = {
 
 ELSEWHERE = {
     "process.pyrometer_limit_k": "a measured temperature comes while a build goes on (tests/test_pyrometer.py)",
-    "material.melt_mixing": "the nonlinear referee (tests/test_heat_referee.py)",
+    "material.melt_mixing": "heat above the liquidus (tests/test_heat_referee.py)",
     "machine.live_r": "the main program that waits between layers (tests/test_handshake.py)",
     "machine.live_poll_s": "the same",
     "machine.live_timeout_s": "the same",

@@ -12,12 +12,11 @@ from scipy.special import erf
 from scipy.stats import kendalltau
 
 from benchmarks.closed_form_heat import after_line, rectangle_modes
+from benchmarks.referee import judged, referee, referee_of, refereed_entries, time_steps
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, depth_modes
 from ebamcheck.heat.enthalpy import enthalpy_tables
-from ebamcheck.heat.referee import judged, referee, time_steps
 from ebamcheck.scan.plan.comparing import OrderComparison
-from ebamcheck.scan.plan.refereed import referee_of, refereed_entries
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.material import MaterialSettings
 

@@ -206,27 +206,6 @@ def test_json_of_the_order_of_the_settings(plate, tmp_path):
     assert [row["order"] for row in json.loads(done.stdout)] == ["farthest"]
 
 
-@pytest.mark.slow
-def test_the_referee_gives_its_opinion_beside_the_model(plate, tmp_path):
-    orders = ("thermal", "raster")
-    done = ebamcheck(
-        "scan", plate, "--height", 12, "--orders", ",".join(orders), "--referee", "--json", cwd=tmp_path
-    )
-    assert done.returncode == 0, done.stderr
-    rows = {row["order"]: row for row in json.loads(done.stdout)}
-    assert set(rows) == set(orders)
-    # Both models find the same order cooler, though the referee shares no code, cell or datum of it.
-    assert rows["thermal"]["referee_max_k"] < 0.6 * rows["raster"]["referee_max_k"]
-    assert rows["thermal"]["entry_max_k"] < 0.6 * rows["raster"]["entry_max_k"]
-    for row in rows.values():
-        assert 0.5 < row["referee_tau"] <= 1.0
-        # A spot is read at the same time as its island, and may be a little cooler than the mean of the hottest one.
-        assert row["referee_point_max_k"] > 0.9 * row["referee_max_k"]
-    refused = ebamcheck("scan", plate, "--all", "--referee", cwd=tmp_path)
-    assert refused.returncode == 2
-    assert refused.stderr.strip().endswith("--referee judges one layer: give it with --height Z")
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

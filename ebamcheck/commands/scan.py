@@ -55,13 +55,6 @@ def scan_command(
         ),
     ] = "",
     seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
-    referee: Annotated[
-        bool,
-        typer.Option(
-            "--referee",
-            help="With --height: simulate each order on a nonlinear model of the heat, too, which shares nothing with ours.",
-        ),
-    ] = False,
     config_file: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
@@ -82,8 +75,6 @@ def scan_command(
         raise SettingsError("scan: give either --height Z for one layer, or --all")
     if pause is not None and not all_layers:
         raise SettingsError("--pause: the wait between layers belongs to --all")
-    if referee and all_layers:
-        raise SettingsError("--referee judges one layer: give it with --height Z")
     placed = loaded(part, config)
     if height is None:
         if len(wanted) != 1:
@@ -91,7 +82,7 @@ def scan_command(
         if pause is not None:
             config = config.changed(process={"layer_pause_s": pause})
         return scan_all(placed, config, wanted[0], output, as_json, yes)
-    return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json, referee)
+    return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json)
 
 
 def _orders(orders: str, config: Config) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -49,17 +49,6 @@ HEADINGS = {
 }
 """Figures of the printed table, and their headings."""
 
-REFEREE_HEADINGS = {
-    "referee_max_k": "referee, K",
-    "referee_point_max_k": "its spot, K",
-    "referee_tau": "rank tau",
-}
-"""Further columns where the nonlinear referee is asked."""
-
-
-Opinion = Callable[[OrderResult], dict[str, float]]
-"""Figures of the referee for an order."""
-
 
 @dataclass
 class _Compared:
@@ -87,7 +76,6 @@ def scan_layer(
     simulators: tuple[str, ...],
     output: Path | None,
     as_json: bool,
-    with_referee: bool = False,
 ) -> ExitCode:
     """Plan one layer of a placed part in several orders; an interrupt keeps the orders that are done."""
     cut = heights_within(part, [height_mm], "--height")
@@ -98,10 +86,9 @@ def scan_layer(
     number = max(0, round(over_plate_mm / config.layer_height_mm - 0.5))
     layer = OrderComparison.of(layers.polygons(0), config, number, max(over_plate_mm, 0.0))
     done, interrupted = _Compared(), False
-    judge = _referee(layer, config) if with_referee and len(layer.laid.islands) else None
     try:
         with interruptible():
-            for _ in _compare(layer, orders, seeds, done, judge):
+            for _ in _compare(layer, orders, seeds, done):
                 if output is not None:
                     _write(output, _table(done))
     except KeyboardInterrupt:
@@ -117,39 +104,26 @@ def scan_layer(
     if as_json:
         print_json(done.records())
     else:
-        headings = {**HEADINGS, **(REFEREE_HEADINGS if judge else {})}
-        rows = [[_cell(row[name]) for name in headings] for row in done.records()]
+        rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
         count, base = len(layer.laid.islands), config.process.base
         low, high = part.bounds[:, 2].tolist()
         beside = "" if count else f" (the part reaches from {low:g} to {high:g} mm)"
         typer.echo(f"{count} islands at z = {height_mm:g} mm{beside}, {base} base\n")
-        typer.echo(text_table(list(headings.values()), rows))
+        typer.echo(text_table(list(HEADINGS.values()), rows))
     return ExitCode.PASS
 
 
-def _referee(layer: OrderComparison, config: Config) -> Opinion:
-    """Second opinion on orders of a layer; its packages are imported for those who ask for it."""
-    from ebamcheck.scan.plan.refereed import referee_of, second_opinion
-
-    model = referee_of(layer.laid, config)
-    return lambda result: second_opinion(model, result, config)
-
-
-def _compare(
-    layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared, judge: Opinion | None
-) -> Iterator[None]:
+def _compare(layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared) -> Iterator[None]:
     """Plan and simulate one order after the other, with a bar that moves with each plan."""
     with watched() as observer:
         observer.stage("orders", sum(seeds if name == RANDOM else 1 for name in orders))
         for name in orders:
-            results, opinions = [], []
+            results = []
             for result in layer.results(name, seeds):
                 results.append(result)
-                if judge is not None:
-                    opinions.append(judge(result))
                 observer.advance(1)
             done.shown[name] = results[0]
-            done.rows.append({**figures_of(name, results), **pd.DataFrame(opinions).mean()})
+            done.rows.append(figures_of(name, results))
             yield
 
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.heat.referee import BEAM_SHARE
+from ebamcheck.heat.medium import BEAM_SHARE
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 
@@ -165,7 +165,7 @@ class HeatSource:
     Parameters
     ----------
     sigma_mm
-        Standard deviation in the plane: that of the nonlinear model of :mod:`ebamcheck.heat.referee`.
+        Standard deviation in the plane: ``BEAM_SHARE`` of the bead.
     depth_mm
         Depth at which the heat has fallen to :data:`EDGE`: the height of a layer, in which our own models set it free.
     power_w, absorptivity

@@ -1,4 +1,4 @@
-"""Heat of a layer and of a whole program: conduction in modes of the outline, a balance along z, and a referee model.
+"""Heat of a layer and of a whole program: conduction in modes of the outline and a balance along z.
 
 The modal model takes the body as the section extruded down to its base. Its temperature rise is a sum of products of a mode of
 the outline (:mod:`~ebamcheck.heat.modes`) and one of the depth (:mod:`~ebamcheck.heat.depth`; Carslaw & Jaeger 1959). Each

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from ebamcheck.settings.config import Config
 
+BEAM_SHARE = 0.25
+"""Standard deviation of the beam's heat over the width of the bead: 95 % of it falls on the bead."""
+
 STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
 """Radiation of a black body over T^4 (CODATA 2018)."""
 

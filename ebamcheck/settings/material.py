@@ -43,7 +43,7 @@ class MaterialSettings(Section):
         (1923.0, 33.40),
         (3533.0, 72.04),
     )
-    """Heat conductivity of the nonlinear referee, (K, W/(m K)), linear between: 1.26 + 0.0157 T, 3.51 + 0.0127 T over the
+    """Heat conductivity by temperature, (K, W/(m K)), linear between: 1.26 + 0.0157 T, 3.51 + 0.0127 T over the
     beta transus, -12.75 + 0.024 T liquid. Nominal, after Mills 2002: check them against the book before citing."""
     heat_capacity_by_temperature: DataPoints = (
         (293.0, 546.0),
@@ -53,7 +53,7 @@ class MaterialSettings(Section):
         (1923.0, 831.0),
         (3533.0, 831.0),
     )
-    """Heat capacity of the nonlinear referee without the heat of fusion, (K, J/(kg K)), linear between: 483 + 0.215 T,
+    """Heat capacity by temperature, without the heat of fusion, (K, J/(kg K)), linear between: 483 + 0.215 T,
     412.7 + 0.180 T over the beta transus, 831 liquid. Nominal, as above."""
     latent_heat_j_kg: Annotated[float, Between(0.0, 1e8)] = 286e3
     """Heat of fusion (Mills 2002)."""
@@ -62,12 +62,12 @@ class MaterialSettings(Section):
     liquidus_k: Temperature = 1923.0
     """Temperature at which it ends (Mills 2002)."""
     boiling_k: Temperature = 3533.0
-    """Temperature at which heat leaves as vapour, in the nonlinear referee (nominal)."""
+    """Temperature at which heat leaves as vapour (nominal); no temperature is told above it."""
     interpass_limit_k: Temperature = 873.0
     """Temperature over which no bead is entered, where the process sets none: 600 C, well under the solidus and under the
     beta transus (1268 K), where a Ti-6Al-4V part keeps its shape and its melt pool its size. Nominal."""
     melt_mixing: Annotated[float, Between(1.0, 1000.0)] = 4.0
-    """Conduction of the melt over that of still melt, in the nonlinear referee: convection carries the heat. Factors from
+    """Conduction of the melt over that of still melt: convection carries the heat. Factors from
     2 to 10 are in use; nominal."""
     emissivity: Annotated[float, Between(0.0, 1.0)] = 0.6
     """Radiation of the surface over that of a black body; 0.5 to 0.7 are published for hot Ti-6Al-4V."""

@@ -27,8 +27,8 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.depth import DepthModes, depth_modes
+from ebamcheck.heat.medium import BEAM_SHARE
 from ebamcheck.heat.model import HeatModel
-from ebamcheck.heat.referee import BEAM_SHARE
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
