@@ -24,7 +24,7 @@ from benchmarks.scan_orders import markdown
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import depth_modes
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.amplitudes import Modes, Timetable
+from ebamcheck.scan.heat.aged_heat import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
 from ebamcheck.scan.order.simulation import clocked, entered, entered_into

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.order.touching import touching
+from ebamcheck.scan.order.path import touching
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.settings.config import Config
 

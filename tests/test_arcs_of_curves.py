@@ -12,7 +12,7 @@ from geomdl import BSpline as GeomdlBSpline
 from scipy.interpolate import BSpline
 
 from ebamcheck.curves import ARC, LINE, SPLINE, Curves, fit
-from ebamcheck.curves.arcs import arc_through
+from ebamcheck.curves.bezier import arc_through
 from ebamcheck.plugins.model import models
 
 MODELS = models()

@@ -9,8 +9,7 @@ import shapely
 from ebamcheck.comparison.chains import rising_order
 from ebamcheck.comparison.depth import Deepest, search
 from ebamcheck.comparison.distance import directed
-from ebamcheck.comparison.matching import linked_within
-from ebamcheck.comparison.measure import Figures, measure
+from ebamcheck.comparison.measure import Figures, linked_within, measure
 from ebamcheck.comparison.outline import outline, winding
 from ebamcheck.comparison.overlap import overlap
 from ebamcheck.geometry.nearest import nearest_segment

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_comparison_kernels import circle, lattice_rings, layer, random_pair
 
-from ebamcheck.comparison import sweep_status as status
+from ebamcheck.comparison import depth as status
 from ebamcheck.comparison.distance import PERCENTILE, _percentile
 from ebamcheck.comparison.outline import outline, winding, windings
 from ebamcheck.comparison.overlap import overlap

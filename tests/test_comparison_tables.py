@@ -11,9 +11,8 @@ import shapely
 from comparison_stacks import COLUMNS, SQUARE, box, shifted, stack
 
 from ebamcheck.comparison import compare, layer_classes
-from ebamcheck.comparison.pairwise import Pair, measure_block
+from ebamcheck.comparison.pairwise import Pair, measure_block, thin_counts
 from ebamcheck.comparison.sources import blocks_of
-from ebamcheck.comparison.topology import thin_counts
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays

@@ -25,7 +25,7 @@ from ebamcheck.scan.order.path import NEAREST, in_sequence
 from ebamcheck.scan.order.simulation import clocked, entry_points, nearest_options
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.scan.plan.planning import plan_scan
+from ebamcheck.scan.plan.stacking import plan_scan
 from ebamcheck.settings.config import Config
 
 PROFILE = Config()

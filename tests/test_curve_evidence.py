@@ -14,10 +14,9 @@ from ebamcheck.curves import contour_error, fit, fit_deviation, fit_for_program
 from ebamcheck.curves.allowances import Allowing
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.edges import with_edges
-from ebamcheck.curves.evidence import CROSSING, PLANE, SAGITTA, TURNED, evidence
+from ebamcheck.curves.evidence import CROSSING, PLANE, SAGITTA, TURNED, evidence, stack_evidence
 from ebamcheck.curves.fallback import POLYLINE, polylines, with_rings
 from ebamcheck.curves.sagitta import coordinate_rounding_mm, sagittas
-from ebamcheck.curves.stack_evidence import stack_evidence
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import Part

@@ -8,8 +8,7 @@ import shapely
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.section_grid import section_grid
-from ebamcheck.scan.heat.falling import LEAST, falling
-from ebamcheck.scan.heat.near_field import FAR, between_pieces
+from ebamcheck.scan.heat.near_field import FAR, LEAST, between_pieces, falling
 from ebamcheck.scan.heat.part_heat import AgedColumns, PartHeat
 from ebamcheck.settings.config import Config
 

@@ -18,10 +18,8 @@ from benchmarks.island_temperatures import compared
 from ebamcheck.heat import Medium
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.heat import island_heat
-from ebamcheck.scan.heat.aged_heat import entered_with_aged
-from ebamcheck.scan.heat.amplitudes import Modes, Timetable
-from ebamcheck.scan.heat.enclosed import FELT, enclosed_share
-from ebamcheck.scan.heat.near_field import entry_rise, exact_depth, of_layer
+from ebamcheck.scan.heat.aged_heat import Modes, Timetable, entered_with_aged
+from ebamcheck.scan.heat.near_field import FELT, enclosed_share, entry_rise, exact_depth, of_layer
 from ebamcheck.scan.heat.pieces import OPTIONS, island_tiles, line_pieces
 from ebamcheck.scan.order.simulation import entry_points
 

@@ -14,13 +14,12 @@ from shapely import affinity
 
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.heat.influence import influence
-from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
 from ebamcheck.scan.order.annealing import Layer, high_mean
 from ebamcheck.scan.order.entry_options import entry_options
 from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.path import touching, touching_successors
 from ebamcheck.scan.order.simulation import entered, entry_points, nearest_options
-from ebamcheck.scan.order.thermal import ranked
-from ebamcheck.scan.order.touching import touching, touching_successors
+from ebamcheck.scan.order.thermal import MOST_LISTED, best_of_all, ranked
 
 
 @pytest.fixture(scope="module")

@@ -16,13 +16,15 @@ from shapely import affinity
 from ebamcheck.geometry.regions import equivalent_rectangles_mm
 from ebamcheck.scan import plan_scan
 from ebamcheck.scan.filling.hatch import hatch
-from ebamcheck.scan.islands.borders import polygon_edges, shared_borders, shared_edges
 from ebamcheck.scan.islands.clipping import (
     Cells,
     clip_lattice,
     column,
     least_island_mm,
     partition,
+    polygon_edges,
+    shared_borders,
+    shared_edges,
     sliver_groups,
 )
 from ebamcheck.scan.islands.directions import (

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ebamcheck.errors import GeometryError, SettingsError
-from ebamcheck.scan.islands.borders import shared_borders
+from ebamcheck.scan.islands.clipping import shared_borders
 from ebamcheck.scan.islands.lattice import (
     BEADS_ACROSS,
     hexagon_lattice,

@@ -12,8 +12,8 @@ from ebamcheck.checks.spline_points import spline_points
 from ebamcheck.curves.per_part import keep_surface_of, once_a_part
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.installed import entry_points
-from ebamcheck.scan.heat.enclosed import DIRECTIONS, ON_OUTLINE_MM, in_sight
 from ebamcheck.scan.heat.interpass import greatest_that_fits
+from ebamcheck.scan.heat.near_field import DIRECTIONS, ON_OUTLINE_MM, in_sight
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.text import as_toml
 

@@ -10,14 +10,16 @@ import shapely
 from shapely import affinity
 
 from ebamcheck.scan import plan_scan, plan_stack
-from ebamcheck.scan.islands.borders import shared_borders
+from ebamcheck.scan.islands.clipping import shared_borders
 from ebamcheck.scan.islands.lattice import (
     LATTICES,
     hexagon_lattice,
+    layer_place,
+    shift_shares,
+    shifted,
     square_lattice,
     stripe_lattice,
 )
-from ebamcheck.scan.islands.placement import layer_place, shift_shares, shifted
 from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle, rectangle_along
 from ebamcheck.settings.config import Config
 

@@ -31,7 +31,7 @@ from curve_parts import (
 
 from ebamcheck.curves import contour_error, fit
 from ebamcheck.curves.lifting import FLATTEST_SURFACE, Lifting
-from ebamcheck.curves.regions.rounding import coordinate_error_mm, plane_tolerance_mm
+from ebamcheck.curves.regions.planes import coordinate_error_mm, plane_tolerance_mm
 from ebamcheck.curves.regions.surfaces import surfaces
 from ebamcheck.curves.sides import NO_PLANE
 from ebamcheck.curves.vertex_normals import surface_normals

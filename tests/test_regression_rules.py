@@ -25,11 +25,11 @@ from ebamcheck.regression import (
 from ebamcheck.regression.baselines import Entry, Key, read_baselines, write_baselines
 from ebamcheck.regression.difference import differences
 from ebamcheck.regression.matrix import MATRIX, Matrix, read_matrix, rounds
-from ebamcheck.regression.measurement import REFUSED
-from ebamcheck.regression.metrics import (
+from ebamcheck.regression.measurement import (
     LAYER_COLUMNS,
     METRICS,
     NAMES,
+    REFUSED,
     TOLERANCE_NAMES,
     rounded,
     summarised,

@@ -9,7 +9,6 @@ import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.heat.fresh_table import work_out
 from ebamcheck.scan.heat.influence import (
     FALLEN,
     LEAST_RATE,
@@ -18,6 +17,7 @@ from ebamcheck.scan.heat.influence import (
     looked_up,
     old_heat,
     table_place,
+    work_out,
 )
 from ebamcheck.scan.heat.near_field import entry_rise, young_mean
 from ebamcheck.scan.order.annealing import (
@@ -35,8 +35,8 @@ from ebamcheck.scan.order.entry_options import entry_options
 from ebamcheck.scan.order.greedy_heat import greedy_order
 from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
 from ebamcheck.scan.order.orders import scan_order
+from ebamcheck.scan.order.path import touch_table, touching, touching_successors
 from ebamcheck.scan.order.simulation import clocked, entered, entry_points
-from ebamcheck.scan.order.touching import touch_table, touching, touching_successors
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 

@@ -22,8 +22,7 @@ from ebamcheck.selection import (
     workpiece_of_part,
     write_choice,
 )
-from ebamcheck.selection.choice import TIE_SHARE, ranked, unfit
-from ebamcheck.selection.trial import ACCURACY_LAYERS
+from ebamcheck.selection.trial import ACCURACY_LAYERS, TIE_SHARE, ranked, unfit
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.selection import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
 from ebamcheck.settings.text import as_toml

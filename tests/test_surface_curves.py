@@ -23,7 +23,7 @@ from ebamcheck.curves import (
     fit,
     fit_deviation,
 )
-from ebamcheck.curves.thinning import FLAT_MM
+from ebamcheck.curves.bends import FLAT_MM
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import Layers, from_polygons

@@ -13,8 +13,7 @@ from ebamcheck.drawing.scene import Scene, TemperatureScale
 from ebamcheck.heat import ContourModes
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.order.history import island_history
-from ebamcheck.scan.order.simulation import entered
+from ebamcheck.scan.order.simulation import entered, island_history
 from ebamcheck.scan.plan.comparing import OrderComparison, OrderResult
 
 COMMON = 0.9

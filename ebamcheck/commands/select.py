@@ -13,11 +13,13 @@ from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.json_values import plain
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.plugins.model import models
-from ebamcheck.selection.choice import RULES, Choice, choose
 from ebamcheck.selection.trial import (
     REPEATS,
+    RULES,
+    Choice,
     Trial,
     Workpiece,
+    choose,
     try_backends,
     workpiece_of_model,
     workpiece_of_part,

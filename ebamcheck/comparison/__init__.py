@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from ebamcheck.comparison.classes import FACE_ON_PLANE, GENERIC, VERTEX_ON_PLANE, layer_classes
 from ebamcheck.comparison.consensus import Comparison, compare_all
 from ebamcheck.comparison.findings import Finding
-from ebamcheck.comparison.pairwise import compare
+from ebamcheck.comparison.pairwise import FACE_ON_PLANE, GENERIC, VERTEX_ON_PLANE, compare, layer_classes
 
 __all__ = [
     "FACE_ON_PLANE",

@@ -1,7 +1,7 @@
 """Exact areas of two regions and of their symmetric difference, by a sweep from below.
 
 Between two edges that are neighbours in the status of the sweep lies a trapezoid, wholly inside or outside
-either region (winding number > 0). See :mod:`ebamcheck.comparison.sweep_status` for how the sweep proceeds.
+either region (winding number > 0). See :mod:`ebamcheck.comparison.depth` for how the sweep proceeds.
 
 It is the sweep of Bentley and Ottmann (Algorithms for reporting and counting geometric intersections, IEEE Transactions on
 Computers C-28, 1979, 643-647): crossings are looked for between neighbours alone. Their balanced tree and queue are a sorted
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison import sweep_status as status
+from ebamcheck.comparison import depth as status
 from ebamcheck.comparison.chains import (
     ADVANCE,
     CLOSE,
@@ -45,7 +45,7 @@ class Overlap(NamedTuple):
     area_b_mm2: float
     symmetric_difference_mm2: float
     difference: Floats
-    """(T, 8) trapezoids of the symmetric difference, if wanted; columns in :mod:`ebamcheck.comparison.sweep_status`.
+    """(T, 8) trapezoids of the symmetric difference, if wanted; columns in :mod:`ebamcheck.comparison.depth`.
     Segments of the second outline are numbered after those of the first."""
     sound: bool
     """False if there were too many crossings."""

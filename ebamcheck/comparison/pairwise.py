@@ -8,14 +8,14 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.comparison.classes import UNKNOWN, layer_classes
 from ebamcheck.comparison.measure import Figures, measure
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.topology import topologies_agree
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_blocks
@@ -272,3 +272,137 @@ def _topologies(
     for layer in np.flatnonzero(~agree):
         agree[layer] = topologies_agree(a, b, int(layer), limit_mm)
     return agree
+
+
+# -- Layer classes: whether a plane passes through vertices or faces of the part, where slicers differ by
+# definition.
+
+
+GENERIC = "generic"
+VERTEX_ON_PLANE = "vertex-on-plane"
+FACE_ON_PLANE = "face-on-plane"
+UNKNOWN = "unknown"
+"""Class of a layer if no part is given."""
+
+
+def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[np.str_]:
+    """Class of each layer, (L,).
+
+    Parameters
+    ----------
+    part
+        The part as placed.
+    heights
+        (L,) absolute heights, mm.
+    margin_mm
+        Distance from the plane within which a vertex counts as on it.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``face-on-plane`` where a whole facet lies within the margin of the plane (a level facet, or one too
+        small to be told from it), else ``vertex-on-plane`` where a vertex does, else ``generic``. Vertices
+        that no facet uses do not count.
+    """
+    planes = np.asarray(heights, dtype=np.float64).reshape(-1)
+    classes = np.full(planes.shape, GENERIC, dtype=f"<U{len(VERTEX_ON_PLANE)}")
+    if not len(part.faces):
+        return classes
+    used = np.zeros(len(part.vertices), np.bool_)
+    used[part.faces] = True
+    levels = np.sort(part.vertices[used, 2])
+    first = np.searchsorted(levels, planes - margin_mm, side="left")
+    past = np.searchsorted(levels, planes + margin_mm, side="right")
+    classes[past > first] = VERTEX_ON_PLANE
+    a, b, c = part.vertices[:, 2][part.faces.T]
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    flat = high - low <= 2.0 * margin_mm
+    if not flat.any():
+        return classes
+    order = np.argsort(low[flat])
+    low, high = low[flat][order], high[flat][order]
+    # Least upper end among the flat facets that start at or above each place, in one sweep from the top.
+    least_high = np.append(np.minimum.accumulate(high[::-1])[::-1], np.inf)
+    classes[least_high[np.searchsorted(low, planes - margin_mm, side="left")] <= planes + margin_mm] = (
+        FACE_ON_PLANE
+    )
+    return classes
+
+
+# -- Whether two regions have the same outer rings and holes once thin features are set aside ------------------
+#
+# A feature thinner than twice the limit (a sliver, a neck, a slit, a pore) may rightly be in one region and
+# not in the other. So each region is counted with its thin features and without: as it is, without the pieces
+# and holes that are thin throughout, opened by the limit (thin solids gone), closed by it (thin gaps gone),
+# and both in either order. The two agree if their ranges of the number of outer rings overlap, and their
+# ranges of the number of holes too.
+#
+# A piece of a wedge that is just thinner than that in one region may be up to twice as thick in the other,
+# cut off from it by necks that are gone. Regions that do not agree are therefore counted once more at twice
+# the limit. No fault hides there: a feature thicker than ``2 r`` that one of two regions lacks has a depth of
+# more than `r`, which has a limit of its own.
+
+
+ARC_SEGMENTS = 4
+"""Segments a quarter circle in the offsets: their radius is right to 2 %."""
+
+Counts = tuple[range, range]
+"""Range of the number of outer rings, and of holes."""
+
+
+def topologies_agree(a: Layers, b: Layers, layer: int, limit_mm: float) -> bool:
+    """Whether a layer's outer rings and holes agree once features thinner than ``2 limit_mm`` in either are set aside."""
+    return regions_agree(a.section(layer), b.section(layer), limit_mm)
+
+
+def regions_agree(a: BaseGeometry, b: BaseGeometry, limit_mm: float) -> bool:
+    """Whether two regions whose boundaries are within a limit of each other have the same outer rings and holes.
+
+    Examples
+    --------
+    >>> block = shapely.box(-9, -5, 0, 5)
+    >>> fin = block.union(shapely.box(0, -0.55, 20, 0.55))
+    >>> broken = block.union(shapely.box(10, -0.65, 14, 0.65))
+    >>> regions_agree(fin, broken, 0.6), regions_agree(fin, broken, 0.3)
+    (True, False)
+    """
+    for radius_mm in (limit_mm, 2.0 * limit_mm):
+        (outer_a, holes_a), (outer_b, holes_b) = thin_counts(a, radius_mm), thin_counts(b, radius_mm)
+        if _overlap(outer_a, outer_b) and _overlap(holes_a, holes_b):
+            return True
+    return False
+
+
+def thin_counts(solid: BaseGeometry, limit_mm: float) -> Counts:
+    """Ranges of the number of outer rings and of holes, with thin features kept or set aside."""
+    variants = [solid]
+    if limit_mm > 0.0 and not solid.is_empty:
+        opened = _closed(solid, -limit_mm)
+        closed = _closed(solid, limit_mm)
+        variants += [opened, closed, _closed(opened, limit_mm), _closed(closed, -limit_mm)]
+    counts = [_counts(variant) for variant in variants]
+    counts.append(_counts(solid, limit_mm))
+    outer, holes = [c[0] for c in counts], [c[1] for c in counts]
+    return range(min(outer), max(outer) + 1), range(min(holes), max(holes) + 1)
+
+
+def _closed(solid: BaseGeometry, by_mm: float) -> BaseGeometry:
+    """Region closed by a distance, or opened where it is negative."""
+    if by_mm < 0.0:
+        return eroded(solid, -by_mm, ARC_SEGMENTS).buffer(-by_mm, quad_segs=ARC_SEGMENTS)
+    return eroded(solid.buffer(by_mm, quad_segs=ARC_SEGMENTS), by_mm, ARC_SEGMENTS)
+
+
+def _counts(solid: BaseGeometry, thin_mm: float = 0.0) -> tuple[int, int]:
+    """Polygons and holes of a region, without those that a circle of radius `thin_mm` fits into nowhere."""
+    polygons = [p for p in shapely.get_parts(solid) if p.geom_type == "Polygon" and not p.is_empty]
+    holes = [shapely.Polygon(ring) for polygon in polygons for ring in polygon.interiors]
+    if thin_mm > 0.0:
+        polygons, holes = (
+            [p for p in those if not eroded(p, thin_mm, ARC_SEGMENTS).is_empty] for those in (polygons, holes)
+        )
+    return len(polygons), len(holes)
+
+
+def _overlap(a: range, b: range) -> bool:
+    return a.start < b.stop and b.start < a.stop

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from ebamcheck.curves.accuracy import contour_error, error_reduction
+from ebamcheck.curves.accuracy import contour_error, error_reduction, polar_radius
 from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves, Piece
 from ebamcheck.curves.deviation import fit_deviation
 from ebamcheck.curves.fitting import LIFTED, METHODS, fit, fit_for_program
-from ebamcheck.curves.polar import polar_radius
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 
 __all__ = [

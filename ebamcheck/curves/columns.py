@@ -40,8 +40,7 @@ from ebamcheck.columns_file import (
     write_table,
 )
 from ebamcheck.curves import bezier
-from ebamcheck.curves.arcs import arc_point, arc_through
-from ebamcheck.curves.bezier import BezierSpans
+from ebamcheck.curves.bezier import BezierSpans, arc_point, arc_through
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers import stack as layer_columns

@@ -10,13 +10,12 @@ import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.curves.allowances import Allowances, Allowing
-from ebamcheck.curves.bulge import bulges
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.evidence import joined
 from ebamcheck.curves.fallback import with_fallback
-from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, interpolate
+from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.oriented_contours import OrientedContours, orient
 from ebamcheck.curves.per_part import once_a_part

@@ -21,9 +21,10 @@ from ebamcheck.curves.bends import (
     set_angles,
     spare_long_segments,
     start_at_a_split,
+    without_flat,
+    without_near,
 )
 from ebamcheck.curves.sides import Sides
-from ebamcheck.curves.thinning import without_flat, without_near
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.curves import CurveSettings

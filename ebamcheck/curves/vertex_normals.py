@@ -16,10 +16,9 @@ from ebamcheck.curves.exact import ExactSurfaces, exact_surfaces
 from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.plausible import Sagittas, mesh_sagittas
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
-from ebamcheck.curves.regions.noise import rough_rows
-from ebamcheck.curves.regions.normals import region_normals
+from ebamcheck.curves.regions.normals import region_normals, rough_rows
 from ebamcheck.curves.regions.offsets import Offsets, vertex_offsets
-from ebamcheck.curves.regions.rims import rim_sagittas
+from ebamcheck.curves.regions.segmentation import rim_sagittas
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
 from ebamcheck.numeric.rings import Bools, Floats

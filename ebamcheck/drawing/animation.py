@@ -83,7 +83,7 @@ def layer_animation(
     end_s
         (I,) by island: end of its scan.
     history_k
-        (I, I) as :func:`ebamcheck.scan.order.history.island_history` returns it.
+        (I, I) as :func:`ebamcheck.scan.order.simulation.island_history` returns it.
     scale
         Colour scale, and marks beyond which no figure is shown.
     scene

@@ -13,9 +13,8 @@ import pandas as pd
 from ebamcheck.curves import LIFTED, Curves, fit_deviation
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.columns import Evidence
-from ebamcheck.curves.evidence import CAUSES
+from ebamcheck.curves.evidence import CAUSES, StackEvidence, stack_evidence
 from ebamcheck.curves.fallback import METHODS, POLYLINE
-from ebamcheck.curves.stack_evidence import StackEvidence, stack_evidence
 from ebamcheck.findings import Finding, at_layer
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part

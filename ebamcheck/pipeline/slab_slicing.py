@@ -15,7 +15,7 @@ import numpy as np
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
-from ebamcheck.comparison.joining import joined, shifted
+from ebamcheck.comparison.consensus import joined, shifted
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.inspection import Inspection

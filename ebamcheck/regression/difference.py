@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from ebamcheck.regression.baselines import STORED, Entry, Key
-from ebamcheck.regression.measurement import MEASURED
-from ebamcheck.regression.metrics import LAYER_COLUMNS, METRICS, NAMES
+from ebamcheck.regression.measurement import LAYER_COLUMNS, MEASURED, METRICS, NAMES
 from ebamcheck.regression.settings import Tolerance, Tolerances
 
 FIRST_PLACES = 3

@@ -13,8 +13,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.regression.difference import Difference
 from ebamcheck.regression.history import Trend, trends
 from ebamcheck.regression.job import Regression
-from ebamcheck.regression.measurement import MEASURED
-from ebamcheck.regression.metrics import METRICS, WHOLE
+from ebamcheck.regression.measurement import MEASURED, METRICS, WHOLE
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.markup import Markup, element, join, text
 

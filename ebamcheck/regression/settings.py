@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pydantic import Field, field_validator
 
-from ebamcheck.regression.metrics import TOLERANCE_NAMES
+from ebamcheck.regression.measurement import TOLERANCE_NAMES
 from ebamcheck.settings.base import NotNegative, Section
 from ebamcheck.settings.checking import checked, read_toml
 

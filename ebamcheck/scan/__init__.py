@@ -4,7 +4,7 @@ from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle
 from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import compare_orders
-from ebamcheck.scan.plan.planning import plan_scan, plan_stack
+from ebamcheck.scan.plan.stacking import plan_scan, plan_stack
 from ebamcheck.scan.plan.times import simulate_order
 
 __all__ = [

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from ebamcheck.selection.choice import Choice, choose
 from ebamcheck.selection.trial import (
+    Choice,
     Trial,
     Workpiece,
+    choose,
     try_backends,
     workpiece_of_model,
     workpiece_of_part,

@@ -15,8 +15,7 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import plain
 from ebamcheck.regular_file import regular_file
-from ebamcheck.selection.choice import Choice
-from ebamcheck.selection.trial import Trial
+from ebamcheck.selection.trial import Choice, Trial
 
 FIGURE_DIGITS = 4
 """Significant digits of the figures kept: provenance, not input."""

@@ -16,9 +16,10 @@ from ebamcheck.comparison.diagnosis.cause import (
     SCALE,
     TRANSLATION,
     Cause,
+    layer_causes,
+    ring_causes,
 )
 from ebamcheck.comparison.diagnosis.fit import DZ, TURN, TX, TY, D, E, FieldFit, Fitted
-from ebamcheck.comparison.diagnosis.layer_causes import layer_causes
 from ebamcheck.comparison.diagnosis.plane_causes import (
     coarse_grid,
     other_rule,
@@ -27,7 +28,6 @@ from ebamcheck.comparison.diagnosis.plane_causes import (
     unit_of,
     wrong_unit,
 )
-from ebamcheck.comparison.diagnosis.ring_causes import ring_causes
 from ebamcheck.comparison.diagnosis.sheets import Reader, Sheet, sample, total_mm2
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.numeric.rings import Floats, Ints

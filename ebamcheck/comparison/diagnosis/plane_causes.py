@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ebamcheck.comparison import sweep_status as status
+from ebamcheck.comparison import depth as status
 from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.diagnosis.cause import (
     MIRROR,
@@ -17,8 +17,7 @@ from ebamcheck.comparison.diagnosis.cause import (
     WINDING_RULE,
     Cause,
 )
-from ebamcheck.comparison.diagnosis.contours import contours_of, contours_over, windings
-from ebamcheck.comparison.diagnosis.fit import scaled_section, share_of
+from ebamcheck.comparison.diagnosis.fit import contours_of, contours_over, scaled_section, share_of, windings
 from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
 from ebamcheck.comparison.outline import Outline, outline
 from ebamcheck.comparison.overlap import overlap

@@ -33,7 +33,7 @@ class Ground(NamedTuple):
     normals: Floats
     """(G, 3) unit normals."""
     told: Bools
-    """(F, 3) corners that lie on the surface for certain (:mod:`ebamcheck.curves.exact.told`)."""
+    """(F, 3) corners that lie on the surface for certain (:mod:`ebamcheck.curves.exact.finding`)."""
 
 
 @kernel

@@ -13,7 +13,7 @@ from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.heat.amplitudes import Modes
+from ebamcheck.scan.heat.aged_heat import Modes
 from ebamcheck.scan.heat.near_field import NearField, near_field
 from ebamcheck.settings.config import Config
 

@@ -17,8 +17,7 @@ import shapely
 
 from ebamcheck.geometry.regions import equivalent_rectangles_mm
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.islands.borders import shared_borders
-from ebamcheck.scan.islands.clipping import Cells
+from ebamcheck.scan.islands.clipping import Cells, shared_borders
 from ebamcheck.scan.islands.rectangle import minimum_rectangle
 
 LEAST_TURN_DEG = 15.0

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.heat.fresh_table import work_out
-from ebamcheck.scan.heat.influence import Influence, table_place
+from ebamcheck.scan.heat.influence import Influence, table_place, work_out
 from ebamcheck.scan.order.entry_options import EntryOptions
 from ebamcheck.scan.order.moves import least_travel_mm, more_touches, move
-from ebamcheck.scan.order.touching import Touching, touch_table
+from ebamcheck.scan.order.path import Touching, touch_table
 
 WARMTH = 0.005
 """Worsening taken at the beginning, unless another is asked for."""

@@ -17,8 +17,7 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import by_depth, late_modes, read_surface, with_late_heat
-from ebamcheck.scan.heat.amplitudes import Modes, Timetable
+from ebamcheck.scan.heat.aged_heat import Modes, Timetable, by_depth, late_modes, read_surface, with_late_heat
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise
 from ebamcheck.scan.heat.pieces import OPTIONS

@@ -14,13 +14,12 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import by_depth, late_modes, read_surface, with_late_heat
-from ebamcheck.scan.heat.amplitudes import Modes, Timetable
+from ebamcheck.scan.heat.aged_heat import Modes, Timetable, by_depth, late_modes, read_surface, with_late_heat
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.annealing import power
 from ebamcheck.scan.order.entry_options import nearest_option
-from ebamcheck.scan.order.touching import Touching
+from ebamcheck.scan.order.path import Touching
 
 TIE_K = 1e-6
 """Scores closer than this are equal: rounding must not decide between islands that mirror each other."""

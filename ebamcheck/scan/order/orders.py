@@ -39,10 +39,9 @@ from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.scan.order.cool_entries import cool_options
 from ebamcheck.scan.order.greedy_heat import greedy_order
-from ebamcheck.scan.order.path import NEAREST
+from ebamcheck.scan.order.path import NEAREST, touching
 from ebamcheck.scan.order.simulation import clocked
 from ebamcheck.scan.order.thermal import thermal_order
-from ebamcheck.scan.order.touching import touching
 from ebamcheck.settings.config import Config
 
 LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3

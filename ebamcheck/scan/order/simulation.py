@@ -7,13 +7,13 @@ import numpy as np
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.heat.aged_heat import entered_with_aged
-from ebamcheck.scan.heat.amplitudes import (
+from ebamcheck.scan.heat.aged_heat import (
     LEAST_DECAY,
     Modes,
     Timetable,
     at_surface,
     decay,
+    entered_with_aged,
     field,
     heat_island,
 )
@@ -190,3 +190,21 @@ def clocked(
         end[island] = clock
         x, y = leave[island, option, 0], leave[island, option, 1]
     return start, end, travel
+
+
+# -- Temperature of every island over the time in which a layer is scanned, for pictures -----------------------
+
+
+def island_history(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    """Mean temperature rises (I, I) K: a row for the end of each island in scan order, a column an island."""
+    modes = heat.modes
+    state = heat.start_k.copy()
+    rows = np.empty((len(order), len(modes.source_k_s)))
+    clock = 0.0
+    for n, island in enumerate(order.tolist()):
+        duration = end_s[island] - start_s[island]
+        decay(state, modes, start_s[island] - clock + duration)
+        heat_island(state, modes, island, duration)
+        rows[n] = field(modes, at_surface(state, modes))
+        clock = float(end_s[island])
+    return rows

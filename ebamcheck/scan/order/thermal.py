@@ -5,7 +5,7 @@ wire, each at its price in kelvin. Its temperature is its mean, or that under th
 (:mod:`~ebamcheck.scan.heat.near_field`), whichever is more. No island follows one that it touches while another is left. A
 low price of travel makes cool but long ways; so plans for several prices are made, and the coolest of those whose way
 is short enough are improved (:mod:`~ebamcheck.scan.order.annealing`). Of a few islands all orders are tried
-(:mod:`~ebamcheck.scan.order.all_orders`).
+(:mod:`~ebamcheck.scan.order.thermal`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from functools import partial
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
+from ebamcheck.scan.filling.turns import JOINED_MM
 from ebamcheck.scan.heat.influence import MOST_ISLANDS, influence
 from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.order.all_orders import MOST_LISTED, best_of_all
-from ebamcheck.scan.order.annealing import Layer, annealed, high_mean
+from ebamcheck.scan.order.annealing import Layer, annealed, high_mean, new_log, powers_from, timed_from
 from ebamcheck.scan.order.entry_options import entry_options
 from ebamcheck.scan.order.greedy_heat import TIE_K, greedy_order
+from ebamcheck.scan.order.path import Touching, touch_table, touching, touching_successors
 from ebamcheck.scan.order.simulation import clocked, entry_points
-from ebamcheck.scan.order.touching import Touching, touching, touching_successors
 
 PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel that are tried: in temperature rises of an island by its own heat, over widths of an island.
@@ -219,3 +219,59 @@ def _driven(
     start_s, end_s, travel = clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
     means_k, points_k = entry_points(heat, schedule, order, start_s, end_s)
     return high_mean(np.maximum(means_k, points_k)), travel
+
+
+# -- All orders of a few islands, one after the other: what a search can only approach is known on small layers
+
+
+MOST_LISTED = 8
+"""Islands of which all orders are tried: 40320."""
+
+
+@kernel
+def best_of_all(layer: Layer, longest_mm: float) -> Ints:
+    """Order islands by trying all orders: fewest touching successors, then least travel too long, then coolest.
+
+    Parameters
+    ----------
+    longest_mm
+        Travel that is allowed.
+
+    Returns
+    -------
+    Ints
+        (I,) the best order; the first of equal ones in the order of the alphabet.
+    """
+    count = len(layer.time_s)
+    order, places = np.arange(count), np.arange(count)
+    best, best_touches, best_far, best_total = order.copy(), count, np.inf, np.inf
+    log, first, beside = new_log(count), 0, touch_table(layer.beside)
+    while first >= 0:
+        timed_from(first, order, layer, beside, log)
+        total = powers_from(first, first, first, places, order, layer, np.inf, log)
+        far, touches = (
+            max(0.0, log.travel_mm[-1] - longest_mm),
+            int(touching_successors(layer.beside, order).sum()),
+        )
+        shorter, as_short = far < best_far - JOINED_MM, far <= best_far + JOINED_MM
+        as_good = touches == best_touches and (shorter or (as_short and total < best_total))
+        if touches < best_touches or as_good:
+            best[:], best_touches, best_far, best_total = order, touches, far, total
+        first = next_order(order)
+    return best
+
+
+@kernel
+def next_order(order: Ints) -> int:
+    """Turn an order into the next one of the alphabet; returns the first place that changed, -1 after the last order."""
+    place = len(order) - 2
+    while place >= 0 and order[place] > order[place + 1]:
+        place -= 1
+    if place < 0:
+        return -1
+    later = len(order) - 1
+    while order[later] < order[place]:
+        later -= 1
+    order[place], order[later] = order[later], order[place]
+    order[place + 1 :] = order[place + 1 :][::-1].copy()
+    return place

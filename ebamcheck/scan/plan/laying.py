@@ -15,9 +15,8 @@ from ebamcheck.scan.filling.fill import fill_layer
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import island_schedule
 from ebamcheck.scan.islands import clipping as cells
-from ebamcheck.scan.islands.borders import shared_borders
-from ebamcheck.scan.islands.lattice import LATTICES, planned_side_mm
-from ebamcheck.scan.islands.placement import layer_place
+from ebamcheck.scan.islands.clipping import shared_borders
+from ebamcheck.scan.islands.lattice import LATTICES, layer_place, planned_side_mm
 from ebamcheck.scan.islands.regions import Regions, layer_regions
 from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.settings.config import Config
