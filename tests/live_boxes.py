@@ -1,7 +1,10 @@
-"""Finished runs of boxes that tests of live layers start from, and what a layer that is published has to pass."""
+"""Finished runs of boxes that tests of live layers start from, the other side of a server of lines, and what a layer has to pass."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,3 +57,71 @@ def puts(run, release):
     run.values |= {
         "R101": release.released, "R102": release.number, "R103": release.wait_s, "R111": release.key, "R112": release.seal,
     }  # fmt: skip
+
+
+# -- lines -------------------------------------------------------------------------------------------
+
+
+class Server:
+    """`ebamcheck live` in a process of its own, spoken to by lines."""
+
+    def __init__(self, command, cwd):
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=cwd)
+
+    def answer(self):
+        return json.loads(self._process.stdout.readline())
+
+    def ask(self, line):
+        self._process.stdin.write(line + b"\n")
+        self._process.stdin.flush()
+        return self.answer()
+
+    def tell(self, **message):
+        return self.ask(json.dumps(message).encode())
+
+    def kill(self):
+        """End it at once, as a power cut does."""
+        self._process.kill()
+        self.close()
+
+    def close(self):
+        self._process.communicate()
+
+
+def play(tell, folder, growth, most_layers=None):
+    """Lay layers from the one that is published on; answers to `start` and to each height."""
+    answers = [tell(event="start")]
+    while answers[-1]["answer"] == "published" and len(answers) - 1 != most_layers:
+        last = answers[-1]
+        assert hashlib.sha256((folder / last["program"]).read_bytes()).hexdigest() == last["sha256"]
+        height_mm = last["base_mm"] + growth.grown_mm(last["layer"] - 1, last["thickness_mm"])
+        answers.append(tell(event="height", done=last["layer"], height_mm=height_mm))
+    return answers
+
+
+def bad_lines(done, base_mm, top_mm):
+    """Bad input on the way to the reading of a layer: what each is to be refused as, and the line."""
+
+    def line(**values):
+        fields = {"event": '"height"', "done": done, "height_mm": 0.5 * (base_mm + top_mm), **values}
+        told = (f'"{key}": {value}' for key, value in fields.items() if value is not None)
+        return ("{" + ", ".join(told) + "}").encode()
+
+    return [
+        ("unreadable", b"\xff\xfe height"),
+        ("unreadable", b'{"event": "height", "done"'),
+        ("event", b'{"event": "launch"}'),
+        ("missing", line(height_mm=None)),
+        ("missing", line(done=None)),
+        ("not-a-number", line(height_mm="NaN")),
+        ("not-a-number", line(height_mm="Infinity")),
+        ("not-a-number", line(height_mm='"12"')),
+        ("not-a-number", line(height_mm="true")),
+        ("unit", line(unit='"in"')),
+        ("unit", line(height_mm=top_mm / 25.4)),
+        ("absurd", line(height_mm=1e300)),
+        ("decreasing", line(height_mm=-3.0)),
+        ("counter", line(done=-1)),
+        ("counter", line(done=1.5)),
+        ("counter-jump", line(done=done + 5)),
+    ]

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from live_boxes import failed_checks
 
-from ebamcheck.live.bed import Growth
 from ebamcheck.live.building import Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.publishing import LAYERS
 from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.testing.played_control.panel import Growth
 
 pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
 
-from ebamcheck.live.opcua.desk import faults_of, played
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
-from ebamcheck.live.opcua.panel import Panel
-from ebamcheck.live.opcua.server import PlayedServer
+from ebamcheck.testing.played_control.desk import faults_of, played
+from ebamcheck.testing.played_control.panel import Panel
+from ebamcheck.testing.played_control.server import PlayedServer
 
 LONGEST_S = 90.0
 """Time after which a build that does not end is taken for one that never does."""

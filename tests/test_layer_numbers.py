@@ -9,18 +9,18 @@ import shutil
 import pandas as pd
 import pytest
 from command_line import ebamcheck
-from live_boxes import maker_of, run_of_box
+from live_boxes import maker_of, play, run_of_box
 
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.live.building import Building
 from ebamcheck.live.heights_table import TABLE, read_heights
 from ebamcheck.live.journal import Journal, read_journal
-from ebamcheck.live.playing import Played, play
 from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, read_certificate, read_current
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.text import values_as_toml
+from ebamcheck.testing.played_control.panel import Growth
 from ebamcheck.verification.verify import verify
 
 SIZE, COUNT = (30, 24, 12), 7
@@ -122,31 +122,23 @@ def test_a_record_that_counts_layers_from_0_is_refused(place, tmp_path):
 # -- a build -----------------------------------------------------------------------------------------
 
 
-class Lines:
-    """A server of a build in this process."""
-
-    def __init__(self, building):
-        self._building = building
-
-    def tell(self, event, **message):
-        return self._building.start() if event == "start" else self._building.height(message)
-
-
 def test_a_layer_of_a_build_has_one_number_wherever_it_is_named(place, maker, tmp_path):
-    from ebamcheck.live.bed import Growth
-
-    folder, played = tmp_path / "b", list[Played]()
+    folder = tmp_path / "b"
     building = Building(maker, folder)
-    play(Lines(building), folder, Growth(0.05), 1e6, played.append, most_layers=3)
+
+    def tell(event, **message):
+        return building.start() if event == "start" else building.height(message)
+
+    answers = play(tell, folder, Growth(0.05), most_layers=3)
     building.close()
-    assert [row.layer for row in played] == [1, 2, 3]
+    assert [answer["layer"] for answer in answers] == [1, 2, 3, 4]
     assert read_heights(folder / TABLE)["layer"].tolist() == [1, 2, 3]
     names = [entry["name"] for entry in read_journal(folder / JOURNAL) if entry["kind"] == "layer"]
     assert [re.search(r"_K(\d{4})R\d$", name)[1] for name in names] == ["0001", "0002", "0003", "0004"]
     assert [read_certificate(folder / LAYERS / name)["layer"] for name in names] == [1, 2, 3, 4]
     assert (read_current(folder)["layer"], read_current(folder)["name"]) == (4, names[-1])
     # One that is made by itself: the option is the number, too.
-    base_mm = played[-1].base_mm
+    base_mm = answers[2]["base_mm"]
     done = ebamcheck(
         "relayer",
         place / "box.run",

@@ -9,10 +9,9 @@ import shutil
 import numpy as np
 import pytest
 from command_line import ebamcheck
-from live_boxes import failed_checks, maker_of, run_of_box
+from live_boxes import bad_lines, failed_checks, maker_of, run_of_box
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.live.bed import bad_lines
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.heat_so_far import HeatSoFar, heat_under

@@ -199,8 +199,8 @@ async def on_a_control(maker, folder):
     from ebamcheck.live.opcua.door import Door
     from ebamcheck.live.opcua.handshake import OFFSETS
     from ebamcheck.live.opcua.link import installed
-    from ebamcheck.live.opcua.panel import Panel
-    from ebamcheck.live.opcua.server import PlayedServer
+    from ebamcheck.testing.played_control.panel import Panel
+    from ebamcheck.testing.played_control.server import PlayedServer
 
     installed()
     with socket.socket() as found:

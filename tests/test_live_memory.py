@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from benchmarks.live_memory import followed, growth_kb, made_run
-from ebamcheck.live.bed import Growth
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import Lines, serve
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.testing.played_control.panel import Growth
 
 SETTLED, LAYERS = 30, 50
 """Layers after which all is loaded, the texts of the last 64 sections of settings among it; and layers of the column."""

@@ -18,8 +18,8 @@ from ebamcheck.live.building import Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import Link, installed
-from ebamcheck.live.opcua.panel import FAULTS
 from ebamcheck.live.publishing import LAYERS
+from ebamcheck.testing.played_control.panel import FAULTS
 
 SIZE = (30, 24, 5.2)
 

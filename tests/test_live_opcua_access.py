@@ -21,13 +21,13 @@ from ebamcheck.controls.sinumerik.waiting import waiting_program
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
-from ebamcheck.live.opcua.desk import desk_profile
 from ebamcheck.live.opcua.handshake import node_ids
 from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, installed
-from ebamcheck.live.opcua.playing import planned_s, top_of
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.showing.plotting import ExtraMissing
+from ebamcheck.testing.played_control.desk import desk_profile
+from ebamcheck.testing.played_control.program import planned_s, top_of
 
 SIZE = (30, 24, 5.2)
 
@@ -197,9 +197,9 @@ def test_an_address_in_use_is_told_in_one_line(place, tmp_path):
     [
         (("live", "--url", "opc.tcp://a"), "belong to --opcua"),
         (("live", "--opcua"), "opcua.certificate is missing"),
-        (("machine", "--fault", "away@1"), "belong to --opcua"),
+        (("machine", "--url", "opc.tcp://a"), "belongs to --opcua"),
         (("machine", "--opcua", "--fault", "away"), "give NAME@LAYER"),
-        (("machine", "--opcua", "--faults"), "give --fault NAME@LAYER"),
+        (("machine", "--fault", "away@0"), "give NAME@LAYER"),
     ],
 )
 def test_options_that_do_not_go_together_are_told_in_one_line(arguments, said, place, tmp_path):

@@ -16,10 +16,9 @@ from opcua_controls import control, free_url, on_a_desk, until
 
 from ebamcheck.live.building import Building
 from ebamcheck.live.opcua.door import Door
-from ebamcheck.live.opcua.link import Link
-from ebamcheck.live.opcua.panel import Panel
-from ebamcheck.live.opcua.server import PlayedServer
-from ebamcheck.live.opcua.waiting import BrokenOff, within
+from ebamcheck.live.opcua.link import BrokenOff, Link, within
+from ebamcheck.testing.played_control.panel import Panel
+from ebamcheck.testing.played_control.server import PlayedServer
 
 STEPS = 8
 """Turns of the event loop over which a cancellation is tried against an end that comes in the middle of them."""

@@ -10,8 +10,8 @@ from live_boxes import maker_of, run_of_box
 from opcua_controls import codes, control, door, on_a_desk, until
 
 from ebamcheck.controls.sinumerik.release_keys import key_below
+from ebamcheck.live.opcua.handshake import KEY_FILE
 from ebamcheck.live.opcua.link import installed
-from ebamcheck.live.opcua.releasing import KEY_FILE
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -11,18 +11,17 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from command_line import command, ebamcheck
-from live_boxes import failed_checks, maker_of, run_of_box
+from live_boxes import Server, bad_lines, failed_checks, maker_of, play, run_of_box
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.bed import Growth, bad_lines
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.playing import Server, play
 from ebamcheck.live.publishing import JOURNAL, LAYERS, certificate_of, publish, read_current
+from ebamcheck.testing.played_control.panel import Growth
 
 SIZE = (30, 24, 12)
 
@@ -244,8 +243,8 @@ def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
     try:
         answer = server.tell(event="start")
         while answer["answer"] == "late":
-            answer = json.loads(server._process.stdout.readline())
-        late = json.loads(server._process.stdout.readline())
+            answer = server.answer()
+        late = server.answer()
         assert late["answer"] == "late"
         assert late["published"]["name"] == answer["name"]
         assert server.tell(event="height", done=1, height_mm=1.8)["answer"] == "published"
@@ -255,13 +254,17 @@ def test_a_server_without_a_line_says_that_it_waits(place, tmp_path):
 
 @pytest.mark.parametrize(("drift", "seed"), [(0.1, 1), pytest.param(-0.1, 2, marks=pytest.mark.slow)])
 def test_a_build_with_drift_and_noise_ends_at_the_top_and_every_layer_verifies(place, tmp_path, drift, seed):
+    pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
     out = tmp_path / "b"
     done = ebamcheck(
         "machine", place / "box.run", "-o", out, "--drift", drift, "--noise", 0.05, "--seed", seed, "--speed", 1e6,
-        "--faults", cwd=tmp_path,
+        cwd=tmp_path,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "the top came out" in done.stdout
+    again = ebamcheck("machine", place / "box.run", "-o", out, cwd=tmp_path)
+    assert again.returncode == 2
+    assert "holds a build that was begun" in again.stderr
     entries = list(read_journal(out / JOURNAL))
     layers = [entry["name"] for entry in entries if entry["kind"] == "layer"]
     assert sorted(layers) == sorted(p.name for p in (out / LAYERS).iterdir())
@@ -278,19 +281,19 @@ def test_a_server_killed_in_the_middle_goes_on_where_it_was(place, tmp_path):
     out = tmp_path / "b"
     start = command("live", place / "box.run", "-o", out)
     server = Server(start, cwd=tmp_path)
-    answer = play(server, out, Growth(0.1), 1e6, most_layers=2)
+    answer = play(server.tell, out, Growth(0.1), most_layers=2)[-1]
     assert answer["layer"] == 3
     server.kill()
     again = Server(start, cwd=tmp_path)
     try:
         assert again.tell(event="status")["published"]["name"] == answer["name"]
         assert again.tell(event="start")["sha256"] == answer["sha256"]
-        last = play(again, out, Growth(0.1), 1e6)
+        last = play(again.tell, out, Growth(0.1))[-1]
     finally:
         again.close()
     whole = Server(command("live", place / "box.run", "-o", tmp_path / "w"), cwd=tmp_path)
     try:
-        assert play(whole, tmp_path / "w", Growth(0.1), 1e6) == last
+        assert play(whole.tell, tmp_path / "w", Growth(0.1))[-1] == last
     finally:
         whole.close()
     names = sorted(p.name for p in (out / LAYERS).iterdir())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,17 +11,20 @@ from typing import Annotated
 
 import typer
 
-from ebamcheck.commands.live_opcua import follow_control, opcua_of
 from ebamcheck.commands.options import numbers
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import Lines, serve
-from ebamcheck.live.heights import height_rule
+from ebamcheck.json_values import plain
+from ebamcheck.live.building import Answer, Building
+from ebamcheck.live.desk import BetweenLayers, Lines, serve
+from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import checked
 from ebamcheck.live.publishing import JOURNAL
+from ebamcheck.settings.config import Config, load_config
+from ebamcheck.settings.opcua import OpcuaSettings
 
 MODES = ("uniform", "adaptive", "listed")
 
@@ -84,10 +89,8 @@ def live_command(
     first = next(read_journal(replay), {}) if replay else {}
     if replay:
         heights, cusp = str(first.get("mode", heights)), float(first.get("cusp_mm", cusp))
-        listed, annealing = (
-            tuple(first.get("listed_mm", listed)),
-            int(first.get("annealing_steps", annealing)),
-        )
+        listed = tuple(first.get("listed_mm", listed))
+        annealing = int(first.get("annealing_steps", annealing))
     rule = height_rule(found.part, found.config, heights, cusp, listed)  # type: ignore[arg-type]
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
         if replay is not None:
@@ -97,11 +100,35 @@ def live_command(
         building = Building(maker, folder, rule)
         try:
             if link is not None:
-                return follow_control(building, link)
-            serve(building, Lines(sys.stdin.fileno()), sys.stdout, timeout)
+                _follow_control(building, link)
+            else:
+                serve(building, Lines(sys.stdin.fileno()), sys.stdout, timeout)
         finally:
             building.close()
     return ExitCode.PASS
+
+
+def opcua_of(config: Config, file: Path | None, url: str) -> OpcuaSettings:
+    """Settings of the connection: those of the run, in whose place those of a file may stand, with another address."""
+    found = load_config(file) if file else config
+    return (found.changed(opcua={"url": url}) if url else found).opcua
+
+
+def _follow_control(building: Building, opcua: OpcuaSettings) -> None:
+    """Lead a build on a control to its end, and tell every answer as a line of JSON."""
+    between = BetweenLayers(building)
+
+    def tell(answer: Answer) -> None:
+        sys.stdout.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
+        sys.stdout.flush()
+        # What is published goes to the control first.
+        if answer["answer"] != "published":
+            between(answer)
+
+    async def lead() -> Answer:
+        return await Door(building, building.maker.config.machine, opcua, tell).run()
+
+    tell(asyncio.run(lead()))
 
 
 def _tell_of_journal(folder: Path) -> None:
@@ -112,13 +139,13 @@ def _tell_of_journal(folder: Path) -> None:
         typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
 
 
-def _replayed(journal: Path, maker: LayerMaker, rule: object) -> ExitCode:
+def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
     """Make the build of a journal again, in a folder of its own."""
     with TemporaryDirectory(prefix="ebamcheck-replay-") as folder:
         place = Path(folder)
         (place / JOURNAL).write_bytes(journal.read_bytes())
         try:
-            building = Building(maker, place, rule)  # type: ignore[arg-type]
+            building = Building(maker, place, rule)
         except InputError as error:
             typer.echo(f"ebamcheck: {error}", err=True)
             return ExitCode.OUT_OF_TOLERANCE

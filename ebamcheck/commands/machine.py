@@ -1,26 +1,34 @@
-"""``ebamcheck machine RUN``: a control to try a build on: it calls the published layers, and measures what grew."""
+"""``ebamcheck machine RUN``: a control to try a build on: it calls the released layers, and measures what grew."""
 
 from __future__ import annotations
 
+import asyncio
 import csv
 import math
+import socket
+import subprocess
 import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from ebamcheck.atomic_file import replacing
-from ebamcheck.commands.live_opcua import play_control
+from ebamcheck.atomic_file import made_folder, replacing
+from ebamcheck.commands.live import opcua_of
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.live.bed import Growth
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.loading import finished_run
-from ebamcheck.live.opcua.panel import FAULTS
-from ebamcheck.live.opcua.server import SESSIONS
-from ebamcheck.live.playing import Played, Server, play
+from ebamcheck.live.opcua.link import installed
+from ebamcheck.live.publishing import JOURNAL
+from ebamcheck.scratch import scratch_folder
+from ebamcheck.testing.played_control.desk import PROFILE, desk_profile, faults_of, played
+from ebamcheck.testing.played_control.panel import FAULTS, Growth
+from ebamcheck.testing.played_control.program import PlayedLayer, PlayedProgram
+from ebamcheck.testing.played_control.server import SESSIONS
 
 TABLE = "machine.csv"
 
@@ -48,80 +56,95 @@ def machine_command(
     speed: Annotated[float, typer.Option(help="How many times faster than planned layers are laid.")] = 100.0,
     heights: Annotated[str, typer.Option(help="How heights are chosen: uniform, adaptive.")] = "uniform",
     cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
-    faults: Annotated[
-        bool, typer.Option("--faults", help="Send bad lines before every reading; each has to be refused.")
-    ] = False,
-    layers: Annotated[int | None, typer.Option(min=1, help="Stop after so many layers.")] = None,
     opcua: Annotated[
         bool,
         typer.Option(
-            "--opcua", help="Be a control with an OPC UA server, and wait for `ebamcheck live RUN --opcua`."
+            "--opcua", help="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal."
         ),
     ] = False,
     url: Annotated[str, typer.Option(help="With --opcua: address to listen at.")] = "",
     fault: Annotated[
-        list[str] | None,
-        typer.Option(help=f"With --opcua: NAME@LAYER, also several times; {', '.join(FAULTS)}."),
+        list[str] | None, typer.Option(help=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.")
     ] = None,
-    sessions: Annotated[
-        int, typer.Option(min=1, help="With --opcua: sessions that the server has.")
-    ] = SESSIONS,
+    sessions: Annotated[int, typer.Option(min=1, help="Sessions that the OPC UA server has.")] = SESSIONS,
 ) -> ExitCode:
-    """Play a machine: start `ebamcheck live RUN` beside it and build the part, whose layers grow by a stated law.
+    """Play a control with an OPC UA server, start `ebamcheck live RUN` beside it, and build the part, whose layers grow by a stated law.
 
     Example: ebamcheck machine blade.run --drift 0.1 --noise 0.05 --speed 100
     """
     if not (math.isfinite(speed) and speed > 0.0):
         raise SettingsError(f"--speed {speed}: give a positive number")
-    growth = Growth(drift, noise, seed)
-    if not opcua and (url or fault):
-        raise SettingsError("--url and --fault belong to --opcua")
-    if opcua and (faults or layers):
-        raise SettingsError(
-            "--faults and --layers belong to the lines of JSON; with --opcua give --fault NAME@LAYER"
-        )
+    if url and not opcua:
+        raise SettingsError("--url belongs to --opcua")
+    growth, faults = Growth(drift, noise, seed), faults_of(fault or [])
+    installed()
     found = finished_run(run, part)
-    if opcua:
-        desk = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.opcua")
-        return play_control(found, desk, url, growth, speed, fault or [], sessions)
-    limits = bead_limits(found.config)
-    folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
-    command = [sys.executable, "-c", START, "live", str(run.resolve()), "-o", str(folder.resolve())]
-    command += ["--part", str(found.part_file.resolve()), "--heights", heights, "--cusp", str(cusp)]
-    rows: list[Played] = []
-    server = Server(command)
-    try:
-        typer.echo(f"{'layer':>5} {'base':>9} {'planned':>8} {'grown':>8} {'answer':>8}  program")
-        answer = play(server, folder, growth, speed, lambda row: _tell(row, rows), faults, layers)
-    finally:
-        server.close()
-    if not rows:
-        typer.echo(f"nothing was laid: {answer.get('reason', 'the part is built already')}")
-        return ExitCode.PASS if answer["answer"] == "done" else ExitCode.OUT_OF_TOLERANCE
+    link = opcua_of(found.config, None, url if opcua else _free_url())
+    name = run.resolve().name.removesuffix(".run")
+    folder = output or run.with_name(f"{name}.{'opcua' if opcua else 'live'}")
+    if not opcua and (folder / JOURNAL).is_file():
+        raise SettingsError(f"{folder}: holds a build that was begun: give another folder with -o")
+    rows: list[PlayedLayer] = []
+
+    def tell(row: PlayedLayer) -> None:
+        rows.append(row)
+        typer.echo(
+            f"{row.layer:5d} {row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f} {row.wait_s:7.2f}s  {row.name}"
+        )
+
+    def listens(program: PlayedProgram) -> None:
+        if opcua:
+            typer.echo(f"listens at {link.url}; in another terminal: ")
+            typer.echo(f"    ebamcheck live {run} --opcua --config {desk / PROFILE}")
+        else:
+            command = ["live", run.resolve(), "--opcua", "--config", desk / PROFILE, "-o", folder.resolve()]
+            command += ["--part", found.part_file.resolve(), "--heights", heights, "--cusp", cusp]
+            open_.callback(_started(command, program))
+        typer.echo(f"{'layer':>5} {'base':>9} {'planned':>8} {'grown':>8} {'waited':>8}  program")
+
+    with ExitStack() as open_:
+        desk = folder if opcua else open_.enter_context(scratch_folder())
+        access, top_mm = desk_profile(desk, link), float(found.part.size[2])
+        program, ended = asyncio.run(
+            played(found.config, link, access, top_mm, growth, speed, faults, tell, sessions, listens)
+        )
+    made_folder(folder)
     with replacing(folder / TABLE) as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [field.name for field in fields(Played)])
+        writer = csv.DictWriter(file, [field.name for field in fields(PlayedLayer)])
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
-    seconds = np.array([row.answer_s for row in rows])
-    median, late = np.median(seconds), np.quantile(seconds, 0.99)
-    typer.echo(
-        f"\n{len(rows)} layers; from the height to the program {median:.3f} s (median), {late:.3f} s (99th percentile)"
-    )
-    if answer["answer"] == "published":
-        typer.echo(f"stopped at Z {answer['base_mm']:.3f} mm, as asked for")
-        return ExitCode.PASS
-    if answer["answer"] != "done":
-        typer.echo(f"the build stopped at layer {rows[-1].layer + 1}: {answer.get('reason', answer)}")
+    off_mm, tolerance_mm = program.bed_mm - top_mm, 0.5 * bead_limits(found.config).least_mm
+    if not ended:
+        typer.echo(f"the main program stopped after {len(rows)} layers: no layer was released in time")
         return ExitCode.OUT_OF_TOLERANCE
-    tolerance_mm = 0.5 * limits.least_mm
-    off_mm = float(answer["off_mm"])
-    typer.echo(f"the top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)")
+    typer.echo(
+        f"{len(rows)} layers; the top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
+    )
     return ExitCode.PASS if abs(off_mm) <= tolerance_mm else ExitCode.OUT_OF_TOLERANCE
 
 
-def _tell(row: Played, rows: list[Played]) -> None:
-    rows.append(row)
-    typer.echo(
-        f"{row.layer:5d} {row.base_mm:9.3f} {row.planned_mm:8.3f} {row.measured_mm:8.3f} {row.answer_s:7.3f}s  {row.name}"
-        + (f"  ({row.said})" if row.said else "")
-    )
+def _free_url() -> str:
+    """Address on this machine at which nobody listens."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"
+
+
+def _started(words: Sequence[object], program: PlayedProgram) -> Callable[[], object]:
+    """Start a command of ours, and return what waits for its end; where that is an error, the program stops, too."""
+    process = subprocess.Popen([sys.executable, "-c", START, *map(str, words)], stdout=subprocess.DEVNULL)
+
+    def watch() -> None:
+        if process.wait():
+            program.stopped = True
+
+    watching = threading.Thread(target=watch, daemon=True)
+    watching.start()
+
+    def end() -> None:
+        # Where the program stopped by itself, nobody releases anything any more.
+        if not program.ended:
+            process.terminate()
+        watching.join()
+
+    return end

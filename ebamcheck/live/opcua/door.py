@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import math
 import secrets
 import time
 from collections.abc import Callable
@@ -19,11 +20,18 @@ from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import failure_of
-from ebamcheck.live.opcua.handshake import BUILT, OFFSETS, Seen, Waiting
-from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken
-from ebamcheck.live.opcua.releasing import keys_of, proved_program, release_of, told_of, written_before
-from ebamcheck.live.opcua.telling import Telling
-from ebamcheck.live.opcua.waiting import within
+from ebamcheck.live.opcua.handshake import (
+    BUILT,
+    OFFSETS,
+    Seen,
+    Waiting,
+    keys_of,
+    proved_program,
+    release_of,
+    told_of,
+    written_before,
+)
+from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken, within
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import OpcuaSettings
 
@@ -34,16 +42,62 @@ LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"
 """Kinds of lines in the journal that tell what was done to the control."""
 
 
-class Door:
-    """Leads a build on a control.
+class Telling:
+    """Answers of a door, each told once, and when it tries again what was refused: the time before the next try doubles up to the longest."""
 
-    Parameters
-    ----------
-    building
-        The build; its journal also holds what was released.
-    told
-        Called with each answer that differs from the last one of its kind.
-    """
+    def __init__(self, told: Callable[[Answer], None], retry_s: float, longest_s: float) -> None:
+        self._told, self._retry_s, self._longest_s = told, retry_s, longest_s
+        self._last: dict[str, str] = {}
+        self._at, self._pause_s = -math.inf, retry_s
+
+    @property
+    def due(self) -> bool:
+        """Whether it is time for the next try."""
+        return time.monotonic() >= self._at
+
+    def soon(self) -> None:
+        """Try at once what comes next."""
+        self._at, self._pause_s = -math.inf, self._retry_s
+
+    def later(self) -> None:
+        """Try again after the pause, which doubles."""
+        self._at = time.monotonic() + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, self._longest_s)
+
+    def say(self, kind: str, **answer: Any) -> None:
+        """Tell an answer once, until another one of its kind is told."""
+        text = repr(answer)
+        if self._last.get(kind) != text:
+            self._last[kind] = text
+            self._told({"answer": kind, **answer})
+
+    def refuse(self, code: str, reason: str) -> None:
+        """Tell once that something is refused."""
+        self.say("refused", code=code, reason=reason)
+
+    def hold(self, code: str, reason: str) -> None:
+        """Say why nothing is released, and try again later."""
+        self.refuse(code, reason)
+        self.later()
+
+    def made(self, answer: Answer) -> None:
+        """Tell what the build said; a layer that was kept back is told once, and tried again later."""
+        if answer["answer"] == "kept":
+            self.say("kept", **{key: value for key, value in answer.items() if key != "answer"})
+            self.later()
+            return
+        self.soon()
+        self._last.clear()
+        self._told(answer)
+
+    def forget(self, *kinds: str) -> None:
+        """Tell the next answer of some kinds whatever it is."""
+        for kind in kinds:
+            self._last.pop(kind, None)
+
+
+class Door:
+    """Leads a build on a control; the build's journal also holds what was released, and `told` gets each answer once."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""What the nodes of the handshake are, what was seen in them, and what a layer puts into them.
+"""The handshake with a control: its nodes, what was seen in them, and what releases a layer: file, values and keys.
 
 R parameters from ``machine.live_r`` on: the first six, and key and seal at the end, are those of the waiting main program, the others
 are of `live` and of who measures.
@@ -6,14 +6,19 @@ are of `live` and of who measures.
 
 from __future__ import annotations
 
+import hashlib
 import math
+import os
 import re
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from ebamcheck.errors import InputError
+from ebamcheck.atomic_file import replacing
+from ebamcheck.controls.sinumerik.release_keys import PRIME, Release, ReleaseKeys, drawn_key
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 
@@ -23,8 +28,8 @@ OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))
 BUILT = -1.0
 """In ``released``: the part is built."""
 
-DIGEST_DIGITS = 12
-"""Hexadecimal digits of the SHA-256 that an R parameter holds as a whole number, without rounding."""
+KEY_FILE = "release.key"
+"""In the folder of a build: the key from which those of all its layers follow; its owner alone may read it."""
 
 
 def node_ids(machine: MachineSettings, opcua: OpcuaSettings) -> dict[str, str]:
@@ -103,24 +108,12 @@ def program_number(name: str) -> int:
 
 
 def digest(sha256: str) -> float:
-    """First digits of a SHA-256 as a whole number.
-
-    Examples
-    --------
-    >>> digest("ffffffffffff" + 52 * "0") == 2**48 - 1
-    True
-    """
-    return float(int(sha256[:DIGEST_DIGITS], 16))
+    """First digits of a SHA-256 as a whole number, as many as an R parameter holds without rounding."""
+    return float(int(sha256[:12], 16))
 
 
 class Waiting:
-    """Whether the main program is seen to wait: it counts the time then; one whose count stands still is not there, or at work.
-
-    Parameters
-    ----------
-    noticed_s
-        Time in which a count that goes on, or stands still, is noticed.
-    """
+    """Whether the main program is seen to wait: its count of the time goes on; one that stands still is noticed after a time, s."""
 
     def __init__(self, noticed_s: float) -> None:
         self._noticed_s = noticed_s
@@ -144,3 +137,59 @@ class Waiting:
     def after(self, moment_s: float) -> bool:
         """Whether it still waited when a moment of the clock, and the time to notice it, were over."""
         return self._since > moment_s + self._noticed_s
+
+
+# -- what releases a layer --------------------------------------------------------------------------
+
+
+def keys_of(folder: Path) -> ReleaseKeys:
+    """Keys of a build; drawn when it is first led on a control."""
+    path = folder / KEY_FILE
+    if not path.is_file():
+        with replacing(path) as temporary:
+            temporary.touch()
+            temporary.chmod(0o600)
+            with temporary.open("w", encoding="utf-8") as file:
+                file.write(f"{drawn_key()}\n")
+                file.flush()
+                os.fsync(file.fileno())
+    text = path.read_text(encoding="utf-8", errors="replace").strip()
+    if not (text.isascii() and text.isdigit() and 1 < int(text) < PRIME):
+        raise InputError(
+            f"{path}: holds no key of a build: delete it, start the main program anew, and begin where it stopped"
+        )
+    return ReleaseKeys(int(text))
+
+
+def proved_program(folder: Path, current: Mapping[str, Any], limit_mb: float) -> tuple[bytes, str]:
+    """Text and name of the program that is published, as it was verified, and no larger than the control takes."""
+    path = folder / str(current["program"])
+    data = path.read_bytes()
+    if hashlib.sha256(data).hexdigest() != current["sha256"]:
+        raise SettingsError(f"{path}: is not the file that was verified: it is not released")
+    if len(data) > 1e6 * limit_mb:
+        raise SettingsError(
+            f"{path}: has {len(data) / 1e6:.3f} MB, over opcua.file_limit_mb {limit_mb:g}: it is not released"
+        )
+    return data, path.name
+
+
+def release_of(keys: ReleaseKeys, layer: int, current: Mapping[str, Any]) -> Release:
+    """Values that release the layer that is published, `layer` from 1."""
+    return keys.release(layer, program_number(str(current["name"])), round(float(current["wait_s"]), 3))
+
+
+def written_before(release: Release) -> dict[str, float]:
+    """Values that stand before the layer itself is released, by role."""
+    return {
+        "number": float(release.number),
+        "wait": release.wait_s,
+        "key": float(release.key),
+        "seal": float(release.seal),
+    }
+
+
+def told_of(current: Mapping[str, Any]) -> dict[str, float | str]:
+    """What is told of a layer beside what releases it, by role."""
+    sha256 = str(current["sha256"])
+    return {"digest": digest(sha256), "name": str(current["name"]), "sha256": sha256}

@@ -1,28 +1,25 @@
-"""A connection to the control: read, write and read back, copy files, and tell in one line what went wrong."""
+"""A connection to the control: certificates, reading, writing and reading back, files, and in one line what went wrong."""
 
 from __future__ import annotations
 
 import asyncio
+import datetime
 import logging
 import os
-from collections.abc import Awaitable, Mapping
+from collections.abc import Awaitable, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
-from ebamcheck.live.opcua.certificates import check_pair, content_of, is_offered
 from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
-from ebamcheck.live.opcua.waiting import BrokenOff, within
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 from ebamcheck.showing.plotting import missing
 
 if TYPE_CHECKING:
     from asyncua.client.client import Client
-
-SESSION_MS = 60_000
-"""Session time-out that is asked for: that of a SINUMERIK."""
+    from cryptography import x509
 
 FILES = ("certificate", "private_key", "server_certificate")
 """Settings that name files which a protected channel needs."""
@@ -58,15 +55,7 @@ class LoginRefused(EbamcheckError):
 
 
 def checked(opcua: OpcuaSettings) -> None:
-    """Refuse settings with which nothing could be written, or a machine without asyncua, before anything is begun.
-
-    Raises
-    ------
-    ExtraMissing
-        If asyncua is not installed.
-    SettingsError
-        If certificates, user or password are missing, or certificate, key and `application_uri` are not of one another.
-    """
+    """Refuse settings with which nothing could be written, or a machine without asyncua, before anything is begun."""
     installed()
     if opcua.problem:
         raise SettingsError(opcua.problem)
@@ -79,13 +68,7 @@ def checked(opcua: OpcuaSettings) -> None:
 
 
 def installed() -> None:
-    """Refuse a machine without asyncua, and keep its log off the terminal: what matters is told by us, in one line.
-
-    Raises
-    ------
-    ExtraMissing
-        If it is not installed.
-    """
+    """Refuse a machine without asyncua, and keep its log off the terminal: what matters is told by us, in one line."""
     try:
         import asyncua  # noqa: F401
     except ImportError:
@@ -94,13 +77,7 @@ def installed() -> None:
 
 
 def password_of(opcua: OpcuaSettings) -> str:
-    """Password of the user.
-
-    Raises
-    ------
-    SettingsError
-        If there is none, or others may read its file.
-    """
+    """Password of the user, from the environment or from a file that nobody else may read."""
     found = os.environ.get(opcua.password_variable, "")
     if found or not opcua.password_file:
         if not found:
@@ -118,16 +95,133 @@ def password_of(opcua: OpcuaSettings) -> str:
         raise SettingsError(f"opcua.password_file {path}: cannot be read: {error.strerror}") from None
 
 
-class Link:
-    """A connection; `async with` opens and closes it.
+# -- certificates -----------------------------------------------------------------------------------
+
+
+def content_of(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
+    """Content of a certificate or key, which is one, and its form."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import serialization
+
+    path = Path(str(getattr(opcua, key)))
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SettingsError(f"opcua.{key} {str(path)!r}: cannot be read: {error.strerror}") from None
+    pem = b"-----BEGIN" in content
+    try:
+        if key == "private_key":
+            (serialization.load_pem_private_key if pem else serialization.load_der_private_key)(content, None)
+        else:
+            (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(content)
+    except (ValueError, TypeError):
+        what = "key without a password" if key == "private_key" else "certificate"
+        raise SettingsError(f"opcua.{key} {str(path)!r}: is no {what} in PEM or DER") from None
+    return content, "pem" if pem else "der"
+
+
+def _certificate(opcua: OpcuaSettings, key: str) -> x509.Certificate:
+    from cryptography import x509
+
+    content, form = content_of(opcua, key)
+    return (x509.load_pem_x509_certificate if form == "pem" else x509.load_der_x509_certificate)(content)
+
+
+def check_pair(opcua: OpcuaSettings) -> None:
+    """Refuse a key of another certificate, one that has run out, or one of another `application_uri`."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives import serialization
+
+    content, form = content_of(opcua, "private_key")
+    load = serialization.load_pem_private_key if form == "pem" else serialization.load_der_private_key
+    key, own = load(content, None), _certificate(opcua, "certificate")
+    if key.public_key() != own.public_key():
+        raise SettingsError(
+            f"opcua.private_key {opcua.private_key!r}: is not the key of opcua.certificate {opcua.certificate!r}: give the two of one pair"
+        )
+    try:
+        names = own.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        uris = names.get_values_for_type(x509.UniformResourceIdentifier)
+    except x509.ExtensionNotFound:
+        uris = []
+    if opcua.application_uri not in uris:
+        raise SettingsError(
+            f"opcua.certificate {opcua.certificate!r}: is for {', '.join(uris) or 'no URI'}, opcua.application_uri is "
+            f"{opcua.application_uri!r}: a control refuses what is not alike"
+        )
+    now = datetime.datetime.now(datetime.UTC)
+    for setting in ("certificate", "server_certificate"):
+        found, file = _certificate(opcua, setting), getattr(opcua, setting)
+        first, last = found.not_valid_before_utc, found.not_valid_after_utc
+        if not first <= now <= last:
+            raise SettingsError(
+                f"opcua.{setting} {file!r}: holds from {first:%Y-%m-%d} to {last:%Y-%m-%d}, today is {now:%Y-%m-%d}"
+            )
+
+
+def is_offered(opcua: OpcuaSettings, shown: Iterable[bytes]) -> bool:
+    """Whether the certificate that was given for the control is among those that it shows, in DER."""
+    from cryptography.hazmat.primitives.serialization import Encoding
+
+    # What is shown may be a chain, with the certificate itself first.
+    given = _certificate(opcua, "server_certificate").public_bytes(Encoding.DER)
+    return any(found.startswith(given) for found in shown)
+
+
+# -- waits with a limit ------------------------------------------------------------------------------
+
+
+class BrokenOff(Exception):
+    """What was waited for was cancelled from within: the library does so with all requests when a connection breaks."""
+
+
+async def within(asked: Awaitable[T], limit_s: float) -> T:
+    """Wait for a result in a task of its own, and never lose a cancellation, whatever the library that is waited for does with it.
+
+    Before Python 3.12 ``asyncio.wait_for`` loses one that comes as the wait ends; asyncua loses one that comes while it takes itself
+    down. A loop that goes on after its own end can be waited for without end.
 
     Raises
     ------
-    LinkLost
-        By every method, if the control does not answer.
-    NotTaken
-        If it refuses.
+    TimeoutError
+        If it takes longer; it is cancelled then.
+    BrokenOff
+        If it was cancelled, and not by the one who waits.
+    asyncio.CancelledError
+        If the one who waits is cancelled, always.
     """
+    task = asyncio.ensure_future(asked)
+    try:
+        await asyncio.wait([task], timeout=limit_s)
+        if not task.done():
+            await cancelled(task)
+            raise TimeoutError
+    except asyncio.CancelledError:
+        await cancelled(task)
+        raise
+    if task.cancelled():
+        raise BrokenOff
+    return task.result()
+
+
+async def cancelled(task: asyncio.Future[T]) -> None:
+    """Cancel a task and give it a while to wind up; what it says then is of no interest."""
+    task.add_done_callback(_heard)
+    task.cancel()
+    await asyncio.wait([task], timeout=1.0)
+
+
+def _heard(task: asyncio.Future[T]) -> None:
+    """Take an exception, so that nobody is told that it was never taken."""
+    if not task.cancelled():
+        task.exception()
+
+
+# -- the connection ----------------------------------------------------------------------------------
+
+
+class Link:
+    """A connection, opened by `async with`; each method raises LinkLost where the control does not answer, NotTaken where it refuses."""
 
     def __init__(self, machine: MachineSettings, opcua: OpcuaSettings) -> None:
         self._machine, self._opcua = machine, opcua
@@ -141,7 +235,7 @@ class Link:
 
         opcua = self._opcua
         client = Client(opcua.url, timeout=opcua.request_s)
-        client.session_timeout = SESSION_MS
+        client.session_timeout = 60_000  # ms, that of a SINUMERIK
         client.application_uri = opcua.application_uri
         client.name = client.description = "ebamcheck live"
         try:

@@ -19,24 +19,17 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ebamcheck.atomic_file import made_folder
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.bed import Growth
-from ebamcheck.live.opcua.panel import FAULTS, Panel
-from ebamcheck.live.opcua.playing import PlayedLayer, PlayedProgram
-from ebamcheck.live.opcua.server import SESSIONS, Access, PlayedServer
 from ebamcheck.nc.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.testing.played_control.panel import FAULTS, Growth, Panel
+from ebamcheck.testing.played_control.program import PlayedLayer, PlayedProgram
+from ebamcheck.testing.played_control.server import SESSIONS, Access, PlayedServer
 
 PROFILE, PASSWORD = "opcua.toml", "password"
 """Files of a desk's folder: settings for `live --config`, and the password of its user."""
 
 USER = "ebamcheck"
-
-DAYS = 365
-"""Time for which the certificates of a desk hold."""
-
-ENDED_S = 2.0
-"""Time for which the server stays when the program has ended: somebody reads the last values."""
 
 
 def desk_profile(folder: Path, opcua: OpcuaSettings) -> Access:
@@ -63,13 +56,8 @@ def desk_profile(folder: Path, opcua: OpcuaSettings) -> Access:
         "",
     ]
     (folder / PROFILE).write_text("\n".join(lines), encoding="utf-8")
-    return Access(
-        folder / "server.pem",
-        folder / "server-key.pem",
-        folder / "client.pem",
-        USER,
-        password.read_text().strip(),
-    )
+    server, key, client = (folder / name for name in ("server.pem", "server-key.pem", "client.pem"))
+    return Access(server, key, client, USER, password.read_text().strip())
 
 
 def _certificate(folder: Path, name: str, uri: str, host: str) -> None:
@@ -90,7 +78,7 @@ def _certificate(folder: Path, name: str, uri: str, host: str) -> None:
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - datetime.timedelta(minutes=5))
-        .not_valid_after(now + datetime.timedelta(days=DAYS))
+        .not_valid_after(now + datetime.timedelta(days=365))
         .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=False)
         .add_extension(usage, critical=False)
@@ -116,11 +104,6 @@ def _write_own(path: Path, content: bytes) -> None:
 def faults_of(texts: list[str]) -> dict[int, tuple[str, ...]]:
     """Faults by layer, of texts such as ``away@3``.
 
-    Raises
-    ------
-    SettingsError
-        For a fault or a layer that there is not.
-
     Examples
     --------
     >>> faults_of(["away@3", "late@3", "reset@5"])
@@ -138,13 +121,7 @@ def faults_of(texts: list[str]) -> dict[int, tuple[str, ...]]:
 
 
 def waiting_text(config: Config, top_mm: float) -> str:
-    """Text of the main program that waits.
-
-    Raises
-    ------
-    SettingsError
-        If none is written for the control.
-    """
+    """Text of the main program that waits; refused where none is written for the control."""
     own = control(config.machine.control)
     if not own.waiting:
         raise SettingsError(
@@ -163,19 +140,10 @@ async def played(
     faults: Mapping[int, tuple[str, ...]],
     told: Callable[[PlayedLayer], None],
     sessions: int = SESSIONS,
-    panel: Panel | None = None,
-    listens: Callable[[], None] = lambda: None,
+    listens: Callable[[PlayedProgram], None] = lambda program: None,
 ) -> tuple[PlayedProgram, bool]:
-    """Play a control until its program ends; what it laid, and whether it came to its end. `listens` is called when it can be reached.
-
-    Raises
-    ------
-    InputError
-        If nobody can listen at the address.
-    BackendFailed
-        If a program is called that is not on the control.
-    """
-    panel = panel or Panel()
+    """Play a control until its program ends; what it laid, and whether it came to its end. `listens` is called when it can be reached."""
+    panel = Panel()
     server = PlayedServer(panel, config.machine, opcua, access, sessions)
     loop = asyncio.get_running_loop()
 
@@ -187,9 +155,9 @@ async def played(
     )
     try:
         async with server.serving():
-            listens()
+            listens(program)
             ended = await _in_thread(program)
-            await asyncio.sleep(ENDED_S)
+            await asyncio.sleep(2.0)  # somebody reads the last values
     except OSError as error:
         raise InputError(f"{opcua.url}: cannot listen there: {error.strerror or error}") from None
     return program, ended

@@ -1,7 +1,7 @@
 """The program behind a played control: the text of the waiting main program is run block by block, layers grow, heights come.
 
 Layers take the time of their text over a speed; waits of the main program are shortened likewise, to no less than the time in
-which a server can answer. The faults of :data:`ebamcheck.live.opcua.panel.FAULTS` happen at the layers at which they were asked for.
+which a server can answer. The faults of :data:`ebamcheck.testing.played_control.panel.FAULTS` happen at the layers at which they were asked for.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 from ebamcheck.controls.sinumerik.waiting_run import Run, run_text
 from ebamcheck.errors import BackendFailed
-from ebamcheck.live.bed import Growth
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
-from ebamcheck.live.opcua.panel import Panel
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.testing.played_control.panel import Growth, Panel
 
 LEAST_WAIT_S = 0.05
 """Least real time of a wait of the main program, however fast it plays."""
@@ -29,11 +28,6 @@ SHOWN_S = 0.6
 
 FAULT_S = 1.0
 """Time for which writes are refused or lost, or the server is away."""
-
-MANY = 10**9
-"""Blocks after which a program that plays counts as endless: never."""
-
-Tell = Callable[["PlayedLayer"], None]
 
 
 @dataclass(frozen=True)
@@ -54,16 +48,9 @@ class Reset(Exception):
 
 
 class PlayedProgram:
-    """The program, the bed and who measures.
+    """The program of a text, the bed and who measures, with named faults at layers, from 1.
 
-    Parameters
-    ----------
-    text
-        Of the waiting main program.
-    faults
-        Names of faults by layer, from 1.
-    act
-        Called for what the server is to do: be away for a time, and be full for another.
+    `act` is called for what the server is to do: be away for a time, and be full for another.
     """
 
     def __init__(
@@ -76,7 +63,7 @@ class PlayedProgram:
         speed: float,
         faults: Mapping[int, tuple[str, ...]] | None = None,
         act: Callable[[float, float], None] = lambda away_s, full_s: None,
-        told: Tell = lambda row: None,
+        told: Callable[[PlayedLayer], None] = lambda row: None,
     ) -> None:
         self.panel, self._config, self._opcua, self._text = panel, config, opcua, text
         self._growth, self._speed, self._act, self._told = growth, speed, act, told
@@ -88,24 +75,19 @@ class PlayedProgram:
         self._waiting: tuple[int, float] | None = None
         self._operator: float | None = None
         self._since = time.monotonic()
-        self.stopped = False
+        self.stopped = self.ended = False
 
     def run(self) -> bool:
-        """Play until the part is built, or the program stops for good; whether it came to its end.
-
-        Raises
-        ------
-        BackendFailed
-            If a program is called that is not on the control.
-        """
+        """Play until the part is built, or the program stops for good; whether it came to its end."""
         self._before(1)
         while not self.stopped:
             self._calls, self._time_s, self._known = 0, 0.0, {}
             try:
-                run = run_text(self._text, self._door, self._config, MANY)
+                run = run_text(self._text, self._door, self._config, 10**9)
             except Reset:
                 continue
-            return bool(run.stops) and run.stops[-1][0] == "M30"
+            self.ended = bool(run.stops) and run.stops[-1][0] == "M30"
+            return self.ended
         return False
 
     # -- the door of the text ----------------------------------------------------------------------

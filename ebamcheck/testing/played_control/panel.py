@@ -1,13 +1,17 @@
-"""What a played control holds: R parameters, files and operate rights; and the faults that it is asked to have.
+"""What a played control holds (R parameters, files, operate rights), its faults, and the law by which its layers grow.
 
 It knows nothing of networks: the server in front of it shows it on a grid of 100 ms, the program behind it runs on it.
 """
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import MutableMapping
 from dataclasses import dataclass, field
+
+import numpy as np
+
+from ebamcheck.errors import SettingsError
 
 FAULTS = {
     "away": "the server is away for a while, when the layer is done",
@@ -39,8 +43,8 @@ class Panel:
     """R parameters by number; those that are not there are 0."""
     texts: dict[str, str] = field(default_factory=dict)
     """Variables of text, by what they are."""
-    files: MutableMapping[str, bytes] = field(default_factory=dict)
-    """Files by their place; in a folder, as a control has them, or in memory."""
+    files: dict[str, bytes] = field(default_factory=dict)
+    """Files by their place."""
     rights: str = "operate"
     """`operate`, `refused`, or `lost`: what becomes of writes from outside."""
     swap_next: bool = False
@@ -86,3 +90,33 @@ class Panel:
         """Return all R parameters at once."""
         with self.lock:
             return dict(self.values)
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution.
+
+    The noise follows from seed and layer, so that a build comes out the same again.
+    """
+
+    drift: float = 0.0
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what no bead does."""
+        if not (math.isfinite(self.drift) and -0.9 < self.drift < 2.0):
+            raise SettingsError(f"drift {self.drift}: give a share of a layer between -0.9 and 2")
+        if not (math.isfinite(self.noise) and 0.0 <= self.noise < 1.0):
+            raise SettingsError(f"noise {self.noise}: give a share of a layer from 0 to under 1")
+
+    def grown_mm(self, layer: int, thickness_mm: float) -> float:
+        """Return the height that a layer really gets; never nothing.
+
+        Examples
+        --------
+        >>> Growth(drift=0.1).grown_mm(3, 2.0)
+        2.2
+        """
+        noise = float(np.random.default_rng((self.seed, layer)).standard_normal()) if self.noise else 0.0
+        return max(thickness_mm * (1.0 + self.drift + self.noise * noise), 0.05 * thickness_mm)

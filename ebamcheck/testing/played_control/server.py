@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, cast
 from urllib.parse import urlsplit
 
-from ebamcheck.live.opcua.panel import Panel
-from ebamcheck.live.opcua.waiting import cancelled
+from ebamcheck.live.opcua.link import cancelled
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import TEXT_ROLES, OpcuaSettings
+from ebamcheck.testing.played_control.panel import Panel
 
 GRID_S = 0.1
 """Grid on which a SINUMERIK samples its values."""
@@ -97,20 +97,9 @@ class PlayedServer:
             ua.NodeId.from_string(self._opcua.methods_node), "Methods"
         )
         text, data, flag = ua.VariantType.String, ua.VariantType.ByteString, ua.VariantType.Boolean
-        await methods.add_method(
-            ua.NodeId.from_string(self._opcua.upload_node),
-            "CopyFileToServer",
-            self._upload,
-            [text, data, flag],
-            [],
-        )
-        await methods.add_method(
-            ua.NodeId.from_string(self._opcua.download_node),
-            "CopyFileFromServer",
-            self._download,
-            [text],
-            [data],
-        )
+        upload, download = map(ua.NodeId.from_string, (self._opcua.upload_node, self._opcua.download_node))
+        await methods.add_method(upload, "CopyFileToServer", self._upload, [text, data, flag], [])
+        await methods.add_method(download, "CopyFileFromServer", self._download, [text], [data])
         # The library counts sessions over all servers of a process, which has this one alone.
         InternalSession.max_connections = 0 if self.panel.full else self._sessions
         await server.start()
@@ -211,7 +200,6 @@ class PlayedServer:
         return write
 
     async def _upload(self, parent: Any, path: Any, data: Any, replace: Any) -> Any:
-
         place, content = str(path.Value), bytes(data.Value or b"")
         if self.panel.rights == "refused":
             return _status("BadUserAccessDenied")
