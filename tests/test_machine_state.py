@@ -9,7 +9,7 @@ import pytest
 from program_text import CONTROLS, ProgramText, near
 
 from ebamcheck.nc.control import control
-from ebamcheck.nc.modal_groups import group_of, wanted_words
+from ebamcheck.nc.words import group_of, wanted_words
 from ebamcheck.program import read_program, verify_file
 
 SINUMERIK, LINUXCNC, PLAIN = CONTROLS

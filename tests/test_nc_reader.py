@@ -202,7 +202,7 @@ def test_spelling_of_words_does_not_matter(tmp_path):
         ("TRANS G54", 1, "TRANS with other words"),
         ("TRAFOOF G54", 1, "TRAFOOF with other words"),
         ("MAIN_L0009", 1, "unknown word 'MAIN_L0009'"),
-        ("G1 X1 X2", 6, "X stands twice"),
+        ("G1 X1 X2", 7, "X stands twice"),
         ("G1 X1 Y", 7, "unknown word 'Y'"),
         ("G1 PO[X]=(1,2) F5", 1, "PO[] under G1"),
         ("POLY PO[X]=(1,b,3)", 6, "is no single list"),

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from ebamcheck.controls.gcode import groups
-from ebamcheck.controls.gcode.reading import GcodeReader
-from ebamcheck.controls.gcode.words import ENDS, MODES, MOTIONS, without_comments
+from ebamcheck.controls.gcode import control as gcode
+from ebamcheck.controls.gcode.reading import PLAIN_GCODE, GcodeReader
 from ebamcheck.controls.gcode.writing import one_file
 from ebamcheck.nc.control import Control, Group
 from ebamcheck.nc.files import ProgramFiles, write_files
@@ -49,7 +49,7 @@ CODES = {
 }  # fmt: skip
 
 GROUPS = (
-    *(group for group in groups.GROUPS if group.name not in ("path control", "work offset", "axis offset")),
+    *(group for group in gcode.GROUPS if group.name not in ("path control", "work offset", "axis offset")),
     Group("work offset", ("G53", "G54", "G55", "G56", "G57", "G58", "G59", "G54.1", "G10")),
     Group("local offset", ("G52", "G92", "G92.1")),
     Group("scaling", ("G50", "G51")),
@@ -65,6 +65,7 @@ SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
 _FEED = re.compile(r" F(\d+)(?![\d.])")
 _SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
+_LOOK_AHEAD_OFF = re.compile(r"G0?5\.1\s*Q0(?:\.0*)?")
 _POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
 _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
 """An address that may have a decimal point, with a number that has none."""
@@ -159,10 +160,14 @@ def _in_parentheses(line: str) -> str:
 
 # -- reading -------------------------------------------------------------------------------------------
 
+DIALECT = replace(
+    PLAIN_GCODE, name=NAME, codes=(PLAIN_GCODE.codes | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
+)
+
 
 def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program from its one file."""
-    reader = FanucReader(main.parent, config, NAME)
+    reader = FanucReader(main.parent, config, DIALECT)
     reader.run(main)
     return reader.out.program()
 
@@ -170,28 +175,29 @@ def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
 class FanucReader(GcodeReader):
     """State of a Fanuc-like control while it runs a program from top to bottom."""
 
-    known = (MOTIONS | MODES | ENDS | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
     _in_blocks = False
 
-    def _run_plain(self, text: str) -> bool:
-        return ";" not in text and _NO_POINT.search(text) is None and super()._run_plain(text)
+    def run_plain(self, text: str) -> bool:
+        """Run a block whose numbers have decimal points."""
+        return ";" not in text and _NO_POINT.search(text) is None and super().run_plain(text)
 
-    def _run_line(self, text: str) -> str | None:
+    def run_line(self, text: str) -> str | None:
         """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
         if ";" in text:
             raise WordError(
                 "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
             )
-        code = without_comments(text)[0]
+        code = self.split(text)[0]
         small = re.search("[a-z]", code)
         if small:
             raise WordError(f"{small[0]!r}: this control takes capitals alone", small.start())
         # Anywhere else a number begins another program, and this one is what stands before it.
-        number = None if self._in_blocks else _PROGRAM_NUMBER.match(text)
+        number = None if self._in_blocks or self.out.started else _PROGRAM_NUMBER.match(text)
         self._in_blocks = self._in_blocks or code.strip() not in ("", "%")
-        return super()._run_line(" " * number.end() + text[number.end() :] if number else text)
+        return super().run_line(" " * number.end() + text[number.end() :] if number else text)
 
-    def _run_block(self, code: str) -> str:
+    def own_block(self, code: str) -> bool:
+        """Run the blocks that take look-ahead and shifts back; refuse a number without its decimal point, and a code with one."""
         bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
         if bare is not None:
             raise WordError(
@@ -201,10 +207,10 @@ class FanucReader(GcodeReader):
         pointed = _POINTED_CODE.search(code)
         if pointed is not None:
             raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())
-        if re.fullmatch(r"G0?5\.1\s*Q0(?:\.0*)?", code):
+        if _LOOK_AHEAD_OFF.fullmatch(code):
             self.out.event("G5.1")
-            return ""
-        if _SHIFTS_OFF.fullmatch(code):
+        elif _SHIFTS_OFF.fullmatch(code):
             self.out.event("G92.1")
-            return ""
-        return super()._run_block(code)
+        else:
+            return False
+        return True

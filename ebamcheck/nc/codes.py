@@ -13,9 +13,8 @@ from dataclasses import dataclass
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import control
-from ebamcheck.nc.modal_groups import group_of
 from ebamcheck.nc.profile import templates_of
-from ebamcheck.nc.words import NUMBER
+from ebamcheck.nc.words import NUMBER, group_of
 from ebamcheck.settings.machine import MachineSettings
 
 SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")

@@ -31,6 +31,11 @@ class Group:
     """Whether it says how the axes follow the path, and not what the path is: the check `smoothing` is about it."""
 
 
+def offsets(first: int, last: int) -> tuple[str, ...]:
+    """Words G`first` to G`last`."""
+    return tuple(f"G{number}" for number in range(first, last + 1))
+
+
 def _no_words(machine: MachineSettings) -> tuple[str, ...]:
     return ()
 

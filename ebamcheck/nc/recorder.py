@@ -102,6 +102,11 @@ class Recorder:
     # -- state -------------------------------------------------------------------------------------
 
     @property
+    def motions(self) -> int:
+        """Number of motions so far."""
+        return len(self._rows)
+
+    @property
     def started(self) -> bool:
         """Whether there was a motion."""
         return bool(self._rows)

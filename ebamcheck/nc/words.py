@@ -1,9 +1,19 @@
-"""Words of NC blocks, whatever their control: numbers, a block, and what is said of a word that makes no sense."""
+"""Words of NC blocks: the table of a control's language, its blocks taken apart, and the modal groups that words belong to.
+
+Of a modal group one word is in force at any time. A program here establishes every group in its own first blocks, and may repeat a
+word, but changes none: a word of a group other than the one wanted is a fault wherever it stands. Words that would bend the path as
+it is read (another plane, other units, distances from the position before) are refused by the reader.
+"""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+from ebamcheck.nc.control import Group, control
+from ebamcheck.settings.machine import MachineSettings
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
 
@@ -12,6 +22,59 @@ SKIP = re.compile(r"\s*/\d?\s*")
 
 SKIPPED = "may be skipped"
 """Event of such a block, where it does anything."""
+
+MOST_OF_A_LIST = 3
+"""Numbers of a list: an end point, and coefficients of t^2 and t^3."""
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The language of a control, as a table; see :class:`ebamcheck.nc.reader.Reader` for what its programs do.
+
+    Parameters
+    ----------
+    name
+        Of the control, whose modal groups its words belong to.
+    motions
+        Words of motion, and the kind of motion of each (:mod:`ebamcheck.nc.motions`).
+    codes, ends
+        Other words without a value; and those that end a program.
+    addresses
+        Words with a value, beside the rotary axes of a machine.
+    word
+        Pattern of one word in capitals. The last of its groups says what it is: ``number`` behind a ``letter``, ``value`` behind a
+        ``name``, ``list`` behind a ``list_address``, ``identifier``, or ``bad``.
+    code_letters, code_number
+        Letters whose numbers are no values, and how such a number is told; None: as it stands, without zeros before it.
+    block_number
+        Pattern of the number before a block; its group is the digits.
+    radius
+        How the radius of an arc is given.
+    curve
+        Pattern of the block that most curves of its programs are, in the spelling of most posts; its groups are numbers. It is run by
+        :meth:`~ebamcheck.nc.reader.Reader.run_curve`. Empty: none.
+    message
+        Pattern of a block that only says something to the operator.
+    alone
+        Words that stand by themselves in their block, and why.
+    unused
+        Addresses that a block without an axis has nothing to use for, as a refusal names them; empty: those that are there.
+    """
+
+    name: str
+    motions: Mapping[str, int]
+    codes: frozenset[str]
+    ends: frozenset[str]
+    addresses: frozenset[str]
+    word: re.Pattern[str]
+    code_letters: str = "GM"
+    code_number: Callable[[str], str] | None = None
+    block_number: re.Pattern[str] = re.compile(r"\s*N(\d+)(?![\d.])\s*", re.IGNORECASE)
+    radius: str = "R"
+    curve: str = ""
+    message: re.Pattern[str] | None = None
+    alone: Mapping[str, str] = field(default_factory=dict)
+    unused: str = ""
 
 
 @dataclass(slots=True)
@@ -34,3 +97,100 @@ class WordError(Exception):
 
 class UnknownWord(WordError):
     """A word outside the language; the interpreter may still know the block as a template or a call."""
+
+
+def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
+    """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
+
+    Raises
+    ------
+    UnknownWord
+        For a word that is not of the language.
+    WordError
+        For a word given twice, two of one modal group, or a list that is no list of numbers.
+    """
+    block = Block({}, {}, [])
+    for found in dialect.word.finditer(code):
+        kind, text = found.lastgroup, found[0].lstrip()
+        column = found.end() - len(text)
+        if kind == "bad":
+            raise UnknownWord(f"unknown word {text.split()[0]!r}", column)
+        if kind == "list":
+            _add_list(block, found, column)
+            continue
+        word, address, value = "", "", ""
+        if kind == "number":
+            address, value = found.group("letter", "number")
+            if address in dialect.code_letters:
+                own = dialect.code_number
+                word = address + (own(value) if own else value.lstrip("0") or "0")
+        elif kind == "value":
+            address, value = found.group("name", "value")
+        else:
+            word = found["identifier"]
+        if word:
+            if word not in dialect.codes and word not in dialect.motions and word not in dialect.ends:
+                raise UnknownWord(refusal(dialect.name, word), column)
+            block.codes.append(word)
+        elif address not in dialect.addresses and address not in rotary:
+            raise UnknownWord(refusal(dialect.name, text), column)
+        elif address in block.values:
+            raise WordError(f"{address} stands twice in one block", column)
+        else:
+            block.values[address] = float(value)
+    if len(block.codes) > 1:
+        _refuse_two_of_a_group(dialect, block.codes)
+    if len(block.codes) + len(block.values) + len(block.lists) > 1:
+        for word in block.codes:
+            if word in dialect.alone:
+                raise WordError(f"{word} with other words: {dialect.alone[word]}", 0)
+    return block
+
+
+def _add_list(block: Block, found: re.Match[str], column: int) -> None:
+    address = found["list_address"]
+    try:
+        numbers = tuple(float(part) for part in found["list"].split(","))
+    except ValueError:
+        numbers = ()
+    if not 1 <= len(numbers) <= MOST_OF_A_LIST or address in block.lists:
+        what = f"{found[0].strip()!r} is no single list of an end point and at most two coefficients"
+        raise WordError(what, column)
+    block.lists[address] = numbers
+
+
+def _refuse_two_of_a_group(dialect: Dialect, words: Collection[str]) -> None:
+    """Refuse two words of one group in a block: a control stops there, with the beam as it is, or takes either."""
+    seen: dict[str, str] = {}
+    for word in words:
+        group = group_of(dialect.name, word)
+        kind = "motion" if word in dialect.motions else group.name if group else word
+        if kind in seen:
+            raise WordError(f"{seen[kind]} and {word} in one block: it takes one word of a group ({kind})", 0)
+        seen[kind] = word
+
+
+# -- modal groups ------------------------------------------------------------------------------------
+
+
+@cache
+def _index(name: str) -> Mapping[str, Group]:
+    return {word: group for group in control(name).groups for word in group.words}
+
+
+def group_of(name: str, word: str) -> Group | None:
+    """The group that a word of a control belongs to; None for a word of no group."""
+    return _index(name).get(word)
+
+
+def wanted_words(name: str, machine: MachineSettings) -> dict[str, str]:
+    """Word of each group that is to hold at every motion, by the group's name."""
+    found = ((group_of(name, word), word) for word in control(name).words(machine))
+    return {group.name if group else word: word for group, word in found}
+
+
+def refusal(name: str, word: str) -> str:
+    """What there is to say of a word that is not read: its group, where it has one."""
+    letters = word.rstrip("0123456789.+-")
+    group = group_of(name, word) or group_of(name, letters)
+    return f"unknown word {word!r}" + (f": {group.name} may not change in a program" if group else "")

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from ebamcheck.controls.gcode import linuxcnc
-from ebamcheck.controls.gcode import plain as plain_gcode
+from ebamcheck.controls.gcode.control import LINUXCNC, PLAIN_GCODE
 from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
@@ -49,7 +48,7 @@ def write_linuxcnc(
     form = forms.get(machine.curve_form, "cubics")
     tolerance = plain(machine.smoothing_tolerance_mm)
     modes = ["G17 G21 G90 G91.1 G94", "G40 G49 G80", "G92.1", machine.work_offset, f"G64 P{tolerance}"]
-    return _write(curves, plan, config, Path(folder), linuxcnc.CONTROL, form, modes, validated, header, path)
+    return _write(curves, plan, config, Path(folder), LINUXCNC, form, modes, validated, header, path)
 
 
 def write_plain_gcode(
@@ -69,9 +68,7 @@ def write_plain_gcode(
     machine = config.machine
     form: Form = "chords" if machine.curve_form == "lines" else "arcs"
     modes = ["G17 G21 G90 G94", "G40 G49 G80", "G92.1", machine.work_offset]
-    return _write(
-        curves, plan, config, Path(folder), plain_gcode.CONTROL, form, modes, validated, header, path
-    )
+    return _write(curves, plan, config, Path(folder), PLAIN_GCODE, form, modes, validated, header, path)
 
 
 def _write(
@@ -117,7 +114,7 @@ def one_file(
         *start_blocks(modes, values, templates),
     ]
     for k in range(len(path.z)):
-        message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if control is linuxcnc.CONTROL else []
+        message = [f"(MSG, LAYER {k + 1} OF {len(path.z)})"] if control is LINUXCNC else []
         lines += layer_blocks(path, k, motions, config, form, templates, heat, [*modes, *message])
     return [*lines, *end_blocks(top, values, config, form, templates)]
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from ebamcheck.nc.control import Control, Group
-from ebamcheck.nc.modal_groups import offsets
+from ebamcheck.nc.control import Control, Group, offsets
 from ebamcheck.settings.machine import MachineSettings
 
 NAME = "sinumerik-840d-sl"

@@ -11,12 +11,13 @@ from collections.abc import Iterator
 
 from ebamcheck.checks.machine_state import PLACE_MM, PRINTED_SHARE, TRANSFORMATION_OFF
 from ebamcheck.controls.sinumerik.control import NAME
-from ebamcheck.controls.sinumerik.words import AXES, read_block
+from ebamcheck.controls.sinumerik.reading import DIALECT
 from ebamcheck.nc.codes import BEAM_VALUES
-from ebamcheck.nc.modal_groups import wanted_words
+from ebamcheck.nc.reader import AXES
 from ebamcheck.nc.recognition import StateChange, Templates
 from ebamcheck.nc.safe_end import safe_end_mm
 from ebamcheck.nc.template_rules import checked_templates
+from ebamcheck.nc.words import read_block, wanted_words
 from ebamcheck.settings.config import Config
 
 OFF = ("beam_off", "wire_stop")
@@ -51,7 +52,7 @@ class WaitingState:
 
     def words(self, code: str) -> Iterator[str]:
         """Run a block of words of the control."""
-        block, limit = read_block(code), self._machine.smoothing_tolerance_mm
+        block, limit = read_block(code, DIALECT), self._machine.smoothing_tolerance_mm
         allowed = {"G0", "CTOL", *AXES, *self._wanted}
         yield from (
             f"{word} is no word of a program that waits"
