@@ -15,8 +15,8 @@ import numpy as np
 from ebamcheck.curves.columns import Curves, Evidence
 from ebamcheck.curves.evidence import ring_areas
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
 
 VOLUME_ROUNDING = 1e-9
