@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.mesh.stl import write_triangles
 
 RADIUS_MM, CORNERS, LAYER_MM = 16.0, 48, 1.6755
 """Radius and corners of the column, and about the height of a layer by default. A box would leave its corners bare, layer by layer."""

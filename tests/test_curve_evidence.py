@@ -19,8 +19,8 @@ from ebamcheck.curves.fallback import POLYLINE, polylines, with_rings
 from ebamcheck.curves.sagitta import coordinate_rounding_mm, sagittas
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
 from ebamcheck.pipeline.gates import fit_gate
 from ebamcheck.settings.curves import CurveSettings

@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 import ebamcheck
 from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode
-from ebamcheck.mesh.plates import PlateEntry
+from ebamcheck.mesh.part_source import PlateEntry
 from ebamcheck.plugins import registry
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.explained import explanations

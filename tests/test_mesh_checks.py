@@ -16,7 +16,7 @@ from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
-from ebamcheck.mesh import placing
+from ebamcheck.mesh.part_source import Placing
 from ebamcheck.pipeline import part_file
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
@@ -192,27 +192,27 @@ def test_a_part_that_is_turned_the_wrong_way_is_found(direction, monkeypatch, tm
 
 
 def test_a_part_that_shrinks_as_it_is_placed_is_found(monkeypatch, tmp_path):
-    right = placing.Placing.moved
+    right = Placing.moved
     monkeypatch.setattr(
-        placing.Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
+        Placing, "moved", lambda self, part: replace(right(self, part), vertices=0.98 * part.vertices)
     )
     assert not file_check(*read(tmp_path, {"rotate_deg": 30.0})).passed
 
 
-def turned_back(self, part, right=placing.Placing.moved):
+def turned_back(self, part, right=Placing.moved):
     return right(replace(self, turn_deg=-self.turn_deg), part)
 
 
-def turned_about_the_origin(self, part, right=placing.Placing.moved):
+def turned_about_the_origin(self, part, right=Placing.moved):
     return right(replace(self, about_mm=(0.0, 0.0)), part)
 
 
-def placed_with_x_and_y_swapped(self, part, right=placing.Placing.moved):
+def placed_with_x_and_y_swapped(self, part, right=Placing.moved):
     x, y, z = self.shift_mm
     return right(replace(self, shift_mm=(y, x, z)), part)
 
 
-def mirrored(self, part, right=placing.Placing.moved):
+def mirrored(self, part, right=Placing.moved):
     return replace(right(self, part), vertices=right(self, part).vertices * [-1.0, 1.0, 1.0]).reversed()
 
 
@@ -224,7 +224,7 @@ PLACED = {"rotate_deg": 30.0, "place_at_mm": [100.0, 50.0, 3.0]}
 def test_a_part_that_is_placed_wrongly_is_found(wrong, monkeypatch, tmp_path):
     settings = PLACED if wrong is not turned_about_the_origin else {"rotate_deg": 30.0}
     assert file_check(*read(tmp_path, settings)).passed
-    monkeypatch.setattr(placing.Placing, "moved", wrong)
+    monkeypatch.setattr(Placing, "moved", wrong)
     check = file_check(*read(tmp_path, settings))
     assert not check.passed
     assert "direction, turn and place" in check.text
@@ -258,7 +258,7 @@ def test_a_part_of_another_format_stands_where_the_settings_say(suffix, monkeypa
         path.write_text("\n".join(lines) + "\n")
     config = Config().changed(part={"units": "cm", "direction": [0.0, -1.0, 0.0], **PLACED})
     assert file_check(placed_part(path, config)[0], config).passed
-    monkeypatch.setattr(placing.Placing, "moved", turned_back)
+    monkeypatch.setattr(Placing, "moved", turned_back)
     assert not file_check(placed_part(path, config)[0], config).passed
 
 
@@ -293,7 +293,7 @@ def test_every_part_of_a_plate_stands_where_the_plate_says(wrong, monkeypatch, t
     (tmp_path / "plate.toml").write_text(PLATE)
     config = Config().changed(part={"units": "cm"})
     if wrong is not None:
-        monkeypatch.setattr(placing.Placing, "moved", wrong)
+        monkeypatch.setattr(Placing, "moved", wrong)
     assert file_check(placed_part(tmp_path / "plate.toml", config)[0], config).passed is (wrong is None)
 
 

@@ -11,8 +11,7 @@ from parts import box
 
 import ebamcheck
 from ebamcheck.errors import EbamcheckError, InputError
-from ebamcheck.mesh.obj import read_obj
-from ebamcheck.mesh.ply import read_ply
+from ebamcheck.mesh.obj_and_ply import read_obj, read_ply
 from ebamcheck.mesh.stl import read_triangles
 
 PART = box()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.numeric import ready_kernels
 from ebamcheck_models import CUBE
 

@@ -20,13 +20,11 @@ from benchmarks import even_mesh
 from benchmarks.large_mesh import write_even_mesh
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.heights import crossing_counts, layer_heights
-from ebamcheck.mesh import slab_file
+from ebamcheck.mesh import slabs as slab_reader
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.slab_file import read_once
-from ebamcheck.mesh.slab_inspection import SlabInspection
-from ebamcheck.mesh.slabs import divided
+from ebamcheck.mesh.slabs import SlabInspection, divided, read_once
 from ebamcheck.pipeline import check_job
 from ebamcheck.pipeline.slab_check import check_in_slabs
 from ebamcheck.preflight.slab_work import wanted_slabs
@@ -171,7 +169,7 @@ def test_columns_of_the_file_are_those_of_the_part(tmp_path):
 def test_a_file_is_read_alike_in_any_blocks(tmp_path, monkeypatch):
     _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
     expected = [division.slab(k).part.sha256 for k in range(3)]
-    monkeypatch.setattr(slab_file, "BLOCK", 100)
+    monkeypatch.setattr(slab_reader, "BLOCK", 100)
     _, _, division = in_slabs(shuffled(sphere()), tmp_path, 3)
     assert [division.slab(k).part.sha256 for k in range(3)] == expected
 

@@ -12,7 +12,7 @@ from parts import box, join
 from ebamcheck.checks.deposit_checks import SOLID
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.layer_rule import layer_rule, level_faces, section_areas
-from ebamcheck.mesh.volumes import volumes_between
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.pipeline.solid_metal import layer_borders, solid_check
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.config import Config

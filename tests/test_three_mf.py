@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import ebamcheck
 from ebamcheck.commands.main import app
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.mesh import three_mf_outline
+from ebamcheck.mesh import three_mf as reader
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.preflight.report import ready
 from ebamcheck.settings.config import Config
@@ -320,7 +320,7 @@ def test_notes_of_a_slicer_that_cannot_be_read_are_refused(put, name, text, fits
 
 
 def test_copies_up_to_the_limit_are_read(put, monkeypatch):
-    monkeypatch.setattr(three_mf_outline, "MOST_COPIES", 1000)
+    monkeypatch.setattr(reader, "MOST_COPIES", 1000)
     hundred = components(2, *[ONE] * 100)
     assert (
         len(ebamcheck.load(put(package(model(box(1, A) + hundred, *['objectid="2"'] * 10)))).faces) == 12_000
@@ -334,15 +334,15 @@ def test_a_small_file_of_much_text_is_not_unpacked(put, monkeypatch, times, fits
     data = package(model(box(1, A), ONE), a_txt=bytes(1 << 20))
     with zipfile.ZipFile(put(data)) as archive:
         unpacked = sum(entry.file_size for entry in archive.infolist())
-    monkeypatch.setattr(three_mf_outline, "FREE_BYTES", 1 << 19)
-    monkeypatch.setattr(three_mf_outline, "MOST_RATIO", unpacked / len(data) / times)
+    monkeypatch.setattr(reader, "FREE_BYTES", 1 << 19)
+    monkeypatch.setattr(reader, "MOST_RATIO", unpacked / len(data) / times)
     if fits:
         assert ebamcheck.load(put(data)).volume == pytest.approx(72000)
     else:
         with pytest.raises(InputError, match="would unpack to"):
             ebamcheck.load(put(data))
-    monkeypatch.setattr(three_mf_outline, "MOST_RATIO", np.inf)
-    monkeypatch.setattr(three_mf_outline, "MOST_BYTES", unpacked / times)
+    monkeypatch.setattr(reader, "MOST_RATIO", np.inf)
+    monkeypatch.setattr(reader, "MOST_BYTES", unpacked / times)
     if not fits:
         with pytest.raises(InputError, match="would unpack to"):
             ebamcheck.load(put(data))

@@ -10,7 +10,7 @@ import pytest
 from ebamcheck.commands.options import assignments
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.map_files import read_map
-from ebamcheck.mesh.plates import read_plate
+from ebamcheck.mesh.part_source import read_plate
 from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.plugins import registry
 from ebamcheck.regression.settings import read_tolerances

@@ -16,7 +16,7 @@ from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
 from ebamcheck.slicers.outside.placement import (
     Placement,

@@ -16,7 +16,7 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.settings.base import Between
 from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
 from ebamcheck.slicers.outside.placement import (

@@ -13,7 +13,7 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack

@@ -21,8 +21,8 @@ from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints

@@ -93,7 +93,7 @@ def _replaced(write: Callable[[Path], None], path: Path) -> None:
 
 
 def _write_stl(part: Part, path: Path) -> None:
-    from ebamcheck.mesh.stl_writer import write_triangles
+    from ebamcheck.mesh.stl import write_triangles
 
     _replaced(lambda temporary: write_triangles(part.triangles, temporary), path)
 

@@ -2,7 +2,7 @@
 
 Where an underside lies within a layer, the layer is laid whole or not at all: as high as it is, metal is added under that
 face, or lacks over it. Of sloped sides the parts added and left out are alike, up to what the section curves over a layer.
-The volume of a mesh between heights is a closed form (:func:`ebamcheck.mesh.volumes.volumes_between`), so that
+The volume of a mesh between heights is a closed form (:func:`ebamcheck.mesh.bodies.volumes_between`), so that
 what is found here is exact.
 """
 
@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
 
 LEVEL_MM = 0.01

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.mesh.obj import read_obj
+from ebamcheck.mesh.obj_and_ply import read_obj, read_ply
 from ebamcheck.mesh.part import (
     FROM_DEFAULT,
     FROM_SETTINGS,
@@ -23,10 +23,9 @@ from ebamcheck.mesh.part import (
     SMALLEST_EXTENT_MM,
     Part,
 )
-from ebamcheck.mesh.ply import read_ply
+from ebamcheck.mesh.reading import how_to_read
 from ebamcheck.mesh.stl import read_triangles
 from ebamcheck.mesh.three_mf import read_3mf
-from ebamcheck.mesh.unread_formats import how_to_read
 from ebamcheck.mesh.welding import weld
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.units import UNITS_MM, unit_named

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
 from typing import Any, Literal
 
 import numpy as np
@@ -17,12 +19,22 @@ from ebamcheck.mesh.bodies import (
     inside_out_bodies,
 )
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import body_labels, direction_balance, duplicates, edge_groups
-from ebamcheck.mesh.triangles import degenerate
+from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.showing import short_text
 
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat", "overlapping"]
+
+Bools = NDArray[np.bool_]
+
+COUNTS = (
+    "vertices", "open_edges", "nonmanifold_edges", "inconsistent_edges",
+    "duplicate_facets", "degenerate_facets", "zero_area_facets",
+)  # fmt: skip
+"""Figures of an inspection that :func:`defects` counts."""
+
+FACETS_AT_ONCE = 1 << 18
+"""Facets of which the area is looked at together, to bound the working memory."""
 
 BOX_ROOM = 1e-9
 """Share by which a volume may be over that of its box: rounding of a block."""
@@ -123,52 +135,85 @@ def inspect(part: Part) -> Inspection:
     'sound'
     """
     groups = edge_groups(part.faces, len(part.vertices))
-    facets_at_edge = np.diff(groups.starts)
-    balance = direction_balance(part.faces, groups)
-    open_edges = int(np.count_nonzero(facets_at_edge == 1))
-    inconsistent = int(np.count_nonzero((facets_at_edge == 2) & (balance != 0)))
-    unpaired = int(np.count_nonzero((facets_at_edge > 2) & (balance != 0)))
+    counts, open_facets = defects(part, groups)
     told = bodies_of(part, groups)
-    body, volumes = told.label, told.volumes
-    bodies = len(volumes)
-    open_body = np.zeros(bodies, np.bool_)
-    open_body[body[groups.half_edges[groups.starts[:-1][facets_at_edge == 1]] // 3]] = True
-    repeated, zero_area = degenerate(part)
-    inside_out = inside_out_bodies(part, body, volumes) & ~open_body
-    found = Inspection(
-        name=part.name,
+    open_body = np.zeros(len(told.volumes), np.bool_)
+    open_body[told.label[open_facets]] = True
+    inside_out = inside_out_bodies(part, told.label, told.volumes) & ~open_body
+    return inspection_of(
+        part,
+        counts,
+        np.abs(told.volumes).sum(),
         facets=len(part.faces),
-        vertices=len(part.vertices),
-        bodies=bodies,
-        size_mm=_triple(part.size),
-        lower_mm=_triple(part.bounds[0]),
-        units=part.units,
-        units_from=part.units_from,
+        bodies=len(told.volumes),
         volume_mm3=told.volume_mm3,
         relations=told.relations[:MOST_LISTED],
         related_bodies=len(told.relations),
         union_known=told.known,
-        open_edges=open_edges,
-        nonmanifold_edges=int(np.count_nonzero(facets_at_edge > 2)),
-        inconsistent_edges=inconsistent,
-        duplicate_facets=duplicates(part.faces[~repeated]),
-        degenerate_facets=int(repeated.sum()),
-        zero_area_facets=int((zero_area & ~repeated).sum()),
         inside_out_bodies=int(inside_out.sum()),
         open_bodies=int(open_body.sum()),
+    )
+
+
+def defects(
+    part: Part, groups: EdgeGroups, lower_mm: float = -np.inf, upper_mm: float = np.inf
+) -> tuple[dict[str, int], Index]:
+    """Figures of the vertices, edges and facets with their lowest point at ``lower_mm <= z < upper_mm``; and facets at open edges."""
+    z, faces = np.ascontiguousarray(part.vertices[:, 2]), part.faces
+
+    def told(*corners: Index) -> Bools:
+        if lower_mm == -np.inf and upper_mm == np.inf:
+            return np.ones(len(corners[0]), np.bool_)
+        lowest = reduce(np.minimum, [z[corner] for corner in corners])
+        found: Bools = (lowest >= lower_mm) & (lowest < upper_mm)
+        return found
+
+    half_edge = groups.half_edges[groups.starts[:-1]]
+    facet, corner = np.divmod(half_edge, 3)
+    edge_told, facet_told = told(faces[facet, corner], faces[facet, (corner + 1) % 3]), told(*faces.T)
+    facets_at_edge, unpaired = np.diff(groups.starts), direction_balance(faces, groups) != 0
+    is_open = edge_told & (facets_at_edge == 1)
+    more_than_two = edge_told & (facets_at_edge > 2)
+    a, b, c = faces.T
+    repeated = (a == b) | (b == c) | (c == a)
+    whole = facet_told & ~repeated
+    counts = {
+        "vertices": told(np.arange(len(z), dtype=np.int32)),
+        "open_edges": is_open,
+        "nonmanifold_edges": more_than_two,
+        "inconsistent_edges": edge_told & (facets_at_edge == 2) & unpaired,
+        "unpaired_edges": more_than_two & unpaired,
+        "degenerate_facets": facet_told & repeated,
+    }
+    flat = sum(
+        int((np.cross(q - p, r - p) == 0.0).all(axis=1).sum())
+        for start in range(0, len(faces), FACETS_AT_ONCE)
+        for rows in [slice(start, start + FACETS_AT_ONCE)]
+        for p, q, r in [np.moveaxis(part.vertices[faces[rows][whole[rows]]], 1, 0)]
+    )
+    found = {name: int(np.count_nonzero(which)) for name, which in counts.items()}
+    return {**found, "duplicate_facets": duplicates(faces[whole]), "zero_area_facets": flat}, facet[is_open]
+
+
+def inspection_of(part: Part, counts: Mapping[str, int], enclosed_mm3: float, **of_bodies: Any) -> Inspection:
+    """Inspection by the figures of :func:`defects` and those of the bodies, which enclose `enclosed_mm3`, whatever their sense."""
+    found = Inspection(
+        name=part.name,
+        size_mm=_triple(part.size),
+        lower_mm=_triple(part.bounds[0]),
+        units=part.units,
+        units_from=part.units_from,
         notes=part.notes,
         verdict="sound",
-        why="closed, consistently oriented, volume positive",
+        why="",
+        **of_bodies | {name: counts.get(name, 0) for name in COUNTS},
     )
-    verdict, why = judged(found, unpaired, float(np.abs(volumes).sum()))
+    verdict, why = _judged(found, counts.get("unpaired_edges", 0), float(enclosed_mm3))
     return replace(found, verdict=verdict, why=why)
 
 
-def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
-    """Verdict on the figures of a part, with the reason.
-
-    `unpaired`: edges of more than two facets that do not pair up; `enclosed_mm3`: sum of the absolute volumes of all bodies.
-    """
+def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdict, str]:
+    """Verdict on the figures of a part, with the reason; `unpaired` edges of more than two facets do not pair up."""
     if found.open_edges:
         return "open", (
             f"{found.open_edges} open edges in {found.open_bodies} of {found.bodies} bodies: "
@@ -202,18 +247,11 @@ def judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verdi
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:
-    """Reverse flipped facets and inside-out closed bodies.
+    """Reverse flipped facets and inside-out closed bodies; returns the part and the number of facets reversed.
 
     Facets are reversed, body by body, until neighbours across every two-facet edge agree; then closed bodies
     of negative volume that are no cavities are reversed as a whole. An open body is never reversed because of
     the sign of its volume.
-
-    Returns
-    -------
-    part
-        The part with facets reversed; the same object if none was.
-    turned
-        Number of facets reversed.
     """
 
     groups = edge_groups(part.faces, len(part.vertices))

@@ -1,57 +1,250 @@
-"""A mesh in slabs of z: the facets that reach into each slab, closed to a mesh that has the same sections there.
+"""A part in slabs of z, for a mesh that does not fit into memory: a binary STL file is read once, then slab by slab.
 
 The facets of a slab are an open mesh. If the whole mesh is closed, the open edges of the slab's mesh lie entirely below or
 above the slab, and form cycles. A cone over each cycle, from a corner of the part's box, closes the mesh without
-reaching any height of the slab: sections there are those of the whole mesh, and every slicer accepts it.
+reaching any height of the slab: sections there are those of the whole mesh, and every slicer accepts it. The inspection
+counts every facet, edge and vertex in the slab of its lowest point.
+
+Only two columns of heights are kept in memory. The file is read, not memory-mapped: mapped pages count as the process's
+memory, and a file truncated meanwhile would kill the process.
 """
 
 from __future__ import annotations
 
+import hashlib
+import os
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.slab_file import FacetFile, Index, Singles
-from ebamcheck.mesh.topology import direction_balance, edge_groups
+from ebamcheck.errors import InputError
+from ebamcheck.mesh.bodies import ASIDE, NO_VOLUME, boxes_meeting, outermost
+from ebamcheck.mesh.files import extent_notes, told_if_unreadable
+from ebamcheck.mesh.inspection import Inspection, defects, inspection_of
+from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, Part
+from ebamcheck.mesh.stl import (
+    FACET_BYTES,
+    HEADER_BYTES,
+    facet_corners,
+    looks_like_ascii,
+    refuse_foreign,
+    refuse_truncated,
+    trailing_bytes,
+)
+from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups
 from ebamcheck.mesh.welding import weld
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.settings.units import UNITS_MM, unit_named
+
+BLOCK = 1 << 18
+"""Facets read at once: 13 MB."""
+
+MOST_FACETS = 2**31 - 1
+"""Most facets of a file: their numbers have 32 bits."""
+
+HEAD_BYTES = 4096
+"""Bytes examined of a file that is no binary STL, to tell what it is."""
+
+COLUMN_BLOCK = 1 << 22
+"""Facets of which the heights are looked at together, to bound the working memory."""
+
+Singles = NDArray[np.float32]
+Index = NDArray[np.int32]
+
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
 
-COLUMN_BLOCK = 1 << 22
-"""Facets processed at once, to bound the working memory."""
+
+@dataclass(frozen=True, eq=False)
+class FacetFile:
+    """A binary STL file, after a first pass over all of it."""
+
+    path: Path
+    low: Singles
+    high: Singles
+    """(F,) least and greatest z of each facet, in the file's unit."""
+    millimetres: float
+    outline: Part
+    """The part without its mesh: the corners of its box as vertices, its names, and the hash of the file."""
+    stamp: tuple[int, int]
+    """Size and modification time of the file when it was read."""
+
+    def __len__(self) -> int:
+        """Return the number of facets."""
+        return len(self.low)
+
+    def corners(self, numbers: Index) -> Singles:
+        """Corner points (N, 3, 3) of facets by their ascending numbers, in the file's unit; refuses a file that has changed."""
+        result = np.empty((len(numbers), 3, 3), np.float32)
+        with opened(self.path) as file:
+            if _stamp(file) != self.stamp:
+                raise InputError(f"{self.path}: was changed while it was read: start again")
+            at = 0
+            while at < len(numbers):
+                first = int(numbers[at])
+                past = int(np.searchsorted(numbers, first + BLOCK))
+                block = read_facets(file, self.path, first, int(numbers[past - 1]) + 1 - first)
+                chosen = np.ascontiguousarray(block[numbers[at:past] - first])
+                chosen.flags.writeable = False
+                result[at:past] = facet_corners(chosen, self.path.name, first)
+                at = past
+        return result
+
+    def reaching(self, lower_mm: float, upper_mm: float) -> Index:
+        """Ascending numbers of the facets between two heights, these included."""
+        found = []
+        for start in range(0, len(self), COLUMN_BLOCK):
+            low, high = (z[start : start + COLUMN_BLOCK].astype(np.float64) for z in (self.low, self.high))
+            inside = (low * self.millimetres <= upper_mm) & (high * self.millimetres >= lower_mm)
+            found.append((np.flatnonzero(inside) + start).astype(np.int32))
+        return np.concatenate(found)
+
+    def counted(self, z: Singles, heights: Floats, side: Literal["left", "right"]) -> Ints:
+        """Facets whose `low` or `high` is at most at each of rising heights (``left``), or under it (``right``), (L,)."""
+        counts = np.zeros(heights.size + 1, np.int64)
+        for start in range(0, len(self), COLUMN_BLOCK):
+            z_mm = z[start : start + COLUMN_BLOCK].astype(np.float64) * self.millimetres
+            counts += np.bincount(np.searchsorted(heights, z_mm, side=side), minlength=counts.size)
+        return np.cumsum(counts)[:-1]
+
+
+def is_binary_stl(path: Path) -> bool:
+    """Whether a file is a binary STL, by its name and its size."""
+    try:
+        if path.suffix.lower() not in (".stl", "") or not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return path.stat().st_size == HEADER_BYTES + FACET_BYTES * _count(file.read(HEADER_BYTES))
+    except OSError:
+        return False
+
+
+def facet_count(path: Path) -> int:
+    """Number of facets by the header of a binary STL file."""
+    with opened(path) as file:
+        return _count(file.read(HEADER_BYTES))
+
+
+def read_once(path: str | Path, units: str = "", progress: Callable[[int], None] | None = None) -> FacetFile:
+    """Read a binary STL file from end to end: its box, its hash, and the heights of its facets; `progress` takes facets read."""
+    path = Path(path)
+    if path.suffix.lower() not in (".stl", ""):
+        raise InputError(
+            f"{path.name}: only a binary STL file is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
+        )
+    unit = unit_named(units or "mm")
+    millimetres = UNITS_MM[unit]
+    with opened(path) as file, ThreadPoolExecutor(1) as aside:
+        stamp = _stamp(file)
+        head = file.read(HEADER_BYTES)
+        count, notes = _checked_count(head, stamp[0], file, path.name)
+        digest = hashlib.sha256(head)
+        low, high = np.empty(count, np.float32), np.empty(count, np.float32)
+        least, greatest = np.full(3, np.inf), np.full(3, -np.inf)
+        for first in range(0, count, BLOCK):
+            block = read_facets(file, path, first, min(BLOCK, count - first))
+            # Hashing takes as long as everything else, and is independent of it.
+            hashing = aside.submit(digest.update, block.data)
+            corners = facet_corners(block, path.name, first)
+            past = first + len(block)
+            # Corner by corner and column by column: many times faster than numpy along an axis of three.
+            for c in range(3):
+                columns = [corners[:, c, axis] for axis in range(3)]
+                least = np.minimum(least, [column.min() for column in columns])
+                greatest = np.maximum(greatest, [column.max() for column in columns])
+            z = [corners[:, c, 2] for c in range(3)]
+            np.minimum(np.minimum(z[0], z[1]), z[2], out=low[first:past])
+            np.maximum(np.maximum(z[0], z[1]), z[2], out=high[first:past])
+            hashing.result()
+            if progress is not None:
+                progress(len(block))
+        digest.update(file.read())
+    box = (np.stack([least, greatest]) + 0.0) * millimetres
+    notes += extent_notes(float((box[1] - box[0]).max()), unit)
+    outline = Part(
+        box,
+        np.array([[0, 1, 1]], np.int32),
+        name=path.stem,
+        source=str(path),
+        source_sha256=digest.hexdigest(),
+        units=unit,
+        units_from=FROM_SETTINGS if units else FROM_DEFAULT,
+        notes=tuple(notes),
+    )
+    return FacetFile(path, low, high, millimetres, outline, stamp)
+
+
+def opened(path: Path) -> BinaryIO:
+    """Open a mesh file; raises :class:`InputError` if it cannot be opened."""
+    with told_if_unreadable(path):
+        return path.open("rb")
+
+
+def read_facets(file: BinaryIO, path: Path, first: int, count: int) -> NDArray[np.uint16]:
+    """Consecutive facets as 16-bit words, (F, 25); raises :class:`InputError` if the file ends too early."""
+    file.seek(HEADER_BYTES + FACET_BYTES * first)
+    data = file.read(FACET_BYTES * count)
+    if len(data) < FACET_BYTES * count:
+        raise InputError(f"{path}: was cut while it was read: start again")
+    return np.frombuffer(data, np.uint16).reshape(count, -1)
+
+
+def _stamp(file: BinaryIO) -> tuple[int, int]:
+    found = os.fstat(file.fileno())
+    return found.st_size, found.st_mtime_ns
+
+
+def _count(head: bytes) -> int:
+    return int.from_bytes(head[80:HEADER_BYTES], "little") if len(head) == HEADER_BYTES else 0
+
+
+def _checked_count(head: bytes, size: int, file: BinaryIO, name: str) -> tuple[int, list[str]]:
+    """Number of facets by the first bytes and the size of a file, and harmless irregularities; refuses other formats."""
+    count = _count(head)
+    expected = HEADER_BYTES + FACET_BYTES * count
+    if size < HEADER_BYTES or size != expected:
+        start = head + file.read(HEAD_BYTES)
+        if looks_like_ascii(start):
+            raise InputError(
+                f"{name}: is an ASCII STL: only a binary one is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
+            )
+        refuse_foreign(start, name)
+    if size < HEADER_BYTES:
+        raise InputError(f"{name}: is no binary STL file: {size} bytes, under the 84 of its header")
+    refuse_truncated(count, size, name)
+    if count == 0:
+        raise InputError(f"{name}: holds no facet (binary STL with count 0)")
+    if count > MOST_FACETS:
+        raise InputError(
+            f"{name}: {count} facets are over the {MOST_FACETS} that slabs can number: split the part"
+        )
+    if size - expected >= FACET_BYTES:
+        raise InputError(trailing_bytes(count, size - expected, name))
+    return count, [f"{size - expected} bytes after the last facet were ignored"] if size > expected else []
 
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """One slab of a mesh.
-
-    Parameters
-    ----------
-    part
-        A closed mesh with the sections of the whole one at all heights of the slab, and with the whole one's box.
-    facets
-        Number of facets of `part` that are from the file, which come first; the others are cones.
-    points
-        Number of vertices of `part` that are from the file; the last two are the corners of the box.
-    numbers
-        (facets,) numbers of these facets in the file, ascending.
-    lower_mm, upper_mm
-        The slab: an item with its lowest point at ``lower_mm <= z < upper_mm`` is counted in this slab only.
-    next_from_mm
-        Facets that reach up to this height are also in the next slab.
-    """
+    """One slab of a mesh: a closed part with the sections of the whole one at the slab's heights, and with its box."""
 
     part: Part
     facets: int
     points: int
+    """Facets and vertices of `part` that are from the file, which come first; the others are cones, and the corners of the box."""
     numbers: Index
+    """(facets,) numbers of these facets in the file, ascending."""
     lower_mm: float
     upper_mm: float
+    """An item with its lowest point at ``lower_mm <= z < upper_mm`` is counted in this slab only."""
     next_from_mm: float
+    """Facets that reach up to this height are also in the next slab."""
 
     @property
     def own(self) -> Part:
@@ -63,48 +256,31 @@ class Slab:
 
 @dataclass(frozen=True, eq=False)
 class Division:
-    """Facets of a file by the slabs that they reach into.
-
-    Parameters
-    ----------
-    file
-        The file.
-    layers
-        (S + 1,) first layer of each slab, and the number of layers.
-    borders_mm
-        (S + 1,) z between the slabs; the outermost are infinite.
-    reach_mm
-        Distance beyond its borders to which a slab has all facets.
-    starts, numbers
-        (S + 1,) and (N,): facets of slab k are ``numbers[starts[k]:starts[k + 1]]``, ascending.
-    crossings
-        Number of facets cut, summed over all layers: the number of points of their exact contours.
-    """
+    """Facets of a file by the slabs that they reach into."""
 
     file: FacetFile
     layers: Ints
+    """(S + 1,) first layer of each slab, and the number of layers."""
     borders_mm: Floats
+    """(S + 1,) z between the slabs; the outermost are infinite."""
     reach_mm: float
-    starts: Ints
-    numbers: Index
+    """Distance beyond its borders to which a slab has all facets."""
+    most_facets: int
+    """Facets of the largest slab."""
     crossings: int
+    """Facets cut, summed over all layers: the number of points of their exact contours."""
 
     def __len__(self) -> int:
         """Return the number of slabs."""
         return len(self.layers) - 1
 
-    @property
-    def most_facets(self) -> int:
-        """Number of facets of the largest slab."""
-        return int(np.diff(self.starts).max())
-
     def slab(self, k: int) -> Slab:
         """Read one slab of the file, weld it and close it."""
-        numbers = self.numbers[self.starts[k] : self.starts[k + 1]]
+        lower, upper = self.borders_mm[k : k + 2].tolist()
+        numbers = self.file.reaching(lower - self.reach_mm, upper + self.reach_mm)
         vertices, faces = weld(self.file.corners(numbers))
         if self.file.millimetres != 1.0:
             vertices *= self.file.millimetres
-        lower, upper = self.borders_mm[k : k + 2].tolist()
         box = self.file.outline.vertices
         cones = closing_cones(vertices, faces, lower - self.reach_mm, upper + self.reach_mm)
         part = replace(
@@ -116,19 +292,10 @@ class Division:
 
 
 def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: float) -> Index:
-    """Facets that close the open edges of a mesh entirely below `lower_mm` or above `upper_mm`.
+    """Facets (C, 3) that close the open edges of a mesh entirely below `lower_mm` or above `upper_mm`.
 
-    Parameters
-    ----------
-    vertices, faces
-        The mesh, (V, 3) mm and (F, 3).
-    lower_mm, upper_mm
-        Edges between or across these heights stay as they are: an open one there is a defect of the mesh.
-
-    Returns
-    -------
-    numpy.ndarray
-        (C, 3) vertices; V is a point below all others, V + 1 one above.
+    An open edge between or across these heights is a defect of the mesh, and stays. Vertex V is a point below all others, V + 1
+    one above.
     """
     groups = edge_groups(faces, len(vertices))
     balance = direction_balance(faces, groups)
@@ -148,49 +315,31 @@ def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: flo
 
 
 def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Division:
-    """Divide the layers of a part into slabs of about equal work, and assign its facets to them.
+    """Divide the layers of a part, cut at ascending heights, into slabs of about equal work, and assign its facets to them.
 
-    Parameters
-    ----------
-    file
-        The part's file.
-    heights
-        (L,) heights of the cuts, mm, ascending.
-    slabs
-        Number of slabs, at most that of layers.
-    reach_mm
-        Distance beyond its borders to which a slab must have all facets: as far as slicers and comparison look from a height.
+    A slab has all facets within `reach_mm` of its borders: as far as slicers and comparison look from a height.
     """
     begins, crossing = layer_counts(file, heights)
     layers = slab_layers(begins, crossing, min(slabs, heights.size))
-    _, _, sizes = _reaching(file, heights, layers, reach_mm)
+    _, sizes = _reaching(file, heights, layers, reach_mm)
     # Layers between two bodies are joined to those below: a slab without facets would be no mesh.
     layers = np.concatenate([layers[:-1][sizes > 0], layers[-1:]])
-    borders, (lower, upper), sizes = _reaching(file, heights, layers, reach_mm)
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    numbers = _dealt(file.low, file.high, file.millimetres, lower, upper, starts)
-    return Division(file, layers, borders, reach_mm, starts, numbers, int(crossing.sum()))
+    borders, sizes = _reaching(file, heights, layers, reach_mm)
+    return Division(file, layers, borders, reach_mm, int(sizes.max()), int(crossing.sum()))
 
 
-def _reaching(
-    file: FacetFile, heights: Floats, layers: Ints, reach_mm: float
-) -> tuple[Floats, tuple[Floats, Floats], Ints]:
-    """Borders of slabs (S + 1,), lower and upper height between which each has all facets (S,), and their number (S,)."""
+def _reaching(file: FacetFile, heights: Floats, layers: Ints, reach_mm: float) -> tuple[Floats, Ints]:
+    """Borders of slabs (S + 1,), and the number of facets within the reach of each (S,)."""
     between = 0.5 * (heights[layers[1:-1] - 1] + heights[layers[1:-1]])
     borders = np.concatenate([[-np.inf], between, [np.inf]])
-    lower, upper = borders[:-1] - reach_mm, borders[1:] + reach_mm
-    return borders, (lower, upper), _sizes(file.low, file.high, file.millimetres, lower, upper)
+    begun = file.counted(file.low, borders[1:] + reach_mm, "left")
+    return borders, begun - file.counted(file.high, borders[:-1] - reach_mm, "right")
 
 
 def layer_counts(file: FacetFile, heights: Floats) -> tuple[Ints, Ints]:
     """Numbers of facets that begin at each height and of those cut there (at z = h + 0), (L,) each."""
-    size = heights.size + 1
-    first, last = np.zeros(size, np.int64), np.zeros(size, np.int64)
-    for start in range(0, len(file), COLUMN_BLOCK):
-        for counts, column in ((first, file.low), (last, file.high)):
-            z = column[start : start + COLUMN_BLOCK].astype(np.float64) * file.millimetres
-            counts += np.bincount(np.searchsorted(heights, z, side="left"), minlength=size)
-    return first[:-1], np.cumsum(first - last)[:-1]
+    begun = file.counted(file.low, heights, "left")
+    return np.diff(begun, prepend=0), begun - file.counted(file.high, heights, "left")
 
 
 def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
@@ -211,29 +360,107 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
     return np.concatenate([[0], inner, [layers]]).astype(np.int64)
 
 
-@kernel
-def _sizes(low: Singles, high: Singles, millimetres: float, lower: Floats, upper: Floats) -> Ints:
-    """Facets that reach into each slab (S,), of slabs between `lower` and `upper` mm, borders included."""
-    sizes = np.zeros(lower.size, np.int64)
-    for f in range(low.size):
-        first = np.searchsorted(upper, low[f] * millimetres)
-        past = np.searchsorted(lower, high[f] * millimetres, side="right")
-        for k in range(first, past):
-            sizes[k] += 1
-    return sizes
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces of bodies in one slab; their numbers continue those of the slabs below."""
+
+    volumes: Floats
+    """(P,) mm3, of the facets counted in the slab, about the middle of the part's box."""
+    lower: Floats
+    upper: Floats
+    """(P, 3) corners of the boxes of all facets."""
+    is_open: Bools
+    """(P,) whether they have an open edge that is counted in the slab."""
+    links: Ints
+    """(N, 2) pieces of the slab below and of this one that share a facet."""
 
 
-@kernel
-def _dealt(
-    low: Singles, high: Singles, millimetres: float, lower: Floats, upper: Floats, starts: Ints
-) -> Index:
-    """Numbers of the facets that reach into each slab, one slab after the other, rising in each."""
-    numbers = np.empty(starts[-1], np.int32)
-    at = starts[:-1].copy()
-    for f in range(low.size):
-        first = np.searchsorted(upper, low[f] * millimetres)
-        past = np.searchsorted(lower, high[f] * millimetres, side="right")
-        for k in range(first, past):
-            numbers[at[k]] = f
-            at[k] += 1
-    return numbers
+class SlabInspection:
+    """Figures of :func:`~ebamcheck.mesh.inspection.inspect`, added up over the slabs from the lowest to the highest.
+
+    All facets at a vertex reach into the slab of that vertex, so the counts are those of the whole mesh. Bodies
+    are joined from their pieces in neighbouring slabs by the facets that reach into both.
+    """
+
+    def __init__(self, outline: Part, facets: int) -> None:
+        self._outline = outline
+        self._facets = facets
+        self._counts = Counter[str]()
+        self._pieces: list[_Pieces] = []
+        self._known = 0
+        # Facets that may reach into the next slab, and the piece of each.
+        self._carried = np.zeros(0, np.int32), np.zeros(0, np.int64)
+
+    def add(self, slab: Slab) -> None:
+        """Add the next slab, from the bottom up."""
+        part = slab.own
+        groups = edge_groups(part.faces, len(part.vertices))
+        counts, open_facets = defects(part, groups, slab.lower_mm, slab.upper_mm)
+        self._counts.update(counts)
+        body = body_labels(part.faces, groups)
+        used = body >= 0
+        volumes, lower, upper = _measured(slab, body, self._outline.bounds.mean(axis=0))
+        is_open = np.zeros(volumes.size, np.bool_)
+        is_open[body[open_facets]] = True
+        numbers, pieces = slab.numbers[used], body[used].astype(np.int64) + self._known
+        _, below, here = np.intersect1d(self._carried[0], numbers, assume_unique=True, return_indices=True)
+        links = np.unique(np.stack([self._carried[1][below], pieces[here]], axis=1), axis=0)
+        self._pieces.append(_Pieces(volumes, lower, upper, is_open, links))
+        self._known += is_open.size
+        carried = part.vertices[part.faces[used], 2].max(axis=1) >= slab.next_from_mm
+        self._carried = numbers[carried], pieces[carried]
+
+    def found(self) -> Inspection:
+        """Result for the slabs added so far."""
+        volumes, lower, upper, is_open = self._bodies()
+        size = self._outline.size
+        negative = volumes < -NO_VOLUME * float(size.max(initial=0.0)) ** 3
+        return inspection_of(
+            self._outline,
+            self._counts,
+            np.abs(volumes).sum(),
+            facets=self._facets,
+            bodies=volumes.size,
+            volume_mm3=float(volumes.sum()),
+            inside_out_bodies=int((outermost(negative, volumes, lower, upper) & ~is_open).sum()),
+            open_bodies=int(is_open.sum()),
+            relations=(),
+            related_bodies=0,
+            union_known=not len(boxes_meeting(lower, upper, ASIDE * float(np.linalg.norm(size)))),
+        )
+
+    def _bodies(self) -> tuple[Floats, Floats, Floats, Bools]:
+        """Volumes (B,), lower and upper corners of the boxes (B, 3), and whether open (B,), of the bodies."""
+        if not self._known:
+            return np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.bool_)
+        from scipy.sparse import coo_array  # which loads when it is needed
+        from scipy.sparse.csgraph import connected_components
+
+        links = np.concatenate([piece.links for piece in self._pieces])
+        graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), (self._known, self._known))
+        count, body = connected_components(graph, directed=False)
+        volumes, is_open = np.zeros(count), np.zeros(count, np.bool_)
+        lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+        np.add.at(volumes, body, np.concatenate([p.volumes for p in self._pieces]))
+        np.minimum.at(lower, body, np.concatenate([p.lower for p in self._pieces]))
+        np.maximum.at(upper, body, np.concatenate([p.upper for p in self._pieces]))
+        np.logical_or.at(is_open, body, np.concatenate([p.is_open for p in self._pieces]))
+        return volumes, lower, upper, is_open
+
+
+def _measured(slab: Slab, body: Index, middle: Floats) -> tuple[Floats, Floats, Floats]:
+    """Volumes (B,) of the facets counted in a slab, about the middle of the part's box, and corners (B, 3) of the boxes of all."""
+    count = int(body.max(initial=-1)) + 1
+    volumes, lower, upper = np.zeros(count), np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    part = slab.own
+    for start in range(0, len(body), BLOCK):
+        rows = start + np.flatnonzero(body[start : start + BLOCK] >= 0)
+        of, (a, b, c) = body[rows], np.moveaxis(part.vertices[part.faces[rows]], 1, 0)
+        least = np.minimum(np.minimum(a, b), c)
+        np.minimum.at(lower, of, least)
+        np.maximum.at(upper, of, np.maximum(np.maximum(a, b), c))
+        told = (least[:, 2] >= slab.lower_mm) & (least[:, 2] < slab.upper_mm)
+        a, b, c = a[told], b[told], c[told]
+        sixfold = np.einsum("ij,ij->i", a - middle, np.cross(b - a, c - a))
+        volumes += np.bincount(of[told], sixfold, minlength=count) / 6.0
+    return volumes, lower, upper

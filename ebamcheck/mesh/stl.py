@@ -1,4 +1,4 @@
-"""Strict reader of STL files, binary and ASCII.
+"""Strict reader of STL files, binary and ASCII, and writer of binary ones.
 
 The kind is decided by content and size: a file whose size fits its facet count is binary, whatever its
 header says. Nothing is repaired or guessed: a file that is truncated, has a wrong count or an invalid
@@ -8,25 +8,21 @@ number is refused with the place and the value.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
-from ebamcheck.mesh.polygons import decimal_comma
-from ebamcheck.mesh.unread_formats import how_to_read
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.mesh.reading import decimal_comma, how_to_read
+from ebamcheck.numeric.kernels import kernel
 
 HEADER_BYTES = 84
 FACET_BYTES = 50
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-NORMAL_HALVES, CORNER_HALVES = 6, 18
-"""Numbers of 16-bit words in the normal and the corners of a facet; of a 32-bit number the lower word comes first."""
-EXPONENT = 0x7F80
-"""Exponent bits in the upper word of a 32-bit number: all set if it is NaN or infinite."""
-SMALLEST_BLOCK = 16384
-"""Fewest facets worth a thread."""
+NORMAL_HALVES = 6
+"""Number of 16-bit words in the normal of a facet."""
 LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IGNORECASE)
@@ -54,27 +50,10 @@ FOREIGN = (
 
 
 def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
-    """Read the corner points of every facet of an STL file.
+    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, and harmless irregularities, one line each.
 
-    Parameters
-    ----------
-    data
-        The whole file.
-    name
-        Name of the file, for messages.
-
-    Returns
-    -------
-    triangles
-        (F, 3, 3) corners in the file's unit, float32: STL's numbers have 32 bits, and an ASCII file prints
-        such numbers, so rounding to them merges vertices that were printed with different digits.
-    notes
-        Harmless irregularities, one line each.
-
-    Raises
-    ------
-    InputError
-        If the file is not a whole and finite STL file with at least one facet.
+    STL's numbers have 32 bits, and an ASCII file prints such numbers: rounding to them merges vertices that were printed with
+    different digits.
     """
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
@@ -87,26 +66,42 @@ def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.floa
         return _ascii(data, name), []
     if _ONE_LINE.match(data.removeprefix(BYTE_ORDER_MARK)):
         return _ascii(_names_ended(data), name), []
-    for start, what in FOREIGN:
-        if data.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(start):
-            raise InputError(f"{name}: is {what}")
+    refuse_foreign(data, name)
     if len(data) < HEADER_BYTES:
         raise InputError(
             f"{name}: is no STL file: {len(data)} bytes, under the 84 of a binary header, and no ASCII 'solid'"
         )
-    if len(data) < expected:
-        whole = (len(data) - HEADER_BYTES) // FACET_BYTES
-        raise InputError(
-            f"{name}: truncated or not an STL file: byte 80 counts {count} facets, which need {expected} bytes, "
-            f"but there are {len(data)} (room for {whole} facets)"
-        )
+    refuse_truncated(count, len(data), name)
     trailing = data[expected:]
     if len(trailing) >= FACET_BYTES and trailing.strip(b"\0 \t\r\n"):
-        raise InputError(
-            f"{name}: byte 80 counts {count} facets, but {len(trailing)} bytes follow the last one: "
-            "wrong count, or files joined end to end"
-        )
+        raise InputError(trailing_bytes(count, len(trailing), name))
     return _binary(data, count, name), [f"{len(trailing)} bytes after the last facet were ignored"]
+
+
+def refuse_foreign(start: bytes, name: str) -> None:
+    """Refuse a file that begins like another format; the message names that."""
+    for first_bytes, what in FOREIGN:
+        if start.removeprefix(BYTE_ORDER_MARK).lstrip().startswith(first_bytes):
+            raise InputError(f"{name}: is {what}")
+
+
+def refuse_truncated(count: int, size: int, name: str) -> None:
+    """Refuse a binary file of fewer bytes than its facets need."""
+    expected = HEADER_BYTES + FACET_BYTES * count
+    if size < expected:
+        room = (size - HEADER_BYTES) // FACET_BYTES
+        raise InputError(
+            f"{name}: truncated or not an STL file: byte 80 counts {count} facets, which need {expected} bytes, "
+            f"but there are {size} (room for {room} facets)"
+        )
+
+
+def trailing_bytes(count: int, more: int, name: str) -> str:
+    """Say that a binary file goes on behind its last facet."""
+    return (
+        f"{name}: byte 80 counts {count} facets, but {more} bytes follow the last one: "
+        "wrong count, or files joined end to end"
+    )
 
 
 def _binary(data: bytes | memoryview, count: int, name: str) -> NDArray[np.float32]:
@@ -117,43 +112,15 @@ def _binary(data: bytes | memoryview, count: int, name: str) -> NDArray[np.float
 
 
 def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDArray[np.float32]:
-    """Corner points (F, 3, 3) of facets from a binary file.
-
-    Parameters
-    ----------
-    facets
-        (F, 25) 16-bit words of each facet.
-    name, first
-        Name of the file for messages, and number of the first facet in it.
-
-    Raises
-    ------
-    InputError
-        If a coordinate is not finite.
-    """
-    corners = np.empty((len(facets), 3, 3), np.float32)
-    target = corners.view(np.uint16).reshape(len(facets), -1)
-    finite = run_blocks(lambda a, b: _copy_corners(facets, target, a, b), len(facets), SMALLEST_BLOCK)
-    if not all(finite):
+    """Corner points (F, 3, 3) of facets given as 16-bit words (F, 25), the first of which has the number `first` in its file."""
+    corners = facets[:, NORMAL_HALVES:-1].copy().view(np.float32).reshape(-1, 3, 3)
+    if not np.isfinite(corners).all():
         facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
         value = corners[facet, corner, axis]
         raise InputError(
             f"{name}: facet {first + facet}, vertex {corner}, {'xyz'[axis]} is {value}: coordinates must be finite"
         )
     return corners
-
-
-@kernel
-def _copy_corners(facets: NDArray[np.uint16], corners: NDArray[np.uint16], start: int, stop: int) -> bool:
-    """Copy the corners of the facets ``[start, stop)``, as halves of 32-bit numbers; returns whether all are finite."""
-    finite = True
-    for f in range(start, stop):
-        for c in range(0, CORNER_HALVES, 2):
-            corners[f, c] = facets[f, NORMAL_HALVES + c]
-            high = facets[f, NORMAL_HALVES + c + 1]
-            corners[f, c + 1] = high
-            finite &= (high & EXPONENT) != EXPONENT
-    return finite
 
 
 def looks_like_ascii(data: bytes) -> bool:
@@ -344,3 +311,25 @@ def _token(text: NDArray[np.uint8], at: int) -> str:
 def _line(text: NDArray[np.uint8], at: int) -> int:
     before = text[:at].tobytes().replace(b"\r\n", b"\n")
     return before.count(b"\n") + before.count(b"\r") + 1
+
+
+TITLE_BYTES = 80
+
+
+def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "") -> None:
+    """Write triangles (F, 3, 3), mm, rounded to the 32-bit floats of the format, with their unit normals.
+
+    Equal corners stay equal, and equal parts give equal bytes. The normal of a facet without area is 0.
+    """
+    facets = np.zeros(len(triangles), FACET)
+    facets["corners"] = triangles
+    corners = facets["corners"].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    facets["normal"] = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0.0)
+    # Readers would take a file whose header begins with "solid" for ASCII.
+    header = f"binary STL: {name}, mm" if name else "binary STL, mm"
+    with path.open("wb") as file:
+        file.write(header.encode("ascii", "replace")[:TITLE_BYTES].ljust(TITLE_BYTES))
+        file.write(np.array(len(facets), "<u4").tobytes())
+        facets.tofile(file)

@@ -85,16 +85,8 @@ def placed(
 ) -> tuple[Floats, list[str]]:
     """Corners (F, 3, 3) of the facets that are built, in the file's unit, and what is left out or ignored.
 
-    Parameters
-    ----------
-    file
-        The file.
-    items, unprintable
-        Number of its build items, and those that are not to be printed.
-    volumes
-        Facets that are no part of the solid (first, last or -1, kind), by ``path#number`` of their object.
-    marked
-        Kinds of whole objects that are none, by ``path#number``, or by two of them where it holds in one assembly alone.
+    `volumes` are facets that are no part of the solid (first, last or -1, kind), by ``path#number`` of their object; `marked`
+    are whole objects that are none, by ``path#number``, or by two of them where it holds in one assembly alone.
     """
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")

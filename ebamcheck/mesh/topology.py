@@ -296,19 +296,12 @@ def _bodies(count: int, half_edges: Index, starts: Index) -> Index:
     return label
 
 
-@kernel
-def _balance(faces: Index, half_edges: Index, starts: Index) -> Index:
-    result = np.zeros(starts.size - 1, np.int32)
-    for e in range(starts.size - 1):
-        for i in range(starts[e], starts[e + 1]):
-            f, corner = half_edges[i] // 3, half_edges[i] % 3
-            result[e] += 1 if faces[f, corner] < faces[f, (corner + 1) % 3] else -1
-    return result
-
-
 def direction_balance(faces: Index, groups: EdgeGroups) -> Index:
     """Difference between the numbers of facets in the two directions of each edge (E,): 0 if they pair."""
-    return _balance(faces, groups.half_edges, groups.starts)
+    half_edge, corners = groups.half_edges, faces.ravel()
+    ends = corners[np.where(half_edge % 3 == 2, half_edge - 2, half_edge + 1)]
+    way = np.where(corners[half_edge] < ends, np.int32(1), np.int32(-1))
+    return np.add.reduceat(way, groups.starts[:-1], dtype=np.int32) if len(way) else way
 
 
 def duplicates(faces: Index) -> int:

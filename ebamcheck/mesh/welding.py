@@ -32,26 +32,14 @@ Rows = NDArray[np.int32]
 def weld(
     triangles: NDArray[np.float32] | NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Merge vertices that are equal in all bits (0 and -0 are equal).
+    """Merge corner points (F, 3, 3) that are equal in all bits (0 and -0 are equal).
 
-    Parameters
-    ----------
-    triangles
-        (F, 3, 3) corner points, finite.
-
-    Returns
-    -------
-    vertices
-        (V, 3) float64, in order of first appearance.
-    faces
-        (F, 3) int32 rows of `vertices`.
+    Returns vertices (V, 3), in order of first appearance, and faces (F, 3).
     """
     corners = np.ascontiguousarray(triangles).reshape(-1, 3)
     index = _earliest(corners)
     first = _number(index)
-    vertices = np.empty((first.size, 3))
-    run_blocks(lambda a, b: _copy_corners(corners, first, vertices, a, b), first.size, SMALLEST_BLOCK)
-    return vertices, index.reshape(-1, 3)
+    return corners[first].astype(np.float64) + 0.0, index.reshape(-1, 3)
 
 
 def _earliest(corners: Corners) -> Rows:
@@ -168,12 +156,3 @@ def _number(earliest: Rows) -> Rows:
             # An earlier row, which has its number by now.
             earliest[i] = earliest[k]
     return first[:count].copy()
-
-
-@kernel
-def _copy_corners(
-    corners: Corners, first: Rows, vertices: NDArray[np.float64], start: int, stop: int
-) -> None:
-    for v in range(start, stop):
-        for c in range(3):
-            vertices[v, c] = corners[first[v], c] + 0.0

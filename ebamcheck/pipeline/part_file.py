@@ -24,7 +24,7 @@ from ebamcheck.checks.checks import Check
 from ebamcheck.checks.deposit_checks import PART_FILE
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.units import known_as

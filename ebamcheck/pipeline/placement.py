@@ -6,8 +6,7 @@ from pathlib import Path
 
 from ebamcheck.layers.cuts import cut_heights as cut_heights
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.part_source import read_part
-from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.mesh.part_source import PlatePart, read_part
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.slicing import PartSettings
 

@@ -14,7 +14,7 @@ from ebamcheck.checks.text_heat import motion_seconds
 from ebamcheck.json_values import plain
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.program import Check

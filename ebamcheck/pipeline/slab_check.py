@@ -15,9 +15,7 @@ from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.cuts import cut_heights
-from ebamcheck.mesh.slab_file import FacetFile, facet_count, read_once
-from ebamcheck.mesh.slab_inspection import SlabInspection
-from ebamcheck.mesh.slabs import Division, divided
+from ebamcheck.mesh.slabs import Division, FacetFile, SlabInspection, divided, facet_count, read_once
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline import noticed
 from ebamcheck.pipeline.choice import chosen_backends

@@ -19,8 +19,7 @@ from ebamcheck.comparison.consensus import joined, shifted
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.inspection import Inspection
-from ebamcheck.mesh.slab_inspection import SlabInspection
-from ebamcheck.mesh.slabs import Division, Slab
+from ebamcheck.mesh.slabs import Division, Slab, SlabInspection
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.pipeline.cross_check import CrossCheck, compared_layers
 from ebamcheck.pipeline.noticed import lost

@@ -15,9 +15,9 @@ from ebamcheck.checks.checks import Check
 from ebamcheck.checks.deposit_checks import SOLID, of_deposit
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, section_areas
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.plates import PlatePart
-from ebamcheck.mesh.volumes import volumes_between
+from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.between_cuts import between_check
 from ebamcheck.pipeline.mesh_sections import heights_check, sections_check

@@ -13,9 +13,9 @@ import numpy as np
 
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.layer_rule import layer_rule, level_faces, moved_mm3, section_areas
+from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.plates import PlatePart
-from ebamcheck.mesh.volumes import volumes_between
+from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.preflight.checks import PreflightCheck
 from ebamcheck.settings.config import Config

@@ -6,7 +6,7 @@ import math
 import os
 from pathlib import Path
 
-from ebamcheck.mesh.slab_file import facet_count, is_binary_stl
+from ebamcheck.mesh.slabs import facet_count, is_binary_stl
 from ebamcheck.preflight.workload import (
     BASE_MB,
     COMPARE_S,

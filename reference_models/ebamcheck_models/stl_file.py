@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.stl_writer import write_triangles
+from ebamcheck.mesh.stl import write_triangles
 
 
 def write_stl(part: Part, path: str | Path) -> None:

@@ -1,7 +1,8 @@
-"""Strict reader of PLY files, ASCII and binary: a file whose content does not match the counts of its header is refused."""
+"""Strict readers of OBJ and PLY files: polygons become triangle fans, and what does not match the format is refused with its place."""
 
 from __future__ import annotations
 
+import re
 import struct
 from dataclasses import dataclass
 
@@ -9,7 +10,88 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
-from ebamcheck.mesh.polygons import checked_finite, numbers_of, polygon_corners
+from ebamcheck.mesh.reading import checked_finite, numbers_of, polygon_corners
+
+SURFACES = (b"surf", b"curv", b"curv2", b"cstype")
+"""Keywords of free-form geometry, which is no mesh."""
+
+_REFERENCE = re.compile(rb"([+-]?\d{1,18})(/[+-]?\d*){0,2}")
+_KEYWORD = re.compile(rb"[A-Za-z_#][\w#]*")
+
+
+def read_obj(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
+    """Corner points of the facets of an OBJ file, (F, 3, 3) in its unit, and harmless irregularities, one line each."""
+    if not data:
+        raise InputError(f"{name}: is empty (0 bytes)")
+    # A line that ends in a backslash continues on the next one; an empty line keeps the line numbers.
+    joined = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
+    lines = joined.splitlines()
+    heads = [line.split(None, 1)[:1] for line in lines]
+    vertex_lines = [k for k, head in enumerate(heads) if head == [b"v"]]
+    face_lines = [k for k, head in enumerate(heads) if head in ([b"f"], [b"fo"])]
+    _refuse_others(heads, lines, name)
+    if not face_lines:
+        raise InputError(f"{name}: holds no facet (OBJ)")
+    vertices = _vertices(lines, vertex_lines, name)
+    before = np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))
+    index, sizes = _polygons(lines, face_lines, before, len(vertices), name)
+    notes = []
+    if max(vertex_lines[-1], face_lines[-1]) == len(lines) - 1 and not data.endswith((b"\n", b"\r")):
+        notes.append("the last line has no end: the file may have been cut there")
+    return checked_finite(polygon_corners(vertices, index, sizes), name), notes
+
+
+def _refuse_others(heads: list[list[bytes]], lines: list[bytes], name: str) -> None:
+    """Refuse free-form surfaces, which would be lost, and lines that are not in this format."""
+    for k, head in enumerate(heads):
+        if head and head[0] in SURFACES:
+            word = head[0].decode()
+            raise InputError(f"{name}: line {k + 1}: {word!r} is free-form geometry, no mesh: export facets")
+        if head and not (_KEYWORD.match(head[0])):
+            raise InputError(f"{name}: line {k + 1}: {_shown(lines[k])} is no line of an OBJ file")
+
+
+def _vertices(lines: list[bytes], where: list[int], name: str) -> NDArray[np.float64]:
+    """Vertices (V, 3); weights and colours after them are ignored."""
+    rows = [lines[k].split()[1:] for k in where]
+    for k, row in zip(where, rows, strict=True):
+        if not 3 <= len(row) <= 8:
+            raise InputError(
+                f"{name}: line {k + 1}: {_shown(lines[k])} has {len(row)} numbers: a vertex has three"
+            )
+    if not rows:
+        raise InputError(f"{name}: holds facets and no vertex (OBJ)")
+    return numbers_of([token for row in rows for token in row[:3]], name).reshape(-1, 3)
+
+
+def _polygons(
+    lines: list[bytes], where: list[int], before: NDArray[np.int64], count: int, name: str
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Vertices of all corners, polygon after polygon, and number of corners of each polygon."""
+    found: list[int] = []
+    sizes: list[int] = []
+    for k, seen in zip(where, before.tolist(), strict=True):
+        corners = lines[k].split()[1:]
+        if len(corners) < 3:
+            raise InputError(
+                f"{name}: line {k + 1}: {_shown(lines[k])} has {len(corners)} corners: a facet has three"
+            )
+        for corner in corners:
+            told = _REFERENCE.fullmatch(corner)
+            row = int(told[1]) if told else 0
+            row = row - 1 if row > 0 else seen + row if row < 0 else -1
+            if not 0 <= row < count:
+                raise InputError(
+                    f"{name}: line {k + 1}: corner {_shown(corner)} is none of the {count} vertices of the file"
+                )
+            found.append(row)
+        sizes.append(len(corners))
+    return np.array(found, np.int64), np.array(sizes, np.int64)
+
+
+def _shown(text: bytes) -> str:
+    return repr(text[:40].decode("ascii", "replace"))
+
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -48,34 +130,16 @@ Columns = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
 
 
 def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
-    """Read the corner points of every facet of a PLY file; polygons become triangle fans from their first corner.
-
-    Parameters
-    ----------
-    data
-        The whole file.
-    name
-        Name of the file, for messages.
-
-    Returns
-    -------
-    triangles
-        (F, 3, 3) corners in the file's unit.
-    notes
-        Harmless irregularities; always empty for PLY.
-
-    Raises
-    ------
-    InputError
-        If the header is not that of PLY 1.0, the file holds more or fewer numbers than its header declares, a facet has
-        fewer than three corners or one that is no vertex, or a coordinate is not finite.
-    """
+    """Corner points of the facets of a PLY file, (F, 3, 3) in its unit; there are no harmless irregularities."""
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
     order, elements, start = _header(data, name)
     read = _read_ascii if not order else _read_binary
     found = read(data[start:], elements, order, name)
-    vertices = _vertices(found.get("vertex", {}), name)
+    columns = found.get("vertex", {})
+    if lacking := [axis for axis in "xyz" if axis not in columns]:
+        raise InputError(f"{name}: its vertices have no {lacking[0]} (PLY)")
+    vertices = np.stack([columns[axis][0] for axis in "xyz"], axis=1)
     faces = found.get("face", {})
     corners = next((faces[key] for key in CORNERS if key in faces), None)
     if corners is None or not corners[1].size:
@@ -94,13 +158,6 @@ def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
         )
     index = told.astype(np.int64)
     return checked_finite(polygon_corners(vertices, index, sizes), name), []
-
-
-def _vertices(columns: Columns, name: str) -> NDArray[np.float64]:
-    lacking = [axis for axis in "xyz" if axis not in columns]
-    if lacking:
-        raise InputError(f"{name}: its vertices have no {lacking[0]} (PLY)")
-    return np.stack([columns[axis][0] for axis in "xyz"], axis=1)
 
 
 # -- header --------------------------------------------------------------------------------------------
