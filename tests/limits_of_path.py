@@ -208,7 +208,7 @@ def polygon(f: float) -> Subject:
     ring = (radius - inset) * np.column_stack([np.cos(around), np.sin(around)])
     corners = np.linspace(0.0, 2.0 * math.pi, sides, endpoint=False)
     section = shapely.Polygon(radius * np.column_stack([np.cos(corners), np.sin(corners)]))
-    return program_of([[]], section, rings=[[ring]]).given(contour_offset_mm=inset)
+    return program_of([[]], section, rings=[[ring]]).by(scan={"contour_offset_mm": inset})
 
 
 # -- ends of beads -------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ def slit(f: float) -> Subject:
     ring = [(3, 3), (77, 3), (77, 27), (3, 27), (3, 3)]
     gap_mm = f * 1e-3
     section = shapely.MultiPolygon([shapely.box(0, 0, 40, 30), shapely.box(40 + gap_mm, 0, 80, 30)])
-    return program_of([[]], section, rings=[[ring]]).given(contour_offset_mm=3.0)
+    return program_of([[]], section, rings=[[ring]]).by(scan={"contour_offset_mm": 3.0})
 
 
 # -- narrow features -----------------------------------------------------------------------------------
@@ -297,22 +297,22 @@ def shallow(depth_mm: float) -> Subject:
 
 
 CASES = (
-    upwards("contours close", "verification.PATH_TOLERANCE_MM", open_ring, *PLANNED),
-    upwards("contour path", "verification.PATH_TOLERANCE_MM", lambda f: moved_ring(f * 1e-3), *PLANNED),
-    upwards("contour path", "verification.PATH_TOLERANCE_MM machine.line_tolerance_mm", with_chords, *PLANNED),
-    upwards("hatch path", "verification.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
-    upwards("hatch vectors", "verification.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
+    upwards("contours close", "path_checks.PATH_TOLERANCE_MM", open_ring, *PLANNED),
+    upwards("contour path", "path_checks.PATH_TOLERANCE_MM", lambda f: moved_ring(f * 1e-3), *PLANNED),
+    upwards("contour path", "path_checks.PATH_TOLERANCE_MM machine.line_tolerance_mm", with_chords, *PLANNED),
+    upwards("hatch path", "path_checks.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
+    upwards("hatch vectors", "path_checks.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
     upwards("layer heights", "path_checks.HEIGHT_TOLERANCE_MM", higher, *PLANNED),
     upwards("contour rings", "path_checks.HEIGHT_TOLERANCE_MM", higher, *PLANNED),
     upwards("islands", "path_checks.HEIGHT_TOLERANCE_MM", higher, *PLANNED),
-    upwards("section", "verification.SECTION_TOLERANCE_MM", lambda f: beside(f, 0.05), *PLANNED, "layers"),
+    upwards("section", "section_check.SECTION_TOLERANCE_MM", lambda f: beside(f, 0.05), *PLANNED, "layers"),
     upwards("section", "curves.section_tolerance_mm", lambda f: beside(f, 0.25).by(curves={"method": "chord"}), *PLANNED, "layers"),
     upwards(
-        "section", "section_check.CORNER_RAD section_check.COLLINEAR_MM", polygon, "layers", "contour_offset_mm"
+        "section", "section_check.CORNER_RAD section_check.COLLINEAR_MM", polygon, "layers"
     ),
-    upwards("section", "section_check.SLIT_MM", slit, "layers", "contour_offset_mm"),
+    upwards("section", "section_check.SLIT_MM", slit, "layers"),
     upwards(
-        "smooth section", "verification.SECTION_TOLERANCE_MM curves.tolerance_mm curves.near_point_mm curves.collinear_mm",
+        "smooth section", "section_check.SECTION_TOLERANCE_MM curves.tolerance_mm curves.near_point_mm curves.collinear_mm",
         lambda f: beside(f, 0.05 + 2.0 * 0.02 + 0.001 + 0.001, smooth=cube().known["layers"]), *PLANNED, "layers", "smooth",
     ),
     upwards("beads inside", "curves.section_tolerance_mm", out_of_the_part, *PLANNED, "layers"),

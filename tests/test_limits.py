@@ -19,9 +19,8 @@ from limits_of_heat import preheated
 from planted_faults import FAULTS
 
 import ebamcheck
-from ebamcheck.checks import plugged
-from ebamcheck.checks.remedies import REMEDIES
-from ebamcheck.pipeline import loose_limits
+from ebamcheck.checks import loose_limits
+from ebamcheck.checks.rules import REMEDIES
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.record.run_folder import RunFolder
@@ -74,7 +73,7 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
+        matching.SAME_MM path_checks.PLACE_MM subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
         bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
         turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
     "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
@@ -178,6 +177,6 @@ def test_every_setting_that_makes_a_check_looser_has_its_two_cases():
 
 def test_the_checks_of_plugins_are_among_those_of_a_program(monkeypatch):
     check = Check("mine", False, 12.0, 10.0, "motions", "MAIN.MPF", "12 motions")
-    monkeypatch.setattr(plugged.registry, "names", lambda group: ["mine"] if group == registry.CHECKS else [])
-    monkeypatch.setattr(plugged.registry, "plugin", lambda group, name: lambda program, config: check)
+    monkeypatch.setattr(registry, "names", lambda group: ["mine"] if group == registry.CHECKS else [])
+    monkeypatch.setattr(registry, "plugin", lambda group, name: lambda program, config: check)
     assert not cube().checks()["mine"].passed

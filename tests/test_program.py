@@ -111,9 +111,10 @@ def test_repeated_inner_knots_give_no_empty_blocks(tmp_path):
     curves = make_curves([0.5], [[[(control, knots)]]], [False])
     for form in FORMS:
         config = Config().changed(machine=FORMS[form])
-        files = write_program(curves, make_plan([0.5], []), config, tmp_path / "program")
+        plan = make_plan([0.5], [])
+        files = write_program(curves, plan, config, tmp_path / "program")
         nc = read_program(files.main, config)
-        assert failed(verify_program(nc, config=config, curves=curves)) == []
+        assert failed(verify_program(nc, config=config, curves=curves, plan=plan)) == []
         if form == "poly":
             assert nc.deposit.sum() == 3
 
@@ -236,7 +237,7 @@ def test_a_path_may_go_around_a_narrow_hole_or_pass_it_by(tmp_path):
         ]
         curves = make_curves(heights, [[inset]] * 2, [True, True])
         files = write_program(curves, make_plan(heights, []), Config(), tmp_path / f"program{k}")
-        checks = verify_file(files.main, config=Config(), layers=layers, section_tolerance_mm=0.25)
+        checks = verify_file(files.main, config=Config(), layers=layers)
         assert failed(checks) == []
 
 

@@ -8,8 +8,6 @@ import pytest
 import shapely
 from prism_program import Made
 
-from ebamcheck.checks.bead_checks import bead_checks
-from ebamcheck.checks.checks import checks_of
 from ebamcheck.checks.overhang import overhang_check
 from ebamcheck.program import verify_program
 
@@ -26,7 +24,9 @@ def test_beads_from_a_place_that_no_block_has_given_cover_nothing(lines, tmp_pat
         made.edit("MAIN_L0002.SPF", without_x)
         made.edit("MAIN.MPF", without_x)
     nc = made.read()
-    found = {check.name: check for check in checks_of(bead_checks(nc, made.config, made.z, made.layers))}
+    found = {
+        check.name: check for check in verify_program(nc, config=made.config, layers=made.layers, beads=True)
+    }
     assert not found["coverage"].passed
     assert not found["gaps"].passed
     assert "nan" not in found["coverage"].text

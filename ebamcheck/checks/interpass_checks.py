@@ -18,7 +18,7 @@ from ebamcheck.checks.heat_again import (
     highest_entry_k,
     may_differ_k,
 )
-from ebamcheck.checks.melting_check import MELTING, MELTING_TOLERANCE, melting_check, own_shares
+from ebamcheck.checks.melting_check import MELTING_TOLERANCE, melting_check, own_shares
 from ebamcheck.checks.text_heat import (
     TextBeads,
     sections_of_text,
@@ -58,9 +58,6 @@ settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70,
 
 WAITED_S = 1e-6
 """A wait that is longer than the settings ask for by less is theirs: decimals of a process value."""
-
-HEAT_CHECKS = (INTERPASS, MELTING, AGAIN, COLD)
-"""Names of the checks that the heat gate reads."""
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:

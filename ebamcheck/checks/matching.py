@@ -7,12 +7,10 @@ track that it should have followed. A bead without a track is one that nobody pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
@@ -21,60 +19,13 @@ from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_ends import with_bead_ends
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
-from ebamcheck.writing.tracks import Toolpath, toolpath
+from ebamcheck.writing.tracks import Toolpath
 
 SAME_MM = 2e-3
 """Ends of a bead and of its track, each rounded to the decimals of a program, at their coarsest."""
 
 APART_MM = 1e6
 """Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
-
-
-@dataclass(frozen=True, eq=False)
-class _NoCurves:
-    """Contours of a stack that has none."""
-
-    heights: Floats
-    layer_starts: Ints
-    ring_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
-    closed: Bools = field(default_factory=lambda: np.zeros(0, np.bool_))
-    kind: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
-    control_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
-    control: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    knot_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
-    knots: Floats = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True, eq=False)
-class _NoIslands:
-    """Plan of a stack without islands."""
-
-    heights: Floats
-    island_layer: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    order: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    island_kind: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, np.str_))
-    sections: NDArray[np.object_] | None = None
-    vectors: SimpleNamespace = field(
-        default_factory=lambda: SimpleNamespace(**dict.fromkeys(("island", "x0", "y0", "x1", "y1"), ()))
-    )
-
-
-def tracks_known(curves: CurveColumns | None, plan: ScanColumns | None, config: Config) -> Toolpath | None:
-    """Tracks of contours or of islands alone, where the others are not known; None without either."""
-    if curves is None and plan is None:
-        return None
-    if curves is None and plan is not None:
-        curves = _NoCurves(plan.heights, np.zeros(len(plan.heights) + 1, np.int64))
-    if plan is None and curves is not None:
-        plan = _NoIslands(curves.heights)
-    assert curves is not None
-    assert plan is not None
-    machine = config.machine
-    path = toolpath(curves, plan, config, machine.printed_decimals, "cubics", machine.line_tolerance_mm)
-    return with_bead_ends(path, config.process, machine.printed_decimals)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,9 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
+from ebamcheck.checks.outside_check import outside_check
+from ebamcheck.checks.subject import Subject
+from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
 from ebamcheck.layers.stack import Layers
@@ -18,6 +21,10 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.settings.config import Config
+
+SECTION_TOLERANCE_MM = 0.05
+"""Contour path against the section: the fit of the curves and the roundness of the inset's corners."""
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
@@ -64,6 +71,42 @@ class _Worst:
     y: float
     what: str = ""
     """In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there."""
+
+
+def section_checks(subject: Subject) -> list[Check]:
+    """Contours against the sections, by chords and with the curves that these stand for; and all beads within them."""
+    nc, layers, smooth, z_of, config = (
+        subject.nc,
+        subject.witness,
+        subject.smooth,
+        subject.z_of,
+        subject.config,
+    )
+    offset_mm, most_mm, near_mm = (
+        config.contour_offset_mm,
+        config.curves.section_tolerance_mm,
+        smooth_tolerance_mm(config),
+    )
+    base_mm = SECTION_TOLERANCE_MM if smooth is None else near_mm
+    if config.curves.method not in LIFTED:
+        # An interpolating spline goes its own way between points, twice: no place tells how far.
+        base_mm = most_mm
+    checks = [
+        section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base_mm, most_mm, smooth)),
+        outside_check(nc, layers, z_of, config, most_mm),
+    ]
+    if smooth is not None:
+        checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
+    return checks
+
+
+def smooth_tolerance_mm(config: Config) -> float:
+    """Distance of the path from a smooth section that was sliced and fitted anew.
+
+    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
+    """
+    curves = config.curves
+    return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def section_check(

@@ -12,6 +12,7 @@ from ebamcheck.checks.machine_state import machine_state_checks
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.scan.filling.turns import TURN_SPACINGS
 from ebamcheck.settings.config import Config
 
 LEAST_SPLINE_BLOCKS = 6
@@ -21,8 +22,8 @@ LIMIT_ROUNDING_MM = 1e-9
 """Rounding of a curve's extreme."""
 
 
-def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Check]:
-    """Check the state of the machine in every motion; `turn_limit_mm` is the longest turn under beam."""
+def state_checks(nc: NCProgram, config: Config) -> list[Check]:
+    """Check the state of the machine in every motion."""
     # Of a program whose table turns, what its axes do, and not what that is on the part.
     driven = nc if nc.machine is None else nc.machine
     return [
@@ -34,7 +35,7 @@ def state_checks(nc: NCProgram, config: Config, turn_limit_mm: float) -> list[Ch
         _travel(driven, config),
         _beam(nc),
         _wire(nc),
-        _turns(nc, turn_limit_mm),
+        _turns(nc, TURN_SPACINGS * config.process.hatch_spacing_mm),
     ]
 
 

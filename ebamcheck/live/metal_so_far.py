@@ -16,6 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.mesh_sections import layer_check, sections_check
 from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.checks.verification import read_checked
 from ebamcheck.errors import EbamcheckError
@@ -26,7 +27,6 @@ from ebamcheck.metal import Surface, target_of
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config

@@ -24,7 +24,6 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import plate_checks
-from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
@@ -326,6 +325,7 @@ def verify_against_part(
     made = verify_file(
         program,
         config=config,
+        part=part,
         layers=witness,
         smooth=smooth_sections(curves, config),
         beads=True,
@@ -340,7 +340,6 @@ def verify_against_part(
             differences=tuple(_differences(program, config)),
         ),
     )
-    made = with_solid(made, part, witness, config)
     if not all(check.passed for check in made):
         z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
         made = [*begins_later(program, z_of, config), *made]

@@ -11,18 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.checks.between_cuts import between_check
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import SOLID, of_deposit
-from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, section_areas
+from ebamcheck.checks.mesh_sections import heights_check, sections_check
+from ebamcheck.checks.part_file import file_check
+from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.between_cuts import between_check
-from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
-from ebamcheck.pipeline.part_file import file_check
-from ebamcheck.preflight.layer_height import nearest_fitting
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.writing.inputs import deposition_heights
@@ -61,18 +59,20 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     """
     limit, cuts = config.process.mass_tolerance, np.asarray(layers.heights)
     if not len(cuts) or not layers.areas().any():
-        return Solid(Check(SOLID, False, np.inf, limit, "of the part", "", "no layer has metal"), np.nan)
+        return Solid(
+            Check("metal of the solid", False, np.inf, limit, "of the part", "", "no layer has metal"), np.nan
+        )
     if len(cuts) == 1 and _of_some_layers(config):
         # A layer that is made alone, at a height that was measured, is what that height makes it.
         text = "one layer of the part says nothing of the solid"
-        return Solid(Check(SOLID, True, 0.0, limit, "of the part", "", text), np.nan)
+        return Solid(Check("metal of the solid", True, 0.0, limit, "of the part", "", text), np.nan)
     borders = layer_borders(part, cuts, config)
     parts = [(mesh, areas, name) for mesh, areas, name in _parts(part, layers)]
     found = [_rule(mesh, cuts, borders, areas, config) for mesh, areas, _ in parts]
     k = int(np.argmax([rule.share for rule in found]))
     rule, text = found[k], _summed(found[k], parts[k][2])
     if rule.share <= limit:
-        return Solid(Check(SOLID, True, rule.share, limit, "of the part", "", text), np.nan)
+        return Solid(Check("metal of the solid", True, rule.share, limit, "of the part", "", text), np.nan)
     layer, z_mm = None, np.nan
     if rule.faces:
         z_mm = rule.faces[0].z_mm
@@ -80,24 +80,17 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
         text += f", most {_face(rule)}"
     if not any(_overlap(mesh, cuts, areas) for mesh, areas, _ in parts):
         text += _proposed(part, config)
-    return Solid(Check(SOLID, False, rule.share, limit, "of the part", "", text, layer), z_mm)
+    return Solid(Check("metal of the solid", False, rule.share, limit, "of the part", "", text, layer), z_mm)
 
 
 def of_mesh(part: Part, layers: Layers, config: Config) -> list[Check]:
-    """Checks of the sections and heights of the layers against the mesh; parameters as of :func:`solid_check`."""
+    """Checks of the sections and heights of the layers against the mesh, and of that against its file."""
     return [
         sections_check(part, layers, config),
         between_check(part, layers, config),
         heights_check(part, np.asarray(layers.heights), config),
         file_check(part, config),
     ]
-
-
-def with_solid(checks: list[Check], part: Part, layers: Layers, config: Config) -> list[Check]:
-    """Add the checks against the mesh to those of a program whose metal was looked at; to others they would say nothing of them."""
-    if not of_deposit(checks):
-        return checks
-    return [*checks, solid_check(part, layers, config).check, *of_mesh(part, layers, config)]
 
 
 def layer_borders(part: Part, cuts: Floats, config: Config) -> Floats:

@@ -18,7 +18,6 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import HEIGHTS, SECTIONS
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -94,11 +93,13 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
                 worst, layer, (x_mm, y_mm) = depth, k, at
     if layer < 0:
         text = "lines across every section run in metal where they do in the mesh"
-        return Check(SECTIONS, True, 0.0, limit, "mm", "", text)
+        return Check("sections of the mesh", True, 0.0, limit, "mm", "", text)
     text = f"section of layer {layer + 1} and mesh differ at ({x_mm:.3f}, {y_mm:.3f})"
     if np.isfinite(worst):
         text += f", {worst:.4g} mm from the border of the section"
-    return Check(SECTIONS, worst <= limit, worst, limit, "mm", "", text, layer, float(x_mm), float(y_mm))
+    return Check(
+        "sections of the mesh", worst <= limit, worst, limit, "mm", "", text, layer, float(x_mm), float(y_mm)
+    )
 
 
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
@@ -112,7 +113,9 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
         by_user = bool(config.layers.heights_mm) and not check.passed
         return replace(check, remedy=ON_WHAT_STANDS) if by_user else check
     if config.layers.heights_mm or config.base_mm > 0.0:
-        return Check(HEIGHTS, True, 0.0, HEIGHT_MM, "mm", "", "the settings say which layers there are")
+        return Check(
+            "layers of the part", True, 0.0, HEIGHT_MM, "mm", "", "the settings say which layers there are"
+        )
     low_mm, top_mm = part.bounds[:, 2].tolist()
     high = config.layer_height_mm
     tops = deposition_heights(cuts, high)
@@ -130,7 +133,7 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     value = max(off[what], 0.0)
     good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
     text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
-    return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+    return Check("layers of the part", value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
 
 
 def _is_uneven(cuts: Floats) -> bool:
@@ -160,7 +163,7 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
     value = max(off[what], 0.0)
     good = f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle"
     text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
-    return Check(HEIGHTS, value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+    return Check("layers of the part", value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
 
 
 # -- lines -------------------------------------------------------------------------------------------

@@ -18,7 +18,6 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import BETWEEN
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -61,11 +60,19 @@ def between_check(part: Part, layers: Layers, config: Config) -> Check:
         Its sections by a slicer.
     """
     if config.layers.heights_mm or config.base_mm > 0.0:
-        return Check(BETWEEN, True, 0.0, 0.0, "features", "", "the settings say which layers there are")
+        return Check(
+            "between the cuts", True, 0.0, 0.0, "features", "", "the settings say which layers there are"
+        )
     found = sorted(lost_features(part, layers, config), key=lambda lost: min(lost.high_mm, lost.wide_mm))
     if not found:
         return Check(
-            BETWEEN, True, 0.0, 0.0, "features", "", "no opening and no metal lies between two cuts alone"
+            "between the cuts",
+            True,
+            0.0,
+            0.0,
+            "features",
+            "",
+            "no opening and no metal lies between two cuts alone",
         )
     process = config.process
     least = {False: process.least_hole_mm, True: process.least_wall_mm}
@@ -80,7 +87,7 @@ def between_check(part: Part, layers: Layers, config: Config) -> Check:
         text += f"; {'process.least_wall_mm' if first.is_wall else 'process.least_hole_mm'} allows none under {least[first.is_wall]:.3g} mm"
     layer = max(first.below, 0)
     return Check(
-        BETWEEN,
+        "between the cuts",
         not broken,
         float(len(broken or found)),
         0.0,
