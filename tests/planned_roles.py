@@ -5,10 +5,10 @@ from __future__ import annotations
 from nc_stack import make_curves, make_plan
 
 from ebamcheck.checks.matching import matched
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 
 
 def as_planned(

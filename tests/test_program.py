@@ -189,7 +189,7 @@ def test_hatch_lines_far_apart_are_not_joined(tmp_path):
     nc = read_program(files.main)
     assert nc.events.name.count("beam_on") == 3
     assert nc.turn.sum() == 2
-    assert failed(verify_program(nc, config=Config(), plan=plan)) == []
+    assert failed(verify_program(nc, config=Config(), curves=curves, plan=plan)) == []
     assert nc.vectors()[["x0", "y0", "x1", "y1"]].to_numpy() == pytest.approx(
         plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy()
     )

@@ -15,6 +15,7 @@ from slicers_here import slicers_here
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
+from ebamcheck.checks import subject
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import check_job, run_job

@@ -12,10 +12,10 @@ from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.event_checks import retract_check
 from ebamcheck.checks.melting_check import own_shares
 from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_parts import SHORTEST_BLOCK_MM
 
 POWER_TOLERANCE = 1e-3
 """Beam power in the program over that of the process: the decimals of voltage and current."""

@@ -15,12 +15,12 @@ from ebamcheck.checks.deposit import Deposit
 from ebamcheck.checks.metal_below import MetalBelow, counts, with_metal
 from ebamcheck.checks.metal_zones import tolerances, zone_limit, zone_off
 from ebamcheck.checks.remedies import COARSE, TOO_THIN
+from ebamcheck.checks.thin_walls import narrow_bead
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
-from ebamcheck.writing.thin_walls import narrow_bead
 
 NARROW = "narrow features"
 """Name of the check of openings and walls of the part that are narrower than a least that is set."""

@@ -18,8 +18,8 @@ from ebamcheck.checks.checks import Check, count_check
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.turns import TURN_SPACINGS
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import TURN_SPACINGS
 
 LINES, CROSSINGS = "hatch lines", "crossings"
 """Names of the checks."""

@@ -17,12 +17,12 @@ from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
 from ebamcheck.nc.header import header_lines
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.writing.inputs import deposition_heights
 
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
 """Lines of the header that do not follow from the settings and the program's own text."""

@@ -29,11 +29,11 @@ from ebamcheck.checks.text_heat import (
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
 from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.inputs import Interpass
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import Interpass
 
 INTERPASS, AGAIN = "interpass temperature", "balance of the heat"
 """Names of two checks."""

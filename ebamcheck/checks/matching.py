@@ -16,10 +16,10 @@ from scipy.spatial import cKDTree
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
 from ebamcheck.nc.beads import Beads
+from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.writing.tracks import Toolpath
 
 SAME_MM = 2e-3
 """Ends of a bead and of its track, each rounded to the decimals of a program, at their coarsest."""
@@ -47,10 +47,10 @@ class Matching:
     beads: Beads
     track: Ints
     again: Bools
-    path: Toolpath
+    path: TrackColumns
 
 
-def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
+def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
     """Give every bead the role of the track that it follows.
 
     Returns
@@ -212,7 +212,7 @@ def _bead_faults(nc: NCProgram, match: Matching) -> Check:
     return count_check("beads as planned", places, f"{known.size} beads, each once and in its order")
 
 
-def _named(path: Toolpath, track: int) -> str:
+def _named(path: TrackColumns, track: int) -> str:
     ring = int(path.ring[track])
     return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
 

@@ -20,10 +20,10 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.checks import Check
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
-from ebamcheck.writing.inputs import deposition_heights
 
 LINES_PER_BEAD = 2.0
 """Lines over the width of a bead: two or more cross every hole and every wall that may be built."""

@@ -14,18 +14,18 @@ from ebamcheck.checks.shapes import shape_distance
 from ebamcheck.checks.spline_points import spline_points
 from ebamcheck.checks.subject import Subject
 from ebamcheck.nc import motions
-from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
-from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import (
+from ebamcheck.nc.inputs import (
     ARC,
     LINE,
     SPLINE,
     CurveColumns,
     ScanColumns,
 )
+from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.nc.timeline import Kind
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
 
 PATH_TOLERANCE_MM = 1e-3
 """Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to."""

@@ -41,10 +41,10 @@ from ebamcheck.checks.window_checks import window_check
 from ebamcheck.checks.wire_checks import wire_check
 from ebamcheck.checks.word_checks import words_check
 from ebamcheck.findings import at_layer
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
-from ebamcheck.writing.inputs import deposition_heights
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.mesh.volumes import volumes_between
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
-from ebamcheck.writing.inputs import deposition_heights
 
 SAME_AREA = 1e-3
 """Share of the greatest section by which those of the mesh and of a slicer differ only where bodies overlap, or it is open."""

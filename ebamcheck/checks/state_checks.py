@@ -12,8 +12,8 @@ from ebamcheck.checks.machine_state import machine_state_checks
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.filling.turns import TURN_SPACINGS
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import TURN_SPACINGS
 
 LEAST_SPLINE_BLOCKS = 6
 """Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""

@@ -17,12 +17,18 @@ from ebamcheck.checks.text_heat import known_sections
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.inputs import (
+    CurveColumns,
+    Interpass,
+    ScanColumns,
+    TrackColumns,
+    deposition_heights,
+    interpass_of,
+)
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height, by_section
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import CurveColumns, Interpass, ScanColumns, deposition_heights, interpass_of
-from ebamcheck.writing.tracks import Toolpath
 
 CONTOUR_SHARE = 0.125
 """Of the bead's width: a bead that runs this near to the inset of the section is a contour."""
@@ -99,7 +105,7 @@ class Subject:
         return by_section(nc, self.layers, self.z_of, config.contour_offset_mm, near_mm)
 
     @property
-    def path(self) -> Toolpath | None:
+    def path(self) -> TrackColumns | None:
         """Tracks that the program is to follow."""
         return None if self.match is None else self.match.path
 

@@ -8,14 +8,12 @@ import numpy as np
 
 from ebamcheck.checks.bead_metal import bead_sections_mm2
 from ebamcheck.checks.checks import Check, worst_check
+from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.nc.increments import increments_of
+from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_parts import path_points
-from ebamcheck.writing.cuts import segment_lengths
-from ebamcheck.writing.tracks import Toolpath
-from ebamcheck.writing.wire import width_limits_mm
 
 NAME = "mass balance"
 
@@ -26,7 +24,7 @@ NEAR_MM = 0.2
 """Wire changes between blocks, whose ends are rounded, and which other curve forms place elsewhere by so much."""
 
 
-def wire_check(nc: NCProgram, config: Config, path: Toolpath | None) -> Check:
+def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
     """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
 
     With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool
@@ -74,10 +72,9 @@ def _rounded(nc: NCProgram, rows: Ints, config: Config) -> Floats:
     return np.asarray(0.5 * np.nan_to_num(wire + feed, posinf=0.0), np.float64)
 
 
-def _wanted_mm2(nc: NCProgram, rows: Ints, path: Toolpath) -> Floats | None:
+def _wanted_mm2(nc: NCProgram, rows: Ints, path: TrackColumns) -> Floats | None:
     """Sections that the plan asks for at and just beside the middle of each motion, (n, 3) mm2; None where beads differ."""
-    planned = segment_lengths(path.kind, path_points(path))
-    ends = np.cumsum(planned)
+    ends = np.cumsum(path.lengths)
     bounds = np.concatenate([[0.0], ends])[
         path.track_starts[np.concatenate([[True], np.diff(path.track_starts) > 0])]
     ]

@@ -20,12 +20,12 @@ from ebamcheck.comparison.findings import worst_of
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import at_layer
 from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
-from ebamcheck.writing.inputs import deposition_heights
 
 NO_AGREEMENT = "layers without agreement"
 """Unit of the gate `agreement`."""

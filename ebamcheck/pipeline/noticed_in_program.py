@@ -28,11 +28,11 @@ from ebamcheck.checks.remedies import (
 )
 from ebamcheck.findings import Finding, Severity, at_layer
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import deposition_heights
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 

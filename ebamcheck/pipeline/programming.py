@@ -28,6 +28,7 @@ from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates, noticed_in_program
 from ebamcheck.pipeline.choice import witness_backend
@@ -51,7 +52,6 @@ from ebamcheck.pipeline.work import Job, one_beside
 from ebamcheck.program import Check, program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.writing.events import event_totals, process_events
-from ebamcheck.writing.inputs import deposition_heights
 from ebamcheck.writing.tracks import Toolpath
 
 TOTALS = (

@@ -21,6 +21,10 @@ MOST_SPACINGS = 1.6
 """Greatest width of a bead over the spacing: it stands that much higher over the layer than its neighbours, which the
 next layer still melts."""
 
+TURN_SPACINGS = 1.5
+"""Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
+part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
+
 ROUNDING = 1e-9
 """Of a ratio of floats."""
 

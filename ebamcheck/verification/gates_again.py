@@ -25,7 +25,6 @@ from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal_field import FIELD_FILE
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.rules import RULES, of_gate
-from ebamcheck.checks.verification import read_checked
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves, fit_for_program
@@ -37,6 +36,7 @@ from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
@@ -51,6 +51,7 @@ from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_program
+from ebamcheck.program.verification import read_checked
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
@@ -68,7 +69,6 @@ from ebamcheck.verification.tables_again import (
 )
 from ebamcheck.version import __version__
 from ebamcheck.writing.bead_ends import planned_path
-from ebamcheck.writing.inputs import deposition_heights
 
 SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""

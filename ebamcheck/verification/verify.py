@@ -18,6 +18,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
@@ -46,7 +47,6 @@ from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.files import differences
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.gates_again import compared, truth_of, work_again
-from ebamcheck.writing.inputs import deposition_heights
 
 
 def verify(

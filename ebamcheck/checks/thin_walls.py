@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
+from ebamcheck.geometry.regions import mean_width_mm, split_thin, valid_polygons
 from ebamcheck.heat.melting import least_power_share
-from ebamcheck.scan.islands.regions import CRUMB, split_thin
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import line_energy_j_mm
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
+
+CRUMB = 0.25
+"""Thin pieces under this times the squared bead width are corners that a round bead never fills."""
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from ebamcheck.errors import InputError
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.reader import read_program
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 
 
 def verify_program(
