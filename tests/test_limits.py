@@ -73,8 +73,8 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        matching.SAME_MM path_checks.PLACE_MM subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
-        bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
+        subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
+        tolerances.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
         turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
     "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
     "what a warning or a text tells, and no check": """

@@ -16,6 +16,7 @@ from ebamcheck.checks.checks import Check, count_check, lines_of, row_faults
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
 from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.tolerances import SAME_LINE_MM
 from ebamcheck.geometry.raster import covered_fraction
 from ebamcheck.geometry.regions import ground, inset
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
@@ -31,9 +32,6 @@ BEAD_STEP_MM = 0.5
 
 SPACING_SHARE = 1.5
 """Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
-
-SAME_LINE_MM = 0.01
-"""Lines nearer than this, along one another, are one line laid twice: far under any spacing."""
 
 PARALLEL_RAD = 1e-3
 """Lines of one island whose directions differ by more follow a wall, and have no common spacing."""

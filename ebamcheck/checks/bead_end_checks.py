@@ -11,20 +11,12 @@ import numpy as np
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.event_checks import retract_check
 from ebamcheck.checks.melting_check import own_shares
+from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.nc.increments import power_slack_w
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-
-POWER_TOLERANCE = 1e-3
-"""Beam power in the program over that of the process: the decimals of voltage and current."""
-
-PLACE_MM = 1e-3
-"""Places nearer than this are one place, rounded to the decimals of a program."""
-
-FULL = 1e-3
-"""Power over the greatest of its bead from which on it is full, less than 1: the decimals of volts and milliamperes."""
 
 ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM
 """Length by which a ramp is shorter or longer, since it ends with a block that is near."""
@@ -56,19 +48,17 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     off = np.maximum(np.abs(share - wanted) - step, 0.0)
     off[np.isnan(share)] = np.nan
     found = worst_check(
-        "power", nc, rows, off, POWER_TOLERANCE, "of the power set", "deviation of the beam power"
+        "power", nc, rows, off, VALUE_SHARE, "of the power set", "deviation of the beam power"
     )
     highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
-    within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + POWER_TOLERANCE) + slack_w
+    within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + VALUE_SHARE) + slack_w
     text = f"{highest:g} W in the program, {process.power_w:g} W set"
     if (shares < 1.0).any():
         text += f", {np.nanmin(shares) * process.power_w:g} W in the layer of the least"
     if process.ramps_beam:
         lowest = float(np.nanmin(nc.power_w[rows], initial=highest))
         text += f", ramps from {lowest:g} W over {process.ramp_up_mm:g} mm and to it over {process.crater_fill_mm:g} mm"
-    return Check(
-        "power", found.passed and within, found.value, POWER_TOLERANCE, found.unit, found.where, text
-    )
+    return Check("power", found.passed and within, found.value, VALUE_SHARE, found.unit, found.where, text)
 
 
 def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Floats]:
@@ -120,7 +110,7 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
 def _times(power_w: Floats, time_s: Floats, bead: Ints) -> tuple[Floats, Floats]:
     """Seconds (P,) of each bead before its first motion at full power, and after the last one."""
     first, stop = (np.searchsorted(bead, np.arange(bead[-1] + 1), side=side) for side in ("left", "right"))
-    full = np.flatnonzero(power_w >= np.fmax.reduceat(power_w, first)[bead] * (1.0 - FULL))
+    full = np.flatnonzero(power_w >= np.fmax.reduceat(power_w, first)[bead] * (1.0 - VALUE_SHARE))
     begins, ends = first.copy(), stop - 1
     begins[bead[full][::-1]] = full[::-1]
     ends[bead[full]] = full

@@ -7,7 +7,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.standing import TOUCH_MM, Standing, run_over
+from ebamcheck.checks.standing import Standing, run_over
+from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.motions import NCProgram
@@ -172,7 +173,7 @@ def beads_in_the_air(
         under = np.flatnonzero(
             (layer != k)
             & (beads.first < beads.first[mine[0]])
-            & (top >= below_mm[beads.first[mine[0]]] - TOUCH_MM)
+            & (top >= below_mm[beads.first[mine[0]]] - PLACE_MM)
         )
         stands = _metal(nc, beads, under, width_mm)
         for island in shapely.get_parts(_metal(nc, beads, mine, width_mm)):

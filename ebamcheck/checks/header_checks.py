@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.tolerances import PRINTED
 from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
@@ -34,9 +35,6 @@ TOLD, LETTERS = 3, 12
 """Differing settings that are told, and letters of a hash."""
 
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
-
-PRINTED_MM = 1e-6
-"""Decimals of the heights in comments."""
 
 MEGABYTE = 1e6
 
@@ -184,7 +182,7 @@ def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple
         wrong = said != true
         if not wrong and layer[3] and heights is not None and z is not None and k < heights.size:
             off_mm = max(abs(float(layer[3]) - heights[k]), abs(float(layer[4]) - z[k]))
-            wrong = off_mm > PRINTED_MM
+            wrong = off_mm > PRINTED
             said += f" cut at {float(layer[3]):.6f} mm, Z {float(layer[4]):.6f} mm"
             true += f" cut at {heights[k]:.6f} mm, Z {z[k]:.6f} mm"
         if wrong:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ebamcheck.checks.checks import Check, count_check, event_faults
 from ebamcheck.checks.event_checks import order_faults
+from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.nc.codes import BEAM_VALUES, SWITCHES
 from ebamcheck.nc.control import Group, control
 from ebamcheck.nc.modal_groups import group_of, wanted_words
@@ -29,12 +30,6 @@ FLOW = "program flow"
 
 TRANSFORMATION_OFF = "TRAFOOF"
 """Word of a SINUMERIK."""
-
-PLACE_MM = 1e-3
-"""Places nearer than this are one: three decimals are the fewest of a program."""
-
-PRINTED_SHARE = 1e-3
-"""Rounding of a tolerance to the decimals of a value. A lesser tolerance is a fault, too: the beam lingers in corners."""
 
 Faults = list[tuple[str, str]]
 
@@ -128,7 +123,7 @@ def modes_of_scans(scans: NCProgram, config: Config) -> Faults:
 def _other_tolerance(nc: NCProgram, config: Config) -> tuple[Bools, str]:
     """Tolerances that are another than the one set, and what to say of them."""
     limit, e = config.machine.smoothing_tolerance_mm, nc.events
-    other = ~(np.abs(e.value - limit) <= PRINTED_SHARE * limit)
+    other = ~(np.abs(e.value - limit) <= VALUE_SHARE * limit)
     return (e.kind == Kind.TOLERANCE) & other, f"{{name}} {{value:g}} mm in place of {limit:g} mm"
 
 

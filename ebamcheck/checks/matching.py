@@ -15,14 +15,12 @@ from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
+from ebamcheck.checks.tolerances import TWO_PLACES_MM
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-
-SAME_MM = 2e-3
-"""Ends of a bead and of its track, each rounded to the decimals of a program, at their coarsest."""
 
 APART_MM = 1e6
 """Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
@@ -66,7 +64,11 @@ def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
     found_layer = (
         nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else np.zeros(len(beads), np.int64)
     )
-    if len(found) == len(ends) and (layer == found_layer).all() and (np.abs(found - ends) <= SAME_MM).all():
+    if (
+        len(found) == len(ends)
+        and (layer == found_layer).all()
+        and (np.abs(found - ends) <= TWO_PLACES_MM).all()
+    ):
         pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
     else:
         pick, again = _pairs(_placed(found, found_layer), _placed(ends, layer))
@@ -99,7 +101,7 @@ def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
     taken = np.zeros(len(wanted), np.bool_)
     tree = cKDTree(wanted)
     for i, place in enumerate(found):
-        near = np.sort(np.asarray(tree.query_ball_point(place, SAME_MM, p=np.inf), np.int64)).tolist()
+        near = np.sort(np.asarray(tree.query_ball_point(place, TWO_PLACES_MM, p=np.inf), np.int64)).tolist()
         free = [t for t in near if not taken[t]]
         if free:
             pick[i] = free[0]
@@ -135,7 +137,7 @@ def _by_nearness(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> Non
         mine = free[~taken[free] & (wanted[free, 4] == found[i, 4])]
         apart = np.abs(wanted[mine, :4] - found[i, :4])
         near = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
-        if mine.size and near.min() <= SAME_MM:
+        if mine.size and near.min() <= TWO_PLACES_MM:
             pick[i] = mine[np.argmin(near)]
             taken[pick[i]] = True
 

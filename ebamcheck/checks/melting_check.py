@@ -7,6 +7,7 @@ import numpy as np
 from ebamcheck.checks.bead_metal import wire_section_mm2
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.heat_again import melting_power_w
+from ebamcheck.checks.tolerances import VALUE_SHARE
 from ebamcheck.checks.window_checks import layer_steps_mm
 from ebamcheck.nc.increments import power_slack_w
 from ebamcheck.nc.motions import NCProgram
@@ -15,9 +16,6 @@ from ebamcheck.settings.config import Config
 
 MELTING = "melting power"
 """Name of the check."""
-
-MELTING_TOLERANCE = 1e-3
-"""Share of the power: the decimals of voltage, current and wire speed."""
 
 WIDER = 1.0005
 """Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program."""
@@ -68,7 +66,7 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
         f"a bead of layer {nc.layer[row] + 1} has {power_w[worst]:.6g} W, its wire of {nc.wire_mm_s[row]:.6g} mm/s and the metal "
         f"that it remelts need {need_w[worst]:.6g} W"
     )
-    passed = bool(value[worst] >= 1.0 - MELTING_TOLERANCE)
+    passed = bool(value[worst] >= 1.0 - VALUE_SHARE)
     return Check(
         MELTING,
         passed,

@@ -18,6 +18,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
+from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
@@ -36,9 +37,6 @@ OFF_GRID = 0.381966
 
 AT_ONCE = 2_000_000
 """Cut facets that are held at once."""
-
-HEIGHT_MM = 1e-3
-"""Heights nearer than this are one: the decimals of a program, at their coarsest."""
 
 ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
 """Remedy where listed layers do not begin on what stands."""
@@ -114,7 +112,7 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
         return replace(check, remedy=ON_WHAT_STANDS) if by_user else check
     if config.layers.heights_mm or config.base_mm > 0.0:
         return Check(
-            "layers of the part", True, 0.0, HEIGHT_MM, "mm", "", "the settings say which layers there are"
+            "layers of the part", True, 0.0, PLACE_MM, "mm", "", "the settings say which layers there are"
         )
     low_mm, top_mm = part.bounds[:, 2].tolist()
     high = config.layer_height_mm
@@ -132,13 +130,13 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     what = max(off, key=lambda name: off[name])
     value = max(off[what], 0.0)
     good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
-    text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
-    return Check("layers of the part", value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+    text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"
+    return Check("layers of the part", value <= PLACE_MM, value, PLACE_MM, "mm", "", text)
 
 
 def _is_uneven(cuts: Floats) -> bool:
     """Whether cuts (L,) are of layers of several heights: those do not tell where each of them begins."""
-    return len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > HEIGHT_MM)
+    return len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > PLACE_MM)
 
 
 def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
@@ -162,8 +160,8 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
     what = max(off, key=lambda name: off[name])
     value = max(off[what], 0.0)
     good = f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle"
-    text = good if value <= HEIGHT_MM else f"{what}: {value:.4g} mm"
-    return Check("layers of the part", value <= HEIGHT_MM, value, HEIGHT_MM, "mm", "", text)
+    text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"
+    return Check("layers of the part", value <= PLACE_MM, value, PLACE_MM, "mm", "", text)
 
 
 # -- lines -------------------------------------------------------------------------------------------

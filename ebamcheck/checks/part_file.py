@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.checks.checks import Check
+from ebamcheck.checks.tolerances import SAME_SIZE
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
@@ -30,9 +31,6 @@ from ebamcheck.settings.units import known_as
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
 """Millimetres in one unit: the inch is exact since 1959. Written anew here."""
-
-SAME_SIZE = 1e-4
-"""Share of its size by which a part may be off: coordinates of an STL file have seven digits."""
 
 HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
 """Bytes before the first facet of a binary STL file, and a facet."""

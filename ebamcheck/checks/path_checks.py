@@ -13,6 +13,7 @@ from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
 from ebamcheck.checks.spline_points import spline_points
 from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, PLACE_MM
 from ebamcheck.nc import motions
 from ebamcheck.nc.inputs import (
     ARC,
@@ -27,9 +28,6 @@ from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
-PATH_TOLERANCE_MM = 1e-3
-"""Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to."""
-
 SAMPLES = 9
 """Places on each span where programmed and fitted curve are compared at the same parameter."""
 
@@ -38,12 +36,6 @@ CHORD_SHARE = 0.02
 
 FLAT_ARC = 1e-12
 """Sine of half the turn of an arc that is straight for numbers of 16 digits."""
-
-PLACE_MM = 1e-3
-"""Places nearer than this are one place, rounded to the decimals of a program."""
-
-HEIGHT_TOLERANCE_MM = 1e-3
-"""Z of a layer: the decimals of the program, at their coarsest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,7 +212,7 @@ def _group_faults(
             faults.append((nc.where(row), f"{what} {number} is not known"))
         elif number in seen:
             faults.append((nc.where(row), f"{what} {number} comes a second time"))
-        elif not abs(nc.end[row, 2] - z_of[number]) <= HEIGHT_TOLERANCE_MM:
+        elif not abs(nc.end[row, 2] - z_of[number]) <= PLACE_MM:
             faults.append(
                 (nc.where(row), f"{what} {number} at Z {nc.end[row, 2]:g} in place of {z_of[number]:g}")
             )
@@ -354,7 +346,7 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
     faults = [(i, f"layer {laid[i] + 1} comes in place of layer {wanted[i] + 1}") for i in order[:1].tolist()]
     faults += [
         (i, f"layer {laid[i] + 1} at Z {nc.end[begins[i], 2]:g} in place of {z_of[laid[i]]:g}")
-        for i in np.flatnonzero(~(off <= HEIGHT_TOLERANCE_MM)).tolist()
+        for i in np.flatnonzero(~(off <= PLACE_MM)).tolist()
     ]
     faults.sort(key=lambda fault: fault[0])
     last = [_where_called(nc, int(begins[order[0] if order.size else -1]))] if begins.size else [""]

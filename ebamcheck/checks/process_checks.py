@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.checks.checks import Check, worst_check
 from ebamcheck.checks.overhang import overhang_check
+from ebamcheck.checks.tolerances import DIRECTION_ROUNDING_DEG
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
@@ -18,9 +19,6 @@ from ebamcheck.settings.process import KeepOut
 
 DIRECTIONS = 17
 """Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter."""
-
-DIRECTION_ROUNDING_DEG = 0.01
-"""Direction of a line of a few tenths of a millimetre whose ends are rounded to the program's decimals."""
 
 KEEP_OUT_STEP_MM = 0.2
 """Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um."""

@@ -23,7 +23,6 @@ from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
 from ebamcheck.checks.overfill import overfill_check
 from ebamcheck.checks.path_checks import (
-    PATH_TOLERANCE_MM,
     closure_check,
     contour_checks,
     hatch_checks,
@@ -37,6 +36,7 @@ from ebamcheck.checks.state_checks import state_checks
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.text_checks import text_checks
 from ebamcheck.checks.tilt_checks import tilt_checks
+from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM
 from ebamcheck.checks.window_checks import window_check
 from ebamcheck.checks.wire_checks import wire_check
 from ebamcheck.checks.word_checks import words_check

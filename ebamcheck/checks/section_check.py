@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.outside_check import outside_check
 from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.tolerances import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
 from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
@@ -21,19 +22,9 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.settings.config import Config
-
-SECTION_TOLERANCE_MM = 0.05
-"""Contour path against the section: the fit of the curves and the roundness of the inset's corners."""
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
-
-COLLINEAR_MM = 1e-3
-"""Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord."""
-
-SLIT_MM = 1e-3
-"""Width up to which a slit is what rounding left of a face that two bodies share: far under any gap that a bead leaves open."""
 
 CORNER_RAD = math.radians(40.0)
 """Chords that turn by more meet in a corner of the part."""
@@ -98,15 +89,6 @@ def section_checks(subject: Subject) -> list[Check]:
     if smooth is not None:
         checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
     return checks
-
-
-def smooth_tolerance_mm(config: Config) -> float:
-    """Distance of the path from a smooth section that was sliced and fitted anew.
-
-    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
-    """
-    curves = config.curves
-    return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def section_check(

@@ -15,6 +15,7 @@ from ebamcheck.checks.between_cuts import between_check
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.mesh_sections import heights_check, sections_check
 from ebamcheck.checks.part_file import file_check
+from ebamcheck.checks.tolerances import SAME_AREA
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -24,9 +25,6 @@ from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
-
-SAME_AREA = 1e-3
-"""Share of the greatest section by which those of the mesh and of a slicer differ only where bodies overlap, or it is open."""
 
 CUTS_OF_A_LAYER = 16
 """Sections from which the volume of a layer is summed where the mesh has none of its own: bodies that overlap."""

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
+from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
@@ -31,9 +32,6 @@ MOST_CELLS = 16_000_000
 
 NO_HEIGHT = KeepOut.model_fields["z_mm"].default
 """Heights of a keep-out zone for which nobody gave any."""
-
-TOUCH_MM = 1e-3
-"""Heights nearer than this are one: the decimals of a program, at their coarsest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,13 +260,13 @@ def _touch(
 ) -> float:
     """Note how deep tip and head go into what stands at a place (cells); the height under it."""
     under = _under(ground.top, ground.fixed, x, y)
-    if under > z + TOUCH_MM:
+    if under > z + PLACE_MM:
         out[0, m] = max(out[0, m], under - z)
     bottom = z + tool.above
     depth = _under(ground.top, ground.around, x, y) - bottom
-    if highest > bottom + TOUCH_MM:
+    if highest > bottom + PLACE_MM:
         depth = max(depth, _highest(ground.top, ground.top, x, y, tool.head, np.inf) - bottom)
-    if depth > TOUCH_MM:
+    if depth > PLACE_MM:
         out[1, m] = max(out[1, m], depth)
     return under
 
@@ -279,7 +277,7 @@ def _meet(
 ) -> None:
     """Look at what one motion of a bead meets, and what it lies on."""
     z = min(path.start[m, 2], path.end[m, 2])
-    support = below - TOUCH_MM
+    support = below - PLACE_MM
     parts = max(1, math.ceil(path.length[m] / ground.cell))
     for p in range(parts):
         x, y = place_on(path, m, (p + 0.5) / parts)
@@ -331,19 +329,19 @@ def _travel(
     start, end = path.start[m], path.end[m]
     # Axes that move at once need not arrive at once: the lower end counts for the whole way.
     z = end[2] if math.isnan(start[2]) else min(start[2], end[2])
-    free = max(highest, ground.tallest) + tool.clearance - TOUCH_MM
+    free = max(highest, ground.tallest) + tool.clearance - PLACE_MM
     if z >= free:
         return 0.0
     if not (math.isfinite(z) and math.isfinite(start[0]) and math.isfinite(start[1])):
         out[4, m] = 1.0
         return low_mm
-    if z < floor - TOUCH_MM:
+    if z < floor - PLACE_MM:
         out[2, m] = floor - z
     way = math.hypot(end[0] - start[0], end[1] - start[1])
     if tool.apart > 0.0 and path.kind[m] == RAPID and start[0] != end[0] and start[1] != end[1]:
         lacks = _meet_in_box(path, m, z, ground, tool, highest, out)
-        low_mm = low_mm + way if lacks > TOUCH_MM else 0.0
-        if low_mm > tool.hop + TOUCH_MM:
+        low_mm = low_mm + way if lacks > PLACE_MM else 0.0
+        if low_mm > tool.hop + PLACE_MM:
             out[3, m] = max(out[3, m], lacks)
         return low_mm
     if path.kind[m] > STRAIGHT:
@@ -354,11 +352,11 @@ def _travel(
         x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
         _touch(ground, tool, x, y, z, highest, m, out)
         lacks = _highest(ground.top, ground.fixed, x, y, tool.bead, np.inf) + tool.clearance - z
-        if lacks <= TOUCH_MM:
+        if lacks <= PLACE_MM:
             low_mm = 0.0
             continue
         low_mm += way / parts if p > 0 else 0.0
-        if low_mm > tool.hop + TOUCH_MM:
+        if low_mm > tool.hop + PLACE_MM:
             out[3, m] = max(out[3, m], lacks)
     return low_mm
 

@@ -9,6 +9,7 @@ import numpy as np
 from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults, worst_check
 from ebamcheck.checks.event_checks import switch_faults
 from ebamcheck.checks.machine_state import machine_state_checks
+from ebamcheck.checks.tolerances import LIMIT_ROUNDING_MM
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats
@@ -17,9 +18,6 @@ from ebamcheck.settings.process_window import TURN_SPACINGS
 
 LEAST_SPLINE_BLOCKS = 6
 """Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
-
-LIMIT_ROUNDING_MM = 1e-9
-"""Rounding of a curve's extreme."""
 
 
 def state_checks(nc: NCProgram, config: Config) -> list[Check]:

@@ -6,12 +6,10 @@ import numpy as np
 
 from ebamcheck.checks.bead_metal import bead_height_mm, wire_section_mm2
 from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.tolerances import WINDOW_SHARE
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
-
-ROUNDING = 1e-5
-"""Of a figure: process values are printed with six decimals, wire speeds with the fewest."""
 
 
 def window_check(nc: NCProgram, config: Config) -> Check:
@@ -84,7 +82,7 @@ def layer_steps_mm(nc: NCProgram, config: Config) -> Floats:
 def _outside(rows: Ints, values: Floats, limits: tuple[float, float], what: str) -> list[tuple[int, str]]:
     """Motions whose value is outside of its limits, or is not known, and what it is."""
     low, high = limits
-    bad = ~((values >= low * (1.0 - ROUNDING)) & (values <= high * (1.0 + ROUNDING)))
+    bad = ~((values >= low * (1.0 - WINDOW_SHARE)) & (values <= high * (1.0 + WINDOW_SHARE)))
     return [
         (int(row), f"{_apart(float(value), limits)} {what}, allowed are {low:.4g} .. {high:.4g}")
         for row, value in zip(rows[bad], values[bad], strict=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ebamcheck.checks.bead_metal import bead_sections_mm2
 from ebamcheck.checks.checks import Check, worst_check
+from ebamcheck.checks.tolerances import WIRE_PLACE_MM, WIRE_TOLERANCE
 from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.inputs import TrackColumns
@@ -16,12 +17,6 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 NAME = "mass balance"
-
-WIRE_TOLERANCE = 0.01
-"""Metal of a bead over what is asked for: the decimals of wire speed and feed, and nothing else."""
-
-NEAR_MM = 0.2
-"""Wire changes between blocks, whose ends are rounded, and which other curve forms place elsewhere by so much."""
 
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
@@ -87,7 +82,7 @@ def _wanted_mm2(nc: NCProgram, rows: Ints, path: TrackColumns) -> Floats | None:
     scale = np.diff(bounds) / np.maximum(whole, np.finfo(float).tiny)
     track = beads.bead
     at = bounds[:-1][track] + middle * scale[track]
-    beside = np.stack([at - NEAR_MM, at, at + NEAR_MM], axis=1)
+    beside = np.stack([at - WIRE_PLACE_MM, at, at + WIRE_PLACE_MM], axis=1)
     beside = np.clip(beside, bounds[:-1][track][:, None] + 1e-9, bounds[1:][track][:, None] - 1e-9)
     segment = np.minimum(np.searchsorted(ends, beside), ends.size - 1)
     return np.asarray(path.width[segment] * height[track][:, None], np.float64)

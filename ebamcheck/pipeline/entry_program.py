@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.checks.checks import check_record
-from ebamcheck.checks.entry_check import NAME, PLACE_MM, entry_check
+from ebamcheck.checks.entry_check import NAME, entry_check
 from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.nc.files import ProgramFiles
