@@ -15,10 +15,8 @@ from command_line import write_stl
 from limit_cases import Case, upwards
 from parts import box, join
 
-from ebamcheck.checks.between_cuts import between_check
-from ebamcheck.checks.mesh_sections import heights_check, sections_check
+from ebamcheck.checks.mesh_checks import between_check, heights_check, sections_check, solid_check
 from ebamcheck.checks.part_file import file_check
-from ebamcheck.checks.solid_metal import solid_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part

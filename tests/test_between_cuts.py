@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from parts import box, join, sphere, tilted, torus
 
-from ebamcheck.checks.between_cuts import between_check
+from ebamcheck.checks.mesh_checks import between_check
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.settings.config import Config

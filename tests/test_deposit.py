@@ -15,8 +15,8 @@ from prism_program import CONFIG, Made
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, _outside, deposit_checks
 from ebamcheck.checks.matching import matched
-from ebamcheck.checks.thin_walls import narrow_bead
-from ebamcheck.checks.wire_checks import wire_check
+from ebamcheck.checks.narrow_features import narrow_bead
+from ebamcheck.checks.value_checks import wire_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.pipeline.gates import deposit_gate

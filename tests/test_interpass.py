@@ -15,8 +15,8 @@ from ebamcheck.checks.interpass_checks import (
     OVER_RANGE,
     layer_shares,
 )
-from ebamcheck.checks.melting_check import MELTING
 from ebamcheck.checks.text_heat import sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.errors import SettingsError

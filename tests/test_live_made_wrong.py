@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from command_line import write_stl
 
-from ebamcheck.checks.mesh_sections import heights_check, layer_check
+from ebamcheck.checks.mesh_checks import heights_check, layer_check
 from ebamcheck.live import building as building_module
 from ebamcheck.live import publishing
 from ebamcheck.live.building import Building

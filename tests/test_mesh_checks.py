@@ -12,7 +12,7 @@ from parts import box, join
 
 from ebamcheck import save
 from ebamcheck.checks import part_file
-from ebamcheck.checks.mesh_sections import heights_check, sections_check
+from ebamcheck.checks.mesh_checks import heights_check, sections_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.layers import heights as layer_heights_of
 from ebamcheck.layers.cuts import cut_heights

@@ -9,7 +9,7 @@ import shapely
 from prism_program import Made
 
 from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks
-from ebamcheck.checks.overhang import overhang_check
+from ebamcheck.checks.process_checks import overhang_check
 from ebamcheck.checks.subject import Subject
 from ebamcheck.program import verify_program
 

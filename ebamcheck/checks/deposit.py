@@ -21,8 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.checks.metal_field import LayerField
 from ebamcheck.checks.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
-from ebamcheck.checks.narrow_features import NarrowFeature, narrow_features
-from ebamcheck.checks.thin_walls import thinnest_wall
+from ebamcheck.checks.narrow_features import NarrowFeature, narrow_features, thinnest_wall
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.layers.stack import Layers

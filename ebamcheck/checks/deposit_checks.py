@@ -14,8 +14,8 @@ from ebamcheck.checks.checks import Check
 from ebamcheck.checks.deposit import Deposit
 from ebamcheck.checks.metal_below import MetalBelow, counts, with_metal
 from ebamcheck.checks.metal_zones import tolerances, zone_limit, zone_off
+from ebamcheck.checks.narrow_features import narrow_bead
 from ebamcheck.checks.remedies import COARSE, TOO_THIN
-from ebamcheck.checks.thin_walls import narrow_bead
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config

@@ -18,7 +18,6 @@ from ebamcheck.checks.heat_again import (
     highest_entry_k,
     may_differ_k,
 )
-from ebamcheck.checks.melting_check import melting_check, own_shares
 from ebamcheck.checks.text_heat import (
     TextBeads,
     sections_of_text,
@@ -27,6 +26,7 @@ from ebamcheck.checks.text_heat import (
     text_shapes,
 )
 from ebamcheck.checks.tolerances import PRINTED, VALUE_SHARE
+from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
 from ebamcheck.nc.increments import power_slack_w

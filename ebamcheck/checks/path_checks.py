@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.shapes import shape_distance
-from ebamcheck.checks.spline_points import spline_points
+from ebamcheck.checks.shapes import shape_distance, spline_points
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, PLACE_MM
 from ebamcheck.nc import motions

@@ -10,17 +10,17 @@ import numpy as np
 
 from ebamcheck.checks import remedies as do
 from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks, repeated_blocks
-from ebamcheck.checks.bead_end_checks import bead_end_checks, ramp_check
+from ebamcheck.checks.bead_end_checks import bead_end_checks, end_gaps_check, ramp_check
 from ebamcheck.checks.bead_wire import bead_wire_check
 from ebamcheck.checks.checks import Check, checks_of
 from ebamcheck.checks.clearance import clearance_checks
 from ebamcheck.checks.consumables import consumables_checks
 from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.end_gaps import end_gaps_check
 from ebamcheck.checks.event_checks import increment_check, released_checks, value_check, wait_height_check
 from ebamcheck.checks.header_checks import header_checks
 from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
+from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.overfill import overfill_check
 from ebamcheck.checks.path_checks import (
     closure_check,
@@ -31,15 +31,12 @@ from ebamcheck.checks.path_checks import (
 from ebamcheck.checks.preheat_checks import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import section_checks
-from ebamcheck.checks.solid_metal import of_mesh, solid_check
 from ebamcheck.checks.state_checks import state_checks
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.text_checks import text_checks
+from ebamcheck.checks.text_checks import text_checks, words_check
 from ebamcheck.checks.tilt_checks import tilt_checks
 from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM
-from ebamcheck.checks.window_checks import window_check
-from ebamcheck.checks.wire_checks import wire_check
-from ebamcheck.checks.word_checks import words_check
+from ebamcheck.checks.value_checks import window_check, wire_check
 from ebamcheck.findings import at_layer
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.bead_metal import wanted_region
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.outside_check import outside_check
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.tolerances import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
 from ebamcheck.curves import LIFTED
@@ -22,6 +22,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.settings.config import Config
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
@@ -306,3 +307,47 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
         if len(way) > 1:
             lines.append(shapely.LineString(way))
     return shapely.MultiLineString(lines)
+
+
+# -- beads inside --------------------------------------------------------------------------------------
+
+
+def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, limit_mm: float) -> Check:
+    """Check all metal, whatever its role: no place of a bead's centre line lies outside by more than `limit_mm`.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    limit_mm
+        How far a centre line may leave the wanted region.
+    """
+    rows = np.flatnonzero(
+        (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    )
+    layer = nearest_layer(nc.end[rows, 2], z_of)
+
+    def farthest(k: int) -> tuple[float, int, int, float, float] | None:
+        owner, at = nc.samples(rows[layer == k], STEP_MM)
+        region = wanted_region(layers.section(k), config)
+        if region.is_empty:
+            return (math.inf, int(owner[0]), k, *at[0]) if owner.size else None
+        shapely.prepare(region)
+        out = np.flatnonzero(~shapely.intersects_xy(region, at[:, 0], at[:, 1]))
+        if not out.size:
+            return None
+        away = np.asarray(shapely.distance(shapely.points(at[out]), region))
+        first = int(np.argmax(away > limit_mm)) if (away > limit_mm).any() else int(np.argmax(away))
+        return float(away.max()), int(owner[out[first]]), k, *at[out[first]]
+
+    every = [place for place in run_each(farthest, range(len(layers))) if place is not None]
+    if not every:
+        return Check(
+            "beads inside", True, 0.0, limit_mm, "mm", "", "every bead lies within the part and its allowance"
+        )
+    wrong = [place for place in every if place[0] > limit_mm]
+    away, row, k, x, y = min(wrong, key=lambda place: place[1]) if wrong else max(every)
+    how = f"{away:.4g} mm outside of the part" if math.isfinite(away) else "where the part has no section"
+    text = f"a bead runs {how}, in layer {k + 1} at ({x:.3f}, {y:.3f})"
+    value = max(place[0] for place in every)
+    return Check("beads inside", not wrong, value, limit_mm, "mm", nc.where(row), text, k, float(x), float(y))

@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.checks.hatch_form import form_checks
-from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.text_heat import scans_of

@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.mesh_sections import layer_check, sections_check
+from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import Layers

@@ -11,7 +11,7 @@ from typing import Any
 
 from ebamcheck.checks.consumables import FRESH, Spent, lasting
 from ebamcheck.checks.heat_again import FollowedHeat
-from ebamcheck.checks.mesh_sections import layer_check
+from ebamcheck.checks.mesh_checks import layer_check
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.live.heat_so_far import heated, layer_text

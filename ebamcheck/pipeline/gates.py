@@ -11,8 +11,8 @@ import pandas as pd
 
 from ebamcheck.checks.heat_again import highest_entry_k
 from ebamcheck.checks.interpass_checks import AGAIN, COLD, INTERPASS, within_range
-from ebamcheck.checks.melting_check import MELTING
 from ebamcheck.checks.rules import of_gate
+from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison import Finding as Disagreement
 from ebamcheck.comparison.doubt import doubted_layers

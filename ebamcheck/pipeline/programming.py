@@ -14,11 +14,11 @@ import pandas as pd
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.checks.deposit import Deposit, deposit
 from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.metal_field import FIELD_FILE, write_field
 from ebamcheck.checks.rules import told
-from ebamcheck.checks.solid_metal import of_mesh, solid_check
 from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
 from ebamcheck.curves.per_part import surface_kept

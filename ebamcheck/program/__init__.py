@@ -8,7 +8,7 @@ from ebamcheck.names_on_demand import on_demand
 
 if TYPE_CHECKING:
     from ebamcheck.checks.checks import Check as Check
-    from ebamcheck.checks.summary import program_summary as program_summary
+    from ebamcheck.checks.consumables import program_summary as program_summary
     from ebamcheck.nc.files import ProgramFiles as ProgramFiles
     from ebamcheck.nc.files import mark_validated as mark_validated
     from ebamcheck.nc.motions import NCProgram as NCProgram
@@ -34,7 +34,7 @@ _HOMES = {
     "NCProgram": "nc.motions",
     "ProgramFiles": "nc.files",
     "mark_validated": "nc.files",
-    "program_summary": "checks.summary",
+    "program_summary": "checks.consumables",
     "read_program": "nc.reader",
     "verify_file": "program.verification",
     "verify_program": "program.verification",

@@ -1,6 +1,6 @@
 """The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced.
 
-The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.window_checks`.
+The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.value_checks`.
 """
 
 from __future__ import annotations

@@ -17,7 +17,6 @@ import pandas as pd
 import pyarrow as pa
 
 from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.entry_check import NAME as ENTRY
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
 from ebamcheck.checks.loose_limits import loose_limits
@@ -83,7 +82,7 @@ PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
 OF_TEXT_ALONE = {
-    *("readable", ENTRY, HANDSHAKE),
+    *("readable", "entry", HANDSHAKE),
     *(name for rule in RULES if {"beads", "part"} & {*rule.needs} for name in rule.checks),
     # Not by runs of an earlier version.
     *(AGAIN, COLD),

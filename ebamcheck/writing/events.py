@@ -1,7 +1,7 @@
 """The events of a program before any control writes it: beads, turns, moves and waits, in the order of execution.
 
 They are made once, from the path that every control translates. Lengths, times, wire and starts of a plan are read
-here; those of a program are read from its text (:mod:`ebamcheck.checks.summary`), and both agree to the rounding of
+here; those of a program are read from its text (:mod:`ebamcheck.checks.consumables`), and both agree to the rounding of
 the text.
 """
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ebamcheck.checks.machine_state import TRANSFORMATION_OFF
+from ebamcheck.checks.state_checks import TRANSFORMATION_OFF
 from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.controls.sinumerik.words import AXES, read_block
