@@ -15,14 +15,12 @@ from command_line import write_stl
 from limit_cases import Case, upwards
 from parts import box, join
 
+from ebamcheck.checks.mesh_checks import between_check, heights_check, sections_check, solid_check
+from ebamcheck.checks.part_file import file_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import plate_record
-from ebamcheck.pipeline.between_cuts import between_check
-from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
-from ebamcheck.pipeline.part_file import file_check
-from ebamcheck.pipeline.solid_metal import solid_check
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.verification import gates_again, tables_again
@@ -116,13 +114,13 @@ def judged(check: str, limits: str, plant) -> Case:
 
 
 CASES: tuple[Case, ...] = (
-    judged("layers of the part", "mesh_sections.HEIGHT_MM", cut_higher),
+    judged("layers of the part", "tolerances.PLACE_MM", cut_higher),
     judged("sections of the mesh", "curves.section_tolerance_mm", wider),
     judged("metal of the solid", "process.mass_tolerance", lower_solid),
     judged("between the cuts", "process.least_hole_mm", gap_between),
     judged("between the cuts", "process.least_wall_mm", rim_between),
     judged("between the cuts", "process.outside_reach_mm", rim_reaching),
-    judged("part of the file", "part_file.SAME_SIZE", stretched),
+    judged("part of the file", "tolerances.SAME_SIZE", stretched),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(0.0, f * 1e-6)),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(1e6, f * 1.0)),
     judged("tables", "tables_again.SAME_FIGURE", lambda f: of_tables(1e6, f)),

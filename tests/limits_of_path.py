@@ -208,7 +208,7 @@ def polygon(f: float) -> Subject:
     ring = (radius - inset) * np.column_stack([np.cos(around), np.sin(around)])
     corners = np.linspace(0.0, 2.0 * math.pi, sides, endpoint=False)
     section = shapely.Polygon(radius * np.column_stack([np.cos(corners), np.sin(corners)]))
-    return program_of([[]], section, rings=[[ring]]).given(contour_offset_mm=inset)
+    return program_of([[]], section, rings=[[ring]]).by(scan={"contour_offset_mm": inset})
 
 
 # -- ends of beads -------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ def slit(f: float) -> Subject:
     ring = [(3, 3), (77, 3), (77, 27), (3, 27), (3, 3)]
     gap_mm = f * 1e-3
     section = shapely.MultiPolygon([shapely.box(0, 0, 40, 30), shapely.box(40 + gap_mm, 0, 80, 30)])
-    return program_of([[]], section, rings=[[ring]]).given(contour_offset_mm=3.0)
+    return program_of([[]], section, rings=[[ring]]).by(scan={"contour_offset_mm": 3.0})
 
 
 # -- narrow features -----------------------------------------------------------------------------------
@@ -297,50 +297,50 @@ def shallow(depth_mm: float) -> Subject:
 
 
 CASES = (
-    upwards("contours close", "verification.PATH_TOLERANCE_MM", open_ring, *PLANNED),
-    upwards("contour path", "verification.PATH_TOLERANCE_MM", lambda f: moved_ring(f * 1e-3), *PLANNED),
-    upwards("contour path", "verification.PATH_TOLERANCE_MM machine.line_tolerance_mm", with_chords, *PLANNED),
-    upwards("hatch path", "verification.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
-    upwards("hatch vectors", "verification.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
-    upwards("layer heights", "path_checks.HEIGHT_TOLERANCE_MM", higher, *PLANNED),
-    upwards("contour rings", "path_checks.HEIGHT_TOLERANCE_MM", higher, *PLANNED),
-    upwards("islands", "path_checks.HEIGHT_TOLERANCE_MM", higher, *PLANNED),
-    upwards("section", "verification.SECTION_TOLERANCE_MM", lambda f: beside(f, 0.05), *PLANNED, "layers"),
+    upwards("contours close", "tolerances.PATH_TOLERANCE_MM", open_ring, *PLANNED),
+    upwards("contour path", "tolerances.PATH_TOLERANCE_MM", lambda f: moved_ring(f * 1e-3), *PLANNED),
+    upwards("contour path", "tolerances.PATH_TOLERANCE_MM machine.line_tolerance_mm", with_chords, *PLANNED),
+    upwards("hatch path", "tolerances.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
+    upwards("hatch vectors", "tolerances.PATH_TOLERANCE_MM", lambda f: ends_of(cube(), hatch_row(), f, 1e-3), *PLANNED),
+    upwards("layer heights", "tolerances.PLACE_MM", higher, *PLANNED),
+    upwards("contour rings", "tolerances.PLACE_MM", higher, *PLANNED),
+    upwards("islands", "tolerances.PLACE_MM", higher, *PLANNED),
+    upwards("section", "tolerances.SECTION_TOLERANCE_MM", lambda f: beside(f, 0.05), *PLANNED, "layers"),
     upwards("section", "curves.section_tolerance_mm", lambda f: beside(f, 0.25).by(curves={"method": "chord"}), *PLANNED, "layers"),
     upwards(
-        "section", "section_check.CORNER_RAD section_check.COLLINEAR_MM", polygon, "layers", "contour_offset_mm"
+        "section", "section_check.CORNER_RAD tolerances.COLLINEAR_MM", polygon, "layers"
     ),
-    upwards("section", "section_check.SLIT_MM", slit, "layers", "contour_offset_mm"),
+    upwards("section", "tolerances.SLIT_MM", slit, "layers"),
     upwards(
-        "smooth section", "verification.SECTION_TOLERANCE_MM curves.tolerance_mm curves.near_point_mm curves.collinear_mm",
+        "smooth section", "tolerances.SECTION_TOLERANCE_MM curves.tolerance_mm curves.near_point_mm curves.collinear_mm",
         lambda f: beside(f, 0.05 + 2.0 * 0.02 + 0.001 + 0.001, smooth=cube().known["layers"]), *PLANNED, "layers", "smooth",
     ),
     upwards("beads inside", "curves.section_tolerance_mm", out_of_the_part, *PLANNED, "layers"),
-    upwards("overlap of contours", "bead_parts.SHORTEST_BLOCK_MM process.overlap_mm", overlapped, *PLANNED),
-    upwards("hatch lines", "hatch_form.PARALLEL hatch_form.ROUNDING_MM", skew, "heights", "beads"),
-    upwards("hatch lines", "hatch_form.PARALLEL hatch_form.ROUNDING_MM", uneven, "heights", "beads"),
+    upwards("overlap of contours", "inputs.SHORTEST_BLOCK_MM process.overlap_mm", overlapped, *PLANNED),
+    upwards("hatch lines", "hatch_form.PARALLEL tolerances.TWO_PLACES_MM", skew, "heights", "beads"),
+    upwards("hatch lines", "hatch_form.PARALLEL tolerances.TWO_PLACES_MM", uneven, "heights", "beads"),
     downwards("hatch lines", "hatch_form.LEAST_TURN", turned_back, "heights", "beads"),
     upwards("hatch spacing", "bead_checks.SPACING_SHARE", lambda f: two_lines(f * 1.5 * 4.32), "layers", "beads"),
-    downwards("lines laid once", "bead_checks.SAME_LINE_MM", lambda f: two_lines(f * 0.01), "layers", "beads"),
-    upwards("turns", "turns.TURN_SPACINGS", bead_turn),
-    upwards("travel sectors", "process_checks.DIRECTION_ROUNDING_DEG process.travel_sectors_deg", sector),
+    downwards("lines laid once", "tolerances.SAME_LINE_MM", lambda f: two_lines(f * 0.01), "layers", "beads"),
+    upwards("turns", "process_window.TURN_SPACINGS", bead_turn),
+    upwards("travel sectors", "tolerances.DIRECTION_ROUNDING_DEG process.travel_sectors_deg", sector),
     downwards("keep-out zones", "process.keep_out process.bead_width_mm", lambda f: one_line(keep_out=(clamp(f * 3.0),))),
     upwards("seams", "process.least_seam_distance_mm", seams),
     upwards("overhang", "process.bead_width_mm", lambda f: reaching(f * 6.0)),
     upwards("overhang", "process.largest_overhang_deg", lambda f: reaching(1.5 * math.tan(math.radians(f * 45.0)), largest_overhang_deg=45.0)),
     upwards("support", "process.bead_width_mm", over_a_gap, "layers"),
     downwards("support", "clearance.WHOLLY", on_a_clamp),
-    upwards("collision", "standing.TOUCH_MM", lower_bead),
+    upwards("collision", "tolerances.PLACE_MM", lower_bead),
     downwards("collision", "machine.head_radius_mm machine.head_above_tip_mm", head),
-    upwards("clearance", "standing.TOUCH_MM machine.clearance_mm", lambda f: travelling(1.5 + 5.0 - f * 1e-3, (0.0, 2.0))),
+    upwards("clearance", "tolerances.PLACE_MM machine.clearance_mm", lambda f: travelling(1.5 + 5.0 - f * 1e-3, (0.0, 2.0))),
     upwards("clearance", "clearance.HOP_SPACINGS", lambda f: travelling(1.5, (30.0, f * 2.0 * 4.32))),
-    upwards("ends of beads", "end_gaps.SINGLE_BEADS", lambda f: ending_before(f * 1.5 * 6.0), *ENDS),
-    upwards("ends of beads", "end_gaps.SINGLE_BEADS", lambda f: ending_before(f * 1.5 * 6.0, starts=True), *ENDS),
-    upwards("ends of beads", "end_gaps.BORDER_BEADS", lambda f: before_the_border(f * 0.8 * 6.0), *ENDS),
-    upwards("ends of beads", "end_gaps.LEAST_BEADS", lambda f: ending_before(12.0, length_mm=f * 0.5 * 6.0), *ENDS),
-    upwards("ends of beads", "end_gaps.STRAIGHT", lambda f: beside_a_line(f * 0.5 * 1.5 * 6.0), *ENDS),
-    upwards("ends of beads", "end_gaps.MEAN_SPACINGS", lambda f: comb(f * (0.75 * 4.32 + 0.096)), *ENDS),
-    upwards("ends of beads", "end_gaps.AHEAD", lambda f: spots_aside(f * 60.0), *ENDS),
+    upwards("ends of beads", "bead_end_checks.SINGLE_BEADS", lambda f: ending_before(f * 1.5 * 6.0), *ENDS),
+    upwards("ends of beads", "bead_end_checks.SINGLE_BEADS", lambda f: ending_before(f * 1.5 * 6.0, starts=True), *ENDS),
+    upwards("ends of beads", "bead_end_checks.BORDER_BEADS", lambda f: before_the_border(f * 0.8 * 6.0), *ENDS),
+    upwards("ends of beads", "bead_end_checks.LEAST_BEADS", lambda f: ending_before(12.0, length_mm=f * 0.5 * 6.0), *ENDS),
+    upwards("ends of beads", "bead_end_checks.STRAIGHT", lambda f: beside_a_line(f * 0.5 * 1.5 * 6.0), *ENDS),
+    upwards("ends of beads", "bead_end_checks.MEAN_SPACINGS", lambda f: comb(f * (0.75 * 4.32 + 0.096)), *ENDS),
+    upwards("ends of beads", "bead_end_checks.AHEAD", lambda f: spots_aside(f * 60.0), *ENDS),
     downwards("narrow features", "process.least_hole_mm", lambda f: slotted(f * 4.0), *NARROW),
     downwards("narrow features", "process.least_wall_mm", lambda f: finned(f * 4.0), *NARROW),
     downwards("narrow features", "process.machining_allowance_mm", lambda f: slotted(4.0 + f * 2.0, machining_allowance_mm=1.0), *NARROW),

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
-from ebamcheck.checks.matching import matched, tracks_known
+from nc_stack import make_curves, make_plan
+
+from ebamcheck.checks.matching import matched
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 
 
 def as_planned(
     nc: NCProgram, curves: CurveColumns | None, plan: ScanColumns | None, config: Config
 ) -> NCProgram:
     """Return the program with the roles of the plan that it was made from: contours, islands, or both."""
-    if curves is not None and plan is not None:
-        return matched(nc, planned_path(curves, plan, config))[0]
-    path = tracks_known(curves, plan, config)
-    return nc if path is None else matched(nc, path)[0]
+    if curves is None and plan is None:
+        return nc
+    if curves is None:
+        curves = make_curves(plan.heights, [[] for _ in plan.heights], [])
+    if plan is None:
+        plan = make_plan(curves.heights, [])
+    return matched(nc, planned_path(curves, plan, config))[0]

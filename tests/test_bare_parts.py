@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.checks.bare_parts import widest_part
+from ebamcheck.checks.bead_checks import widest_part
 from ebamcheck.geometry.regions import ground
 
 WIDTH_MM = 6.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from parts import box, join, sphere, tilted, torus
 
+from ebamcheck.checks.mesh_checks import between_check
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.pipeline.between_cuts import between_check
 from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

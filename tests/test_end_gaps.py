@@ -6,7 +6,7 @@ import shapely
 from prism_program import CONFIG, Made
 
 import ebamcheck
-from ebamcheck.checks.end_gaps import NAME, end_gaps_check, most_on_average_mm
+from ebamcheck.checks.bead_end_checks import end_gaps_check, most_on_average_mm
 from ebamcheck.nc.roles import by_height, by_section
 from ebamcheck.program import read_program
 from ebamcheck_models import MODELS
@@ -40,7 +40,7 @@ def moved(made, folder, late_mm=0.0, early_mm=0.0, only=None):
     for name, lines in texts.items():
         (folder / name).write_bytes(b"\n".join(lines))
     check = end_gaps_check(read(made, folder / made.files.main.name), made.config, made.layers)
-    assert check.name == NAME
+    assert check.name == "ends of beads"
     return check
 
 

@@ -19,6 +19,7 @@ from shapely import affinity
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import noticed_in_program
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program, verify_program, write_program
@@ -26,7 +27,6 @@ from ebamcheck.scan import plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.writing.bead_ends import planned_path
-from ebamcheck.writing.inputs import deposition_heights
 
 PART = shapely.box(0, 0, 70, 50).difference(shapely.Point(30, 25).buffer(8, 24))
 LAYERS = 2

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS
-from ebamcheck.checks.remedies import OTHERWISE, REMEDIES, layer_of, told
+from ebamcheck.checks.remedies import OTHERWISE
+from ebamcheck.checks.rules import REMEDIES, layer_of, names_of, told
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
 from ebamcheck.plugins.model import models
@@ -56,7 +56,7 @@ def test_layers_of_places():
 
 
 def test_every_check_of_the_metal_has_a_remedy_and_a_passed_one_tells_none():
-    assert set(DEPOSIT_CHECKS) <= set(REMEDIES)
+    assert set(names_of("deposit")) <= set(REMEDIES)
     passed = Check("section", True, 0.0, 0.1, "mm", "", "fine")
     assert told([passed], NC, CUTS, 1.0) == [passed]
     assert told([failed("of a plugin")], NC, CUTS, 1.0)[0].remedy == OTHERWISE

@@ -13,7 +13,7 @@ from parts import box
 from planted_faults import Text
 
 from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.wire_checks import wire_check
+from ebamcheck.checks.value_checks import wire_check
 from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.layer_feed import at_layer_feed, has_room

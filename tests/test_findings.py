@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from slicers_here import slicers_here
 
-from ebamcheck.checks.remedies import REMEDIES
+from ebamcheck.checks.rules import REMEDIES
 from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import CODES, SEVERITIES, Finding, from_record, has_fault, ordered, records

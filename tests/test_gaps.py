@@ -11,7 +11,7 @@ from section_zoo import ZOO
 from shapely import affinity
 
 from ebamcheck.geometry.raster import bare_samples
-from ebamcheck.geometry.regions import ARC_SEGMENTS
+from ebamcheck.geometry.regions import ARC_SEGMENTS, JOIN_MM
 from ebamcheck.scan import plan_scan
 from ebamcheck.scan.filling.gaps import (
     LEAST_SPOT,
@@ -20,7 +20,7 @@ from ebamcheck.scan.filling.gaps import (
     spot_widths_mm,
     spots_to_close,
 )
-from ebamcheck.scan.islands.regions import CRUMB, JOIN_MM, layer_regions
+from ebamcheck.scan.islands.regions import CRUMB, layer_regions
 from ebamcheck.settings.config import Config
 
 PROFILE = Config().changed(scan={"order": "raster"}, process={"interpass": "off"})

@@ -11,7 +11,7 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.remedies import told
+from ebamcheck.checks.rules import told
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.live.loading import finished_run

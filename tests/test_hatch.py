@@ -11,10 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 
-from ebamcheck.geometry.regions import mean_width_mm
+from ebamcheck.geometry.regions import mean_width_mm, split_thin
 from ebamcheck.scan.filling.hatch import SHORTEST_LINE, hatch, lines_across, widest_pitch_mm
 from ebamcheck.scan.filling.walls import wall_lines
-from ebamcheck.scan.islands.regions import split_thin
 
 WIDTH, SPACING = 6.0, 4.32
 

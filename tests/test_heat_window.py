@@ -20,16 +20,16 @@ from ebamcheck.checks.interpass_checks import (
     layer_shares,
     least_entries_k,
 )
-from ebamcheck.checks.melting_check import MELTING, melting_check, spread_mm
 from ebamcheck.checks.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.value_checks import MELTING, melting_check, spread_mm
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.melting import least_power_share, melted_mm3_s, own_power_shares
+from ebamcheck.nc.inputs import interpass_of
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
 from ebamcheck.settings.config import Config
 from ebamcheck.writing import bead_power
-from ebamcheck.writing.inputs import interpass_of
 
 WARM = CONFIG.changed(process={"interpass": "both"})
 HOLED = shapely.box(0, 0, 44, 40).difference(shapely.Point(20, 20).buffer(6, 32))

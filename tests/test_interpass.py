@@ -15,8 +15,8 @@ from ebamcheck.checks.interpass_checks import (
     OVER_RANGE,
     layer_shares,
 )
-from ebamcheck.checks.melting_check import MELTING
 from ebamcheck.checks.text_heat import sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.errors import SettingsError
@@ -29,6 +29,7 @@ from ebamcheck.heat.melting import (
     scheduled_share,
 )
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.nc.inputs import interpass_of
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.stages import bead_paths
@@ -38,7 +39,6 @@ from ebamcheck.scan.heat import interpass
 from ebamcheck.scan.heat.interpass import shortest_wait_s
 from ebamcheck.scan.plan import whole_part
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import interpass_of
 
 POSTS = {"sinumerik-840d-sl": write_program, "linuxcnc": write_linuxcnc, "plain-gcode": write_plain_gcode}
 LAYERS = 14

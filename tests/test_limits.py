@@ -19,9 +19,8 @@ from limits_of_heat import preheated
 from planted_faults import FAULTS
 
 import ebamcheck
-from ebamcheck.checks import plugged
-from ebamcheck.checks.remedies import REMEDIES
-from ebamcheck.pipeline import loose_limits
+from ebamcheck.checks import loose_limits
+from ebamcheck.checks.rules import REMEDIES
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
 from ebamcheck.record.run_folder import RunFolder
@@ -49,19 +48,19 @@ ELSEWHERE = {
 
 NO_LIMITS = {
     "how finely something is looked at": """
-        bare_parts.MARGIN bead_checks.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
+        bead_checks.MARGIN bead_checks.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
         hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
-        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM outside_check.STEP_MM overfill.CELLS overhang.OUTLINE_STEP_MM
-        overhang.INNER_STEP_MM overhang.FIRST_ASKED overhang.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
+        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM overfill.CELLS process_checks.OUTLINE_STEP_MM
+        process_checks.INNER_STEP_MM process_checks.FIRST_ASKED process_checks.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
-        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
-        standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
+        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS shapes.DEGREE
+        clearance.CELLS_PER_BEAD clearance.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
         tilt_checks.STEP_DEG text_heat.LONGEST_S
-        bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS end_gaps.REACH_BEADS
+        bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS bead_end_checks.REACH_BEADS
         narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
-        mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
-        between_cuts.LEAST_MM2 between_cuts.MOST_SPANS between_cuts.FINEST
-        solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE stages.SAMPLING_MM turned.STEP_MM
+        mesh_checks.LINES_PER_BEAD mesh_checks.MOST_LINES mesh_checks.OFF_GRID mesh_checks.AT_ONCE part_file.AT_ONCE
+        mesh_checks.LEAST_MM2 mesh_checks.MOST_SPANS mesh_checks.FINEST
+        mesh_checks.CUTS_OF_A_LAYER mesh_checks.CUTS_AT_ONCE stages.SAMPLING_MM turned.STEP_MM
         turned.MOST_PLACES""",
     "units, forms of files, and how much of something is told": """
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING
@@ -74,9 +73,9 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
-        bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
-        turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
+        subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
+        tolerances.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
+        turned.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
     "what a warning or a text tells, and no check": """
         loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM noticed_in_program.MOST_NARROW
@@ -178,6 +177,6 @@ def test_every_setting_that_makes_a_check_looser_has_its_two_cases():
 
 def test_the_checks_of_plugins_are_among_those_of_a_program(monkeypatch):
     check = Check("mine", False, 12.0, 10.0, "motions", "MAIN.MPF", "12 motions")
-    monkeypatch.setattr(plugged.registry, "names", lambda group: ["mine"] if group == registry.CHECKS else [])
-    monkeypatch.setattr(plugged.registry, "plugin", lambda group, name: lambda program, config: check)
+    monkeypatch.setattr(registry, "names", lambda group: ["mine"] if group == registry.CHECKS else [])
+    monkeypatch.setattr(registry, "plugin", lambda group, name: lambda program, config: check)
     assert not cube().checks()["mine"].passed

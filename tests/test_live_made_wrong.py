@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from command_line import write_stl
 
+from ebamcheck.checks.mesh_checks import heights_check, layer_check
 from ebamcheck.live import building as building_module
 from ebamcheck.live import publishing
 from ebamcheck.live.building import Building
@@ -18,7 +19,6 @@ from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.released_layer import ended_early
 from ebamcheck.live.verifying import verify_build
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.pipeline.mesh_sections import heights_check, layer_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.settings.config import Config
 

@@ -10,8 +10,8 @@ from parts import box
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import SUBJECTS
+from ebamcheck.checks.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
 from ebamcheck.pipeline import noticed, run_job
-from ebamcheck.pipeline.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.verification.verify import verify_run

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks import heat_again, marked
+from ebamcheck.checks import header_checks, heat_again
 from ebamcheck.checks.heat_again import (
     BeadHeat,
     FollowedHeat,
@@ -18,20 +18,19 @@ from ebamcheck.checks.heat_again import (
     melting_power_w,
 )
 from ebamcheck.checks.interpass_checks import AGAIN, INTERPASS, heat_checks
-from ebamcheck.checks.melting_check import MELTING
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
-from ebamcheck.checks.window_checks import window_check
+from ebamcheck.checks.value_checks import MELTING, window_check
 from ebamcheck.heat import melting
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.metal import target
-from ebamcheck.nc import files
+from ebamcheck.nc import files, inputs
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import process, wire_speed
 from ebamcheck.settings.config import Config
-from ebamcheck.writing import inputs, tracks, wire
+from ebamcheck.writing import tracks, wire
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
@@ -282,14 +281,14 @@ def test_what_changes_when_a_program_is_marked_is_found(spoil, monkeypatch, tmp_
             path.write_bytes(spoil(path.read_bytes(), name))
         return found
 
-    monkeypatch.setattr(marked, "mark_validated", mark)
+    monkeypatch.setattr(header_checks, "mark_validated", mark)
     checked = {name: (made.files.folder / name).read_bytes() for name in made.files.names}
     with pytest.raises(RuntimeError, match="more than its status"):
-        marked.marked_validated(made.files)
+        header_checks.marked_validated(made.files)
     assert all((made.files.folder / name).read_bytes() == data for name, data in checked.items())
 
 
 @pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode", "fanuc"])
 def test_a_sound_program_of_any_control_is_marked(control, tmp_path):
     made = Made(tmp_path, FRAME, CONFIG.changed(machine={"control": control}), layers=2)
-    assert marked.marked_validated(made.files).validated
+    assert header_checks.marked_validated(made.files).validated

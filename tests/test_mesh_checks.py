@@ -11,15 +11,15 @@ import trimesh
 from parts import box, join
 
 from ebamcheck import save
+from ebamcheck.checks import part_file
+from ebamcheck.checks.mesh_checks import heights_check, sections_check
+from ebamcheck.checks.part_file import file_check
 from ebamcheck.layers import heights as layer_heights_of
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
 from ebamcheck.mesh.part_source import Placing
-from ebamcheck.pipeline import part_file
-from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
-from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.config import Config

@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from ebamcheck.checks import plugged
+from ebamcheck.checks import rules
+from ebamcheck.checks.subject import Subject
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import Check
 from ebamcheck.settings import material
@@ -15,9 +16,9 @@ PROGRAM = SimpleNamespace(files=[SimpleNamespace(name="MAIN.MPF")])
 
 
 def checks_of(function, monkeypatch):
-    monkeypatch.setattr(plugged.registry, "names", lambda group: ["mine"])
-    monkeypatch.setattr(plugged.registry, "plugin", lambda group, name: function)
-    return plugged.plugged_checks(PROGRAM, Config())
+    monkeypatch.setattr(rules.registry, "names", lambda group: ["mine"])
+    monkeypatch.setattr(rules.registry, "plugin", lambda group, name: function)
+    return rules._plugged(Subject(PROGRAM, Config()))
 
 
 def test_a_check_that_says_nothing_is_told_by_its_figures(monkeypatch):

@@ -15,7 +15,7 @@ from nc_stack import stack
 from prism_program import Made
 from program_text import CONTROLS, ProgramText
 
-from ebamcheck.checks.window_checks import window_check
+from ebamcheck.checks.value_checks import window_check
 from ebamcheck.errors import SettingsError
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.program import read_program, verify_program, write_program

@@ -111,9 +111,10 @@ def test_repeated_inner_knots_give_no_empty_blocks(tmp_path):
     curves = make_curves([0.5], [[[(control, knots)]]], [False])
     for form in FORMS:
         config = Config().changed(machine=FORMS[form])
-        files = write_program(curves, make_plan([0.5], []), config, tmp_path / "program")
+        plan = make_plan([0.5], [])
+        files = write_program(curves, plan, config, tmp_path / "program")
         nc = read_program(files.main, config)
-        assert failed(verify_program(nc, config=config, curves=curves)) == []
+        assert failed(verify_program(nc, config=config, curves=curves, plan=plan)) == []
         if form == "poly":
             assert nc.deposit.sum() == 3
 
@@ -188,7 +189,7 @@ def test_hatch_lines_far_apart_are_not_joined(tmp_path):
     nc = read_program(files.main)
     assert nc.events.name.count("beam_on") == 3
     assert nc.turn.sum() == 2
-    assert failed(verify_program(nc, config=Config(), plan=plan)) == []
+    assert failed(verify_program(nc, config=Config(), curves=curves, plan=plan)) == []
     assert nc.vectors()[["x0", "y0", "x1", "y1"]].to_numpy() == pytest.approx(
         plan.vectors[["x0", "y0", "x1", "y1"]].to_numpy()
     )
@@ -236,7 +237,7 @@ def test_a_path_may_go_around_a_narrow_hole_or_pass_it_by(tmp_path):
         ]
         curves = make_curves(heights, [[inset]] * 2, [True, True])
         files = write_program(curves, make_plan(heights, []), Config(), tmp_path / f"program{k}")
-        checks = verify_file(files.main, config=Config(), layers=layers, section_tolerance_mm=0.25)
+        checks = verify_file(files.main, config=Config(), layers=layers)
         assert failed(checks) == []
 
 

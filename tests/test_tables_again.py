@@ -15,7 +15,7 @@ from slicers_here import slicers_here
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import CONTROLS, SUBJECTS
-from ebamcheck.checks import verification
+from ebamcheck.checks import subject
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.pipeline import check_job, run_job
@@ -193,7 +193,7 @@ def test_the_metal_of_a_program_is_laid_once(made, monkeypatch):
     def again(*_, **__):
         raise AssertionError("laid a second time")
 
-    monkeypatch.setattr(verification, "deposit", again)
+    monkeypatch.setattr(subject, "deposit", again)
     assert all(check.passed for check in verify_run(made / "run", made / "cube.stl"))
 
 

@@ -8,9 +8,9 @@ import pytest
 import shapely
 from prism_program import Made
 
-from ebamcheck.checks.bead_checks import bead_checks
-from ebamcheck.checks.checks import checks_of
-from ebamcheck.checks.overhang import overhang_check
+from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks
+from ebamcheck.checks.process_checks import overhang_check
+from ebamcheck.checks.subject import Subject
 from ebamcheck.program import verify_program
 
 
@@ -26,7 +26,9 @@ def test_beads_from_a_place_that_no_block_has_given_cover_nothing(lines, tmp_pat
         made.edit("MAIN_L0002.SPF", without_x)
         made.edit("MAIN.MPF", without_x)
     nc = made.read()
-    found = {check.name: check for check in checks_of(bead_checks(nc, made.config, made.z, made.layers))}
+    subject = Subject(nc, made.config, layers=made.layers)
+    checks = [*line_checks(subject), *coverage_check(subject), *gaps_check(subject)]
+    found = {check.name: check for check in checks}
     assert not found["coverage"].passed
     assert not found["gaps"].passed
     assert "nan" not in found["coverage"].text

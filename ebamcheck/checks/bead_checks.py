@@ -8,23 +8,21 @@ import re
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.bare_parts import widest_part
-from ebamcheck.checks.bead_wire import bead_wire_check
-from ebamcheck.checks.checks import Check, CheckGroup, count_check, lines_of, row_faults
-from ebamcheck.checks.end_gaps import end_gaps_check
+from ebamcheck.checks.checks import Check, count_check, lines_of, row_faults
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
-from ebamcheck.geometry.raster import covered_fraction
-from ebamcheck.geometry.regions import ground, inset
-from ebamcheck.layers.stack import Layers
+from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.tolerances import SAME_LINE_MM
+from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
+from ebamcheck.geometry.regions import ground, inset, valid_polygons
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.config import Config
 
 CRUMB = 0.25
 """Bare pieces under this times the squared bead width are corners that a round bead never fills."""
@@ -34,9 +32,6 @@ BEAD_STEP_MM = 0.5
 
 SPACING_SHARE = 1.5
 """Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
-
-SAME_LINE_MM = 0.01
-"""Lines nearer than this, along one another, are one line laid twice: far under any spacing."""
 
 PARALLEL_RAD = 1e-3
 """Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
@@ -52,28 +47,13 @@ _NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
 LEAST_GAP_LIMIT = 0.15
 """Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
 
+MARGIN = 2
+"""Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones."""
 
-def bead_checks(
-    nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None
-) -> list[CheckGroup]:
-    """Checks of the beads by the text alone, and of the coverage of the sections where `layers` are given.
 
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    """
-    groups: list[CheckGroup] = [
-        lambda: [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
-    ]
-    if layers is not None:
-        groups += [
-            lambda: [_coverage(nc, config, z_of, layers)],
-            lambda: [_gaps(nc, config, z_of, layers)],
-            lambda: [bead_wire_check(nc, config, z_of, layers)],
-            lambda: [end_gaps_check(nc, config, layers)],
-        ]
-    return groups
+def line_checks(subject: Subject) -> list[Check]:
+    """Check the lines of the hatch by the text alone: their spacing, that none is laid twice, and their form."""
+    return [_spacing(subject), _once(subject.nc), *form_checks(subject.nc, subject.config)]
 
 
 # -- lines -------------------------------------------------------------------------------------------
@@ -84,8 +64,9 @@ def _hatch_rows(nc: NCProgram) -> Ints:
     return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
 
 
-def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None) -> Check:
+def _spacing(subject: Subject) -> Check:
     """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies between."""
+    nc, config = subject.nc, subject.config
     rows = _hatch_rows(nc)
     limit = SPACING_SHARE * config.process.hatch_spacing_mm
     group, offset, parallel = _offsets(nc, rows)
@@ -94,8 +75,8 @@ def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None)
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
     wide = np.flatnonzero(same & (step > limit))
     if wide.size:
-        seen = _LayersSeen(nc, layers)
-        wide = wide[[_is_bare(seen, rows[order[i : i + 2]], config, z_of) for i in wide]]
+        seen = _LayersSeen(subject)
+        wide = wide[[_is_bare(seen, rows[order[i : i + 2]]) for i in wide]]
     worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
     if not wide.size:
         text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
@@ -109,33 +90,33 @@ def _spacing(nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None)
 class _LayersSeen:
     """Sections, and chords of beads, of the layers that were asked for: each is worked out once."""
 
-    def __init__(self, nc: NCProgram, layers: Layers | None) -> None:
-        self.nc, self.layers = nc, layers
+    def __init__(self, subject: Subject) -> None:
+        self.subject = subject
         self._sections: dict[int, BaseGeometry] = {}
         self._beads: dict[int, NDArray[np.object_]] = {}
 
     def section(self, k: int) -> BaseGeometry:
         """Section of one of the layers."""
-        assert self.layers is not None
         if k not in self._sections:
-            self._sections[k] = self.layers.section(k)
+            self._sections[k] = self.subject.witness.section(k)
             shapely.prepare(self._sections[k])
         return self._sections[k]
 
     def beads(self, layer: int) -> NDArray[np.object_]:
         """Chords of the beads of a layer of the program."""
         if layer not in self._beads:
-            segments = _segments(self.nc, np.flatnonzero(self.nc.deposit & (self.nc.layer == layer)))
+            nc = self.subject.nc
+            segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == layer)))
             self._beads[layer] = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)))
         return self._beads[layer]
 
 
-def _is_bare(seen: _LayersSeen, pair: Ints, config: Config, z_of: Floats) -> bool:
+def _is_bare(seen: _LayersSeen, pair: Ints) -> bool:
     """Whether the place half-way between two lines is in the section, and under no bead.
 
     Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
     """
-    nc = seen.nc
+    nc, config = seen.subject.nc, seen.subject.config
     shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
     middle = 0.5 * (nc.start + nc.end)[shorter, :2]
     way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
@@ -144,8 +125,8 @@ def _is_bare(seen: _LayersSeen, pair: Ints, config: Config, z_of: Floats) -> boo
     if not -room <= along <= float(nc.lengths[other]) + room:
         return False
     place = shapely.Point(middle - 0.5 * (from_other - along * way))
-    if seen.layers is not None:
-        k = int(nearest_layer(nc.end[shorter, 2], z_of))
+    if seen.subject.layers is not None:
+        k = int(nearest_layer(nc.end[shorter, 2], seen.subject.z_of))
         if not shapely.intersects(seen.section(k), place):
             return False
     lines = seen.beads(int(nc.layer[shorter]))
@@ -225,13 +206,13 @@ def _words_of(line: bytes) -> list[bytes]:
 # -- coverage ----------------------------------------------------------------------------------------
 
 
-def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
-    """Least share of a section that the beads cover; the overlap of all, and the widest gap of the worst."""
+def coverage_check(subject: Subject) -> list[Check]:
+    """Check the least share of a section that the beads cover; the overlap of all, and the widest gap of the worst, are told."""
+    nc, config, sections = subject.nc, subject.config, subject.witness_sections or []
     limit = config.scan.least_coverage
     rows = np.flatnonzero(nc.deposit)
-    index = nearest_layer(nc.end[rows, 2], z_of)
+    index = nearest_layer(nc.end[rows, 2], subject.z_of)
     width = config.process.bead_width_mm
-    sections = [layers.section(k) for k in range(len(layers))]
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
 
     covered = run_each(lambda k: covered_fraction(sections[k], _segments(nc, rows[index == k]), width), solid)
@@ -239,10 +220,10 @@ def _coverage(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Ch
     area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
     worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
     if layer < 0:
-        return Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")
+        return [Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")]
     where, gap = _gap(nc, rows[index == layer], sections[layer], width)
     text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
-    return Check("coverage", worst >= limit, worst, limit, "of the area", where, text)
+    return [Check("coverage", worst >= limit, worst, limit, "of the area", where, text)]
 
 
 def _segments(nc: NCProgram, rows: Ints) -> Floats:
@@ -252,18 +233,19 @@ def _segments(nc: NCProgram, rows: Ints) -> Floats:
     return np.asarray(chords[np.isfinite(chords).all(axis=1)])
 
 
-def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
-    """Widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
+def gaps_check(subject: Subject) -> list[Check]:
+    """Check the widest gap within the contour beads: corners that a round bead cannot fill lie outside of their middle."""
+    nc, config = subject.nc, subject.config
     width = config.process.bead_width_mm
     missing_line_mm = WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width)
     planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
     limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
     rows = np.flatnonzero(nc.deposit)
-    index = nearest_layer(nc.end[rows, 2], z_of)
+    index = nearest_layer(nc.end[rows, 2], subject.z_of)
     known = [0.0]
 
     def widest(k: int) -> tuple[float, int, BaseGeometry] | None:
-        inner = inset(layers.section(k), 0.5 * width)
+        inner = inset(subject.witness.section(k), 0.5 * width)
         mine = rows[index == k]
         if inner.is_empty or not mine.size:
             return None
@@ -274,7 +256,7 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
         known[0] = max(known[0], across)
         return across, -k, bare
 
-    gaps = [gap for gap in run_each(widest, range(len(layers))) if gap is not None]
+    gaps = [gap for gap in run_each(widest, range(len(subject.witness))) if gap is not None]
     worst, where, place = 0.0, "", ""
     if gaps:
         worst, layer, bare = max(gaps, key=lambda gap: gap[:2])
@@ -282,7 +264,7 @@ def _gaps(nc: NCProgram, config: Config, z_of: Floats, layers: Layers) -> Check:
         where = nc.where(_nearest(nc, rows[index == -layer], centre))
         place = f" at ({centre.x:.3f}, {centre.y:.3f})"
     text = f"widest gap between beads{place}: {worst:.4g} mm"
-    return Check("gaps", worst <= limit, worst, limit, "mm", where, text)
+    return [Check("gaps", worst <= limit, worst, limit, "mm", where, text)]
 
 
 def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> BaseGeometry:
@@ -316,3 +298,62 @@ def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
     return np.asarray(
         shapely.linestrings(np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)), dtype=np.object_
     )
+
+
+# -- bare parts ----------------------------------------------------------------------------------------
+
+
+def widest_part(
+    region: BaseGeometry, segments: Floats, bead_width_mm: float, wider_than_mm: float = 0.0
+) -> tuple[float, shapely.Polygon | None]:
+    """Find the widest part of a region that lies further than half a bead width from every segment.
+
+    Only beads that reach a patch of bare samples are laid there, so that a few bare spots of a layer of a thousand beads
+    cost no union of a thousand. What holds no sample, no wider than one and a half steps of them, is left out.
+
+    Parameters
+    ----------
+    region
+        Polygon or multi-polygon.
+    segments
+        (S, 4) x0, y0, x1, y1 of the centre lines of the beads, mm; beads end in half discs.
+    bead_width_mm
+        Width of the beads.
+    wider_than_mm
+        Width that is asked for: patches come the widest first, and those that cannot hold a circle of that diameter, or
+        of that of a part found already, are not cut out.
+
+    Returns
+    -------
+    tuple
+        Diameter of the largest circle in the part, mm, and the part, within the box around its patch; `wider_than_mm`
+        and None where none is wider.
+    """
+    bare = bare_samples(region, segments, bead_width_mm)
+    widest_mm, widest = wider_than_mm, None
+    if bare.covered == 1.0:
+        return widest_mm, widest
+    boxes, most_mm = _patches(bare)
+    lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), object)
+    tree = shapely.STRtree(lines)
+    for n in np.argsort(-most_mm, kind="stable"):
+        if most_mm[n] <= widest_mm:
+            break
+        near = np.sort(tree.query(boxes[n], predicate="dwithin", distance=0.5 * bead_width_mm))
+        beads = ground(lines[near], bead_width_mm)
+        left = shapely.difference(shapely.intersection(region, boxes[n]), beads)
+        for part in valid_polygons(left):
+            across_mm = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(part)))
+            if across_mm > widest_mm:
+                widest_mm, widest = across_mm, part
+    return widest_mm, widest
+
+
+def _patches(bare: BareSamples) -> tuple[np.ndarray, Floats]:
+    """Boxes (P,) around patches of bare samples that touch, and the widest circle that each could hold, mm."""
+    labels, _ = ndimage.label(bare.grid, structure=np.ones((3, 3)))
+    places = [place for place in ndimage.find_objects(labels) if place is not None]
+    low = np.array([(x.start, y.start) for y, x in places], np.float64).reshape(-1, 2) - MARGIN
+    high = np.array([(x.stop, y.stop) for y, x in places], np.float64).reshape(-1, 2) + MARGIN
+    corners = np.hstack([low, high]) * bare.step_mm + np.tile(bare.origin, 2)
+    return np.asarray(shapely.box(*corners.T), object), bare.step_mm * (high - low).min(axis=1)

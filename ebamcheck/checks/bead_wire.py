@@ -21,13 +21,13 @@ from scipy.spatial import cKDTree
 from ebamcheck.checks.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.deposit import STEP_SHARE, metal_places, pool_of, spread
+from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, target_of
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.wire import width_limits_mm
 
 NAME = "wire of beads"
 

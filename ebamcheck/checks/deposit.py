@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.bead_metal import bead_sections_mm2, wanted_region
 from ebamcheck.checks.metal_field import LayerField
 from ebamcheck.checks.metal_zones import NO_ZONES, deep_cells, zone_figures, zone_limit, zone_off
-from ebamcheck.checks.narrow_features import NarrowFeature, narrow_features
+from ebamcheck.checks.narrow_features import NarrowFeature, narrow_features, thinnest_wall
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.layers.stack import Layers
@@ -33,7 +33,6 @@ from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
-from ebamcheck.writing.thin_walls import thinnest_wall
 
 STEP_SHARE = 1.0 / 12.0
 """Distance of the places at which metal is laid, over the bead width: half a cell."""

@@ -6,7 +6,6 @@ Their limits are settings of the process; none is taken from what the program re
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
@@ -15,13 +14,13 @@ from ebamcheck.checks.checks import Check
 from ebamcheck.checks.deposit import Deposit
 from ebamcheck.checks.metal_below import MetalBelow, counts, with_metal
 from ebamcheck.checks.metal_zones import tolerances, zone_limit, zone_off
+from ebamcheck.checks.narrow_features import narrow_bead
 from ebamcheck.checks.remedies import COARSE, TOO_THIN
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
-from ebamcheck.writing.thin_walls import narrow_bead
 
 NARROW = "narrow features"
 """Name of the check of openings and walls of the part that are narrower than a least that is set."""
@@ -31,21 +30,6 @@ DEPOSIT_CHECKS = (
     "height of layers", "height of zones", "surface",
 )  # fmt: skip
 """Names of the checks, in their order."""
-
-SOLID = "metal of the solid"
-"""Name of the check of the layers against the volume of the mesh (:mod:`ebamcheck.pipeline.solid_metal`)."""
-
-SECTIONS, HEIGHTS = "sections of the mesh", "layers of the part"
-"""Names of the checks of the sections against the mesh itself, and of the heights of the layers (:mod:`ebamcheck.pipeline.mesh_sections`)."""
-
-PART_FILE = "part of the file"
-"""Name of the check of the part against its file (:mod:`ebamcheck.pipeline.part_file`)."""
-
-BETWEEN = "between the cuts"
-"""Name of the check of what no layer has (:mod:`ebamcheck.pipeline.between_cuts`)."""
-
-OF_THE_MESH = (SOLID, SECTIONS, BETWEEN, HEIGHTS, PART_FILE)
-"""Checks of the layers against the part."""
 
 LEAST_SPOTS = 1.0
 """Bead spots (a bead width squared, one layer high) by which the metal of a layer may be off in any case: the starts and
@@ -300,8 +284,3 @@ def _surface(solid: pd.DataFrame, config: Config, places: _Places) -> Check:
     )
     where = places.of(int(row["layer"]))
     return Check("surface", bool(values[k] <= limit), float(values[k]), limit, "mm", where, text)
-
-
-def of_deposit(checks: Iterable[Check]) -> list[Check]:
-    """Those of some checks that are about the metal."""
-    return [check for check in checks if check.name in (*DEPOSIT_CHECKS, *OF_THE_MESH)]

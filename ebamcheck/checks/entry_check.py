@@ -12,17 +12,13 @@ import numpy as np
 
 from ebamcheck.checks.checks import Check, count_check
 from ebamcheck.checks.header_checks import Truth, status_check
-from ebamcheck.checks.machine_state import machine_state_checks
+from ebamcheck.checks.state_checks import machine_state_checks
 from ebamcheck.checks.text_checks import text_checks
+from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.nc.codes import BEAM_VALUES
 from ebamcheck.nc.motions import RAPID, NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
-
-NAME = "entry"
-
-PLACE_MM = 1e-3
-"""Heights nearer than this are one: three decimals are the fewest of a program."""
 
 COLUMNS = ("kind", "feed_mm_min", "beam", "wire", "power_w", "wire_mm_s")
 VALUES = (*BEAM_VALUES, "wire_mm_s")
@@ -43,7 +39,7 @@ def entry_check(
     """
     faults = list(_faults(whole, entry, layer, z_mm, config, Truth(validated)))
     return count_check(
-        NAME, faults, f"{len(entry)} motions from layer {layer} on are those of the whole program"
+        "entry", faults, f"{len(entry)} motions from layer {layer} on are those of the whole program"
     )
 
 

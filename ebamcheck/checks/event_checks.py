@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ebamcheck.checks.checks import Check, count_check, event_faults
+from ebamcheck.checks.tolerances import PRINTED, TWO_PLACES_MM, VALUE_SHARE
 from ebamcheck.nc.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, NCProgram
@@ -20,21 +21,6 @@ from ebamcheck.settings.feed_along import along_window
 
 RELEASED = re.compile(r"_K\d{4,}R\d+$")
 """End of the name of a layer that is made between layers."""
-
-PLACE_MM = 2e-3
-"""Heights are rounded to the decimals of a program, at their coarsest."""
-
-RETRACT_TOLERANCE_MM = 1e-6
-"""Decimals of a process value."""
-
-VALUE_TOLERANCE = 1e-3
-"""Of a value: the decimals with which it is printed."""
-
-WIRE_LIMIT_SHARE = 1e-3
-"""The same of wire that stands at a limit of its feeder."""
-
-PRINTED = 1e-6
-"""Decimals of a process value, beside its increment."""
 
 Faults = list[tuple[str, str]]
 
@@ -98,7 +84,7 @@ def retract_check(nc: NCProgram, config: Config) -> Check:
     answered = np.append(back[ends], False)[np.cumsum(ends)]
     faults = event_faults(
         nc,
-        (back & asked & (np.abs(e.value - wanted) > RETRACT_TOLERANCE_MM), f"wire drawn back by {{value:g}} mm in place of {wanted:g} mm"),
+        (back & asked & (np.abs(e.value - wanted) > PRINTED), f"wire drawn back by {{value:g}} mm in place of {wanted:g} mm"),
         (back & ~asked & (e.value != 0.0), "wire drawn back by {value:g} mm, which no stop of the running wire asks for"),
         (stops & ~answered, f"the wire stops and is not drawn back by {wanted:g} mm"),
     )  # fmt: skip
@@ -123,7 +109,7 @@ def wait_height_check(nc: NCProgram, config: Config) -> Check:
     top = np.append(-np.inf, np.fmax.accumulate(laid))[e.row]
     z = np.append(np.nan, nc.end[:, 2])[e.row]
     # Where nothing is laid, there is nothing that the tool could stand over.
-    low = stands & ~rests & np.isfinite(top) & ~(z >= top + clear_mm - PLACE_MM)
+    low = stands & ~rests & np.isfinite(top) & ~(z >= top + clear_mm - TWO_PLACES_MM)
     faults = event_faults(
         nc,
         (low, lambda i: f"waits or stops at Z {z[i]:g} mm, {z[i] - top[i]:.4g} mm over what is laid, {clear_mm:g} mm is clear of it"),
@@ -194,7 +180,7 @@ def _ways(nc: NCProgram, file: int, config: Config) -> Iterator[tuple[str, str]]
         )
     if nc.table is not None:
         return  # Heights are those of the axes: the checks of the table have them.
-    clear_mm = config.machine.clearance_mm - PLACE_MM
+    clear_mm = config.machine.clearance_mm - TWO_PLACES_MM
     if not nc.end[first, 2] >= config.base_mm + clear_mm:
         yield (
             nc.where(first),
@@ -245,11 +231,11 @@ def _set_values(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]
         half = 0.5 * steps.get(name, 0.0)
         if name in fixed:
             wanted, unit = fixed[name]
-            if value != 0.0 and not abs(value - wanted) <= VALUE_TOLERANCE * wanted + half:
+            if value != 0.0 and not abs(value - wanted) <= VALUE_SHARE * wanted + half:
                 yield row, nc.where_event(i), f"{value:g} {unit} in place of {wanted:g} {unit}"
         elif name in greatest:
             limit, unit = greatest[name]
-            if not 0.0 <= value <= limit * (1.0 + VALUE_TOLERANCE) + half:
+            if not 0.0 <= value <= limit * (1.0 + VALUE_SHARE) + half:
                 yield row, nc.where_event(i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
 
 
@@ -260,7 +246,7 @@ def _feeds(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
     feed, wire = nc.feed_mm_min[rows] / 60.0, nc.wire_mm_s[rows]
     process, (slow, fast) = config.process, along_window(config)
     for row, value, fed in zip(rows.tolist(), feed.tolist(), wire.tolist(), strict=True):
-        room = VALUE_TOLERANCE * wanted + half
+        room = VALUE_SHARE * wanted + half
         if abs(value - wanted) <= room:
             continue
         where = nc.where(row)
@@ -270,7 +256,7 @@ def _feeds(nc: NCProgram, config: Config) -> Iterator[tuple[int, str, str]]:
         slower = value < wanted
         limit = process.wire_speed_max_mm_s if slower else process.wire_speed_min_mm_s
         # The feed goes on where the wire ends, and nowhere else.
-        if not abs(fed - limit) <= WIRE_LIMIT_SHARE * limit:
+        if not abs(fed - limit) <= VALUE_SHARE * limit:
             what = f"feed {value:g} mm/s in place of {wanted:g} mm/s, where the wire has {fed:g} mm/s and not its limit of {limit:g} mm/s"
             yield row, where, what
         elif not slow * wanted - room <= value <= fast * wanted + room:

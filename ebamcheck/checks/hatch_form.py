@@ -15,11 +15,12 @@ import shapely
 from shapely.ops import substring
 
 from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.tolerances import TWO_PLACES_MM
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.turns import TURN_SPACINGS
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import TURN_SPACINGS
 
 LINES, CROSSINGS = "hatch lines", "crossings"
 """Names of the checks."""
@@ -29,10 +30,6 @@ CHORD_MM = 0.5
 
 PARALLEL = 1e-3
 """Sine of the angle between lines of one direction."""
-
-ROUNDING_MM = 2e-3
-"""Ends of lines are rounded to the decimals of a program, at their coarsest: what a short line may turn by, and what the
-distance of two may differ by."""
 
 TO_AND_FRO = 1.0 / 3.0
 """Share of a bead's length along one direction from which on it is taken for lines to and fro."""
@@ -105,7 +102,7 @@ def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
 def _parallel(way: Floats, length: Floats, i: int, j: int) -> bool:
     """Whether two lines have one direction, as far as their rounded ends can tell."""
     across = abs(way[i, 0] * way[j, 1] - way[i, 1] * way[j, 0])
-    slack = PARALLEL * length[i] * length[j] + ROUNDING_MM * max(length[i], length[j])
+    slack = PARALLEL * length[i] * length[j] + TWO_PLACES_MM * max(length[i], length[j])
     return bool(across <= slack)
 
 
@@ -121,7 +118,7 @@ def _turned_back(way: Floats, length: Floats, a: int, b: int) -> int:
     """First line of a bead that goes back on the one before; -1 for none."""
     for i in range(a + 1, b):
         along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
-        known = min(length[i - 1], length[i]) > 10.0 * ROUNDING_MM
+        known = min(length[i - 1], length[i]) > 10.0 * TWO_PLACES_MM
         if known and along < LEAST_TURN * length[i - 1] * length[i]:
             return i
     return -1
@@ -146,11 +143,13 @@ def _goes_to_and_fro(
 ) -> bool:
     """Whether two lines along line j follow each other with one turn between, in opposite directions and side by side."""
     for i in range(a + 2, b):
-        turn = length[i - 1] <= TURN_SPACINGS * spacing + ROUNDING_MM and not _parallel(way, length, j, i - 1)
+        turn = length[i - 1] <= TURN_SPACINGS * spacing + TWO_PLACES_MM and not _parallel(
+            way, length, j, i - 1
+        )
         if turn and _parallel(way, length, j, i) and _parallel(way, length, j, i - 2):
             opposite = way[i, 0] * way[i - 2, 0] + way[i, 1] * way[i - 2, 1] < 0.0
             step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, i - 2))
-            if opposite and ROUNDING_MM < step <= WIDEST_SPACINGS * spacing:
+            if opposite and TWO_PLACES_MM < step <= WIDEST_SPACINGS * spacing:
                 return True
     return False
 
@@ -162,7 +161,7 @@ def _skew(way: Floats, length: Floats, a: int, b: int, j: int, spacing: float) -
     Short motions before the first line along j and behind the last one follow a wall or fill a bare spot, and lie as that
     does; but a single one that goes half a spacing aside is a turn whose line is missing.
     """
-    longest = TURN_SPACINGS * spacing + ROUNDING_MM
+    longest = TURN_SPACINGS * spacing + TWO_PLACES_MM
     low, high = j, j
     for i in range(a, b):
         if _parallel(way, length, j, i):
@@ -210,8 +209,8 @@ def _uneven(start: Floats, way: Floats, length: Floats, a: int, b: int, j: int) 
             continue
         if 0 <= before < i - 1:
             step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, before))
-            if step > 2.0 * ROUNDING_MM:
-                if pitch > 0.0 and abs(step - pitch) > 2.0 * ROUNDING_MM + PARALLEL * length[j]:
+            if step > 2.0 * TWO_PLACES_MM:
+                if pitch > 0.0 and abs(step - pitch) > 2.0 * TWO_PLACES_MM + PARALLEL * length[j]:
                     return i
                 pitch = step
         before = i
@@ -308,7 +307,7 @@ def _apart(one: Floats, other: Floats) -> Bools:
     result = np.ones(len(one), np.bool_)
     for segments in (one, other):
         for end in (segments[:, :2], segments[:, 2:]):
-            result &= np.asarray(shapely.distance(at, shapely.points(end))) > ROUNDING_MM
+            result &= np.asarray(shapely.distance(at, shapely.points(end))) > TWO_PLACES_MM
     return result
 
 

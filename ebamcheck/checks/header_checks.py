@@ -13,16 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.tolerances import PRINTED
 from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import control
-from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
+from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED, ProgramFiles, mark_validated
 from ebamcheck.nc.header import header_lines
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.writing.inputs import deposition_heights
 
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
 """Lines of the header that do not follow from the settings and the program's own text."""
@@ -35,10 +36,10 @@ TOLD, LETTERS = 3, 12
 
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
 
-PRINTED_MM = 1e-6
-"""Decimals of the heights in comments."""
-
 MEGABYTE = 1e6
+
+MARK, NOT = b"VALIDATED", b"NOT "
+"""What a program that is validated says of itself, and what a file loses when it is marked."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple
         wrong = said != true
         if not wrong and layer[3] and heights is not None and z is not None and k < heights.size:
             off_mm = max(abs(float(layer[3]) - heights[k]), abs(float(layer[4]) - z[k]))
-            wrong = off_mm > PRINTED_MM
+            wrong = off_mm > PRINTED
             said += f" cut at {float(layer[3]):.6f} mm, Z {float(layer[4]):.6f} mm"
             true += f" cut at {heights[k]:.6f} mm, Z {z[k]:.6f} mm"
         if wrong:
@@ -212,3 +213,40 @@ def _size(nc: NCProgram, config: Config) -> Check:
         return Check("size on the control", True, megabytes, megabytes, "MB", "", text)
     where = "" if megabytes <= limit else f"{nc.files[0].name}:1"
     return Check("size on the control", megabytes <= limit, megabytes, limit, "MB", where, text)
+
+
+# -- the mark of a validated program -------------------------------------------------------------------
+
+
+def marked_validated(files: ProgramFiles) -> ProgramFiles:
+    """Mark a program that was checked as validated.
+
+    Raises
+    ------
+    RuntimeError
+        If more has changed than its status: a mistake of this program. Its files are then again those that were checked.
+    """
+    checked = {name: (files.folder / name).read_bytes() for name in files.names}
+    made = mark_validated(files)
+    for name, data in checked.items():
+        if made.folder != files.folder or not is_marked(data, (made.folder / name).read_bytes()):
+            for file, before in checked.items():
+                (files.folder / file).write_bytes(before)
+            raise RuntimeError(f"{made.folder / name}: more than its status has changed since it was checked")
+    return made
+
+
+def is_marked(checked: bytes, marked: bytes) -> bool:
+    """Whether bytes are those that were checked, with the status of a program that is validated in one of its first lines.
+
+    Examples
+    --------
+    >>> is_marked(b"%_N_A_MPF\\n; NOT VALIDATED\\nM30\\n", b"%_N_A_MPF\\n; VALIDATED\\nM30\\n")
+    True
+    >>> is_marked(b"%_N_A_MPF\\n; NOT VALIDATED\\nM30\\n", b"%_N_A_MPF\\n; VALIDATED\\nM3\\n")
+    False
+    """
+    at = next((i for i, (a, b) in enumerate(zip(checked, marked, strict=False)) if a != b), len(marked))
+    if checked[at : at + len(NOT)] != NOT or not checked.startswith(MARK, at + len(NOT)):
+        return False
+    return marked == checked[:at] + checked[at + len(NOT) :] and checked[:at].count(b"\n") < STATUS_LINES

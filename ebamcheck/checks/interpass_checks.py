@@ -18,7 +18,6 @@ from ebamcheck.checks.heat_again import (
     highest_entry_k,
     may_differ_k,
 )
-from ebamcheck.checks.melting_check import MELTING, MELTING_TOLERANCE, melting_check, own_shares
 from ebamcheck.checks.text_heat import (
     TextBeads,
     sections_of_text,
@@ -26,20 +25,19 @@ from ebamcheck.checks.text_heat import (
     text_bed_k,
     text_shapes,
 )
+from ebamcheck.checks.tolerances import PRINTED, VALUE_SHARE
+from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
 from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.inputs import Interpass
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import Interpass
 
 INTERPASS, AGAIN = "interpass temperature", "balance of the heat"
 """Names of two checks."""
-
-PAUSE_TOLERANCE_S = 1e-6
-"""Decimals of a process value."""
 
 ROOM, ROOM_K, PERCENT = 0.85, 80.0, 0.01
 """Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the
@@ -55,12 +53,6 @@ WARM_SHARE = 0.6
 """Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less.
 Plans wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and
 settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56."""
-
-WAITED_S = 1e-6
-"""A wait that is longer than the settings ask for by less is theirs: decimals of a process value."""
-
-HEAT_CHECKS = (INTERPASS, MELTING, AGAIN, COLD)
-"""Names of the checks that the heat gate reads."""
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
@@ -121,7 +113,7 @@ def layer_shares(nc: NCProgram, config: Config) -> Floats:
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     share = nc.power_w[rows] / config.process.power_w
     slack = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
-    own = own_shares(nc, rows, config) * (1.0 + MELTING_TOLERANCE) + slack / config.process.power_w
+    own = own_shares(nc, rows, config) * (1.0 + VALUE_SHARE) + slack / config.process.power_w
     along, step = ramp_power(nc, rows, config)
     count, layer = len(nc.layer_files), nc.layer[rows]
     shares, on_ramps, least = np.full(count, -np.inf), np.full(count, -np.inf), np.full(count, np.inf)
@@ -197,9 +189,9 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
     faults += event_faults(nc, (out, what))
     if heat is None:
         wanted = np.where(first, least_s, 0.0)
-        bad = beads.wait_s < wanted - PAUSE_TOLERANCE_S
+        bad = beads.wait_s < wanted - PRINTED
         if config.process.interpass in ("off", "power"):
-            bad |= beads.wait_s > wanted + PAUSE_TOLERANCE_S
+            bad |= beads.wait_s > wanted + PRINTED
     else:
         wanted = np.where(beads.ring >= 0, _of(heat.ring_wait_s, beads.layer), 0.0)
         inner = beads.island >= 0
@@ -207,7 +199,7 @@ def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | No
         wanted[beads.inner] = _of(heat.inner_wait_s, beads.island[beads.inner])
         wanted[first] = _of(heat.wait_s, beads.layer[first]) + np.where(inner, wanted, 0.0)[first]
         wanted[:1] = np.where(inner, wanted, 0.0)[:1]
-        bad = np.abs(beads.wait_s - wanted) > PAUSE_TOLERANCE_S
+        bad = np.abs(beads.wait_s - wanted) > PRINTED
     faults += [
         (
             nc.where(int(beads.row[n])),
@@ -304,7 +296,7 @@ def _waited(beads: TextBeads, config: Config) -> Bools:
     """Which beads (P,) are waited for longer than the settings ask, with no preheating after the wait."""
     asked_s = np.where(beads.enters_layer, config.process.layer_pause_s, 0.0)
     preheated = beads.enters_layer & np.isin(beads.layer, list(beads.scans))
-    return np.asarray((beads.wait_s > asked_s + WAITED_S) & ~preheated)
+    return np.asarray((beads.wait_s > asked_s + PRINTED) & ~preheated)
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:

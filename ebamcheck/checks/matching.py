@@ -7,74 +7,23 @@ track that it should have followed. A bead without a track is one that nobody pl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
+from ebamcheck.checks.tolerances import TWO_PLACES_MM
 from ebamcheck.nc.beads import Beads
+from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_ends import with_bead_ends
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
-from ebamcheck.writing.tracks import Toolpath, toolpath
-
-SAME_MM = 2e-3
-"""Ends of a bead and of its track, each rounded to the decimals of a program, at their coarsest."""
 
 APART_MM = 1e6
 """Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
-
-
-@dataclass(frozen=True, eq=False)
-class _NoCurves:
-    """Contours of a stack that has none."""
-
-    heights: Floats
-    layer_starts: Ints
-    ring_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
-    closed: Bools = field(default_factory=lambda: np.zeros(0, np.bool_))
-    kind: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
-    control_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
-    control: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    knot_starts: Ints = field(default_factory=lambda: np.zeros(1, np.int64))
-    knots: Floats = field(default_factory=lambda: np.zeros(0))
-
-
-@dataclass(frozen=True, eq=False)
-class _NoIslands:
-    """Plan of a stack without islands."""
-
-    heights: Floats
-    island_layer: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    order: Ints = field(default_factory=lambda: np.zeros(0, np.int64))
-    island_kind: NDArray[np.str_] = field(default_factory=lambda: np.zeros(0, np.str_))
-    sections: NDArray[np.object_] | None = None
-    vectors: SimpleNamespace = field(
-        default_factory=lambda: SimpleNamespace(**dict.fromkeys(("island", "x0", "y0", "x1", "y1"), ()))
-    )
-
-
-def tracks_known(curves: CurveColumns | None, plan: ScanColumns | None, config: Config) -> Toolpath | None:
-    """Tracks of contours or of islands alone, where the others are not known; None without either."""
-    if curves is None and plan is None:
-        return None
-    if curves is None and plan is not None:
-        curves = _NoCurves(plan.heights, np.zeros(len(plan.heights) + 1, np.int64))
-    if plan is None and curves is not None:
-        plan = _NoIslands(curves.heights)
-    assert curves is not None
-    assert plan is not None
-    machine = config.machine
-    path = toolpath(curves, plan, config, machine.printed_decimals, "cubics", machine.line_tolerance_mm)
-    return with_bead_ends(path, config.process, machine.printed_decimals)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +45,10 @@ class Matching:
     beads: Beads
     track: Ints
     again: Bools
-    path: Toolpath
+    path: TrackColumns
 
 
-def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
+def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
     """Give every bead the role of the track that it follows.
 
     Returns
@@ -115,7 +64,11 @@ def matched(nc: NCProgram, path: Toolpath) -> tuple[NCProgram, Matching]:
     found_layer = (
         nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else np.zeros(len(beads), np.int64)
     )
-    if len(found) == len(ends) and (layer == found_layer).all() and (np.abs(found - ends) <= SAME_MM).all():
+    if (
+        len(found) == len(ends)
+        and (layer == found_layer).all()
+        and (np.abs(found - ends) <= TWO_PLACES_MM).all()
+    ):
         pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
     else:
         pick, again = _pairs(_placed(found, found_layer), _placed(ends, layer))
@@ -148,7 +101,7 @@ def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
     taken = np.zeros(len(wanted), np.bool_)
     tree = cKDTree(wanted)
     for i, place in enumerate(found):
-        near = np.sort(np.asarray(tree.query_ball_point(place, SAME_MM, p=np.inf), np.int64)).tolist()
+        near = np.sort(np.asarray(tree.query_ball_point(place, TWO_PLACES_MM, p=np.inf), np.int64)).tolist()
         free = [t for t in near if not taken[t]]
         if free:
             pick[i] = free[0]
@@ -184,7 +137,7 @@ def _by_nearness(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> Non
         mine = free[~taken[free] & (wanted[free, 4] == found[i, 4])]
         apart = np.abs(wanted[mine, :4] - found[i, :4])
         near = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
-        if mine.size and near.min() <= SAME_MM:
+        if mine.size and near.min() <= TWO_PLACES_MM:
             pick[i] = mine[np.argmin(near)]
             taken[pick[i]] = True
 
@@ -261,7 +214,7 @@ def _bead_faults(nc: NCProgram, match: Matching) -> Check:
     return count_check("beads as planned", places, f"{known.size} beads, each once and in its order")
 
 
-def _named(path: Toolpath, track: int) -> str:
+def _named(path: TrackColumns, track: int) -> str:
     ring = int(path.ring[track])
     return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
 

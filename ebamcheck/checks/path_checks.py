@@ -10,21 +10,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.shapes import shape_distance
-from ebamcheck.checks.spline_points import spline_points
+from ebamcheck.checks.shapes import shape_distance, spline_points
+from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, PLACE_MM
 from ebamcheck.nc import motions
-from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
-from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import (
+from ebamcheck.nc.inputs import (
     ARC,
     LINE,
     SPLINE,
     CurveColumns,
     ScanColumns,
 )
+from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.nc.timeline import Kind
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.settings.config import Config
 
 SAMPLES = 9
 """Places on each span where programmed and fitted curve are compared at the same parameter."""
@@ -34,12 +35,6 @@ CHORD_SHARE = 0.02
 
 FLAT_ARC = 1e-12
 """Sine of half the turn of an arc that is straight for numbers of 16 digits."""
-
-PLACE_MM = 1e-3
-"""Places nearer than this are one place, rounded to the decimals of a program."""
-
-HEIGHT_TOLERANCE_MM = 1e-3
-"""Z of a layer: the decimals of the program, at their coarsest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +103,7 @@ def _arc(control: Floats, t: Floats) -> Floats:
 # -- contours --------------------------------------------------------------------------------------
 
 
-def closure_check(nc: NCProgram, curves: CurveColumns | None, limit_mm: float) -> Check:
+def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
     """Check that every contour ring ends where it starts; open paths are known from `curves` alone."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
     ring, first = np.unique(nc.ring[rows], return_index=True)
@@ -118,25 +113,29 @@ def closure_check(nc: NCProgram, curves: CurveColumns | None, limit_mm: float) -
         closed = known & np.asarray(curves.closed)[np.where(known, ring, 0)] if len(curves.closed) else known
         first, last = first[closed], last[closed]
     gap = np.linalg.norm(nc.start[rows[first], :2] - nc.end[rows[last], :2], axis=1)
-    return worst_check("contours close", nc, rows[last], gap, limit_mm, "mm", f"gap of {gap.size} rings")
+    return worst_check(
+        "contours close", nc, rows[last], gap, PATH_TOLERANCE_MM, "mm", f"gap of {gap.size} rings"
+    )
 
 
-def contour_checks(
-    nc: NCProgram, curves: CurveColumns, config: Config, limit_mm: float, z_of: Floats
-) -> list[Check]:
+def contour_checks(subject: Subject) -> list[Check]:
     """Compare the contour motions with the fitted curves, both ways.
 
     Where the program has one block for each span, both are evaluated at the same parameters, which bounds
-    the distance of either from the other; other rings are compared as shapes. `z_of` (L,) is the Z expected.
+    the distance of either from the other; other rings are compared as shapes.
     """
+    nc, curves, config = subject.nc, subject.curves, subject.config
+    assert curves is not None
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     count = len(curves.closed)
-    faults = _ring_faults(nc, curves, rows, z_of)
+    faults = _ring_faults(nc, curves, rows, subject.z_of)
     rows = rows[nc.ring[rows] < count]
     spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
     faults += _turned_rings(nc, curves, rows, spans)
     distance, alike = _same_parameters(nc, rows, spans, count)
-    limit = limit_mm + (config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0)
+    limit = PATH_TOLERANCE_MM + (
+        config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0
+    )
     rings = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
     motions_of, spans_of = _grouped(nc.ring[rows], count), _grouped(spans.ring, count)
 
@@ -212,7 +211,7 @@ def _group_faults(
             faults.append((nc.where(row), f"{what} {number} is not known"))
         elif number in seen:
             faults.append((nc.where(row), f"{what} {number} comes a second time"))
-        elif not abs(nc.end[row, 2] - z_of[number]) <= HEIGHT_TOLERANCE_MM:
+        elif not abs(nc.end[row, 2] - z_of[number]) <= PLACE_MM:
             faults.append(
                 (nc.where(row), f"{what} {number} at Z {nc.end[row, 2]:g} in place of {z_of[number]:g}")
             )
@@ -271,10 +270,10 @@ def _shape_distance(nc: NCProgram, rows: Ints, fitted: Floats) -> Floats:
 # -- hatch -----------------------------------------------------------------------------------------
 
 
-def hatch_checks(
-    nc: NCProgram, plan: ScanColumns, config: Config, limit_mm: float, z_of: Floats
-) -> list[Check]:
+def hatch_checks(subject: Subject) -> list[Check]:
     """Compare islands, their order and their vectors with the plan."""
+    nc, plan, config = subject.nc, subject.plan, subject.config
+    assert plan is not None
     vectors = nc.vectors()
     rows = vectors["row"].to_numpy()
     driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
@@ -283,7 +282,7 @@ def hatch_checks(
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
     island, ends = island[kept], ends[kept]
     new_layer = np.diff(nc.layer[rows], prepend=-1) != 0
-    expected_z = z_of[np.asarray(plan.island_layer, dtype=np.int64)]
+    expected_z = subject.z_of[np.asarray(plan.island_layer, dtype=np.int64)]
     faults = _group_faults(nc, rows, nc.island, new_layer, "island", expected_z, np.unique(island))
     order = np.asarray(plan.order, dtype=np.int64)
     order = order[np.isin(order, island)]
@@ -295,7 +294,7 @@ def hatch_checks(
         faults.append((nc.where(row), f"island {found[wrong[0]]} comes in place of island {order[wrong[0]]}"))
     return [
         count_check("islands", faults, f"{np.unique(island).size} islands, each once, in the planned order"),
-        _vectors(nc, rows, driven, island, ends, limit_mm),
+        _vectors(nc, rows, driven, island, ends),
     ]
 
 
@@ -305,21 +304,21 @@ def _planned_lines(plan: ScanColumns) -> tuple[Ints, Floats]:
     return np.asarray(plan.vectors.island, np.int64), np.stack(columns, axis=1)
 
 
-def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floats, limit_mm: float) -> Check:
+def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floats) -> Check:
     size = min(rows.size, len(ends))
     apart = np.abs(driven[:size] - ends[:size]).max(axis=1, initial=0.0)
     apart[nc.island[rows[:size]] != island[:size]] = np.inf
-    over = np.flatnonzero(apart > limit_mm)
+    over = np.flatnonzero(apart > PATH_TOLERANCE_MM)
     name = "hatch vectors"
     if over.size:
         row, value = int(rows[over[0]]), float(apart[over[0]])
         text = f"vector of island {nc.island[row]} leaves the plan by {value:g} mm"
-        return Check(name, False, value, limit_mm, "mm", nc.where(row), text)
+        return Check(name, False, value, PATH_TOLERANCE_MM, "mm", nc.where(row), text)
     if rows.size != len(ends):
         where = nc.where(int(rows[min(size, rows.size - 1)])) if rows.size else f"{nc.files[0].name}:1"
         text = f"{rows.size} vectors in the program, {len(ends)} in the plan"
         return Check(name, False, float(abs(rows.size - len(ends))), 0.0, "vectors", where, text)
-    return worst_check(name, nc, rows, apart, limit_mm, "mm", f"{rows.size} vectors as planned")
+    return worst_check(name, nc, rows, apart, PATH_TOLERANCE_MM, "mm", f"{rows.size} vectors as planned")
 
 
 # -- layers ----------------------------------------------------------------------------------------
@@ -346,7 +345,7 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
     faults = [(i, f"layer {laid[i] + 1} comes in place of layer {wanted[i] + 1}") for i in order[:1].tolist()]
     faults += [
         (i, f"layer {laid[i] + 1} at Z {nc.end[begins[i], 2]:g} in place of {z_of[laid[i]]:g}")
-        for i in np.flatnonzero(~(off <= HEIGHT_TOLERANCE_MM)).tolist()
+        for i in np.flatnonzero(~(off <= PLACE_MM)).tolist()
     ]
     faults.sort(key=lambda fault: fault[0])
     last = [_where_called(nc, int(begins[order[0] if order.size else -1]))] if begins.size else [""]

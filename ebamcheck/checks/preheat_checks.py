@@ -10,7 +10,6 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults
-from ebamcheck.checks.machine_state import modes_of_scans
 from ebamcheck.checks.preheat_heat import (
     Known,
     bottoms_of,
@@ -19,7 +18,7 @@ from ebamcheck.checks.preheat_heat import (
     temperature_again,
     temperatures_of,
 )
-from ebamcheck.checks.state_checks import extremes
+from ebamcheck.checks.state_checks import extremes, modes_of_scans
 from ebamcheck.checks.text_heat import sections_of_text
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn

@@ -9,7 +9,11 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.bead_metal import wanted_region
 from ebamcheck.checks.checks import Check
+from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.tolerances import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
+from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
 from ebamcheck.layers.stack import Layers
@@ -18,15 +22,10 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.settings.config import Config
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
-
-COLLINEAR_MM = 1e-3
-"""Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord."""
-
-SLIT_MM = 1e-3
-"""Width up to which a slit is what rounding left of a face that two bodies share: far under any gap that a bead leaves open."""
 
 CORNER_RAD = math.radians(40.0)
 """Chords that turn by more meet in a corner of the part."""
@@ -64,6 +63,33 @@ class _Worst:
     y: float
     what: str = ""
     """In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there."""
+
+
+def section_checks(subject: Subject) -> list[Check]:
+    """Contours against the sections, by chords and with the curves that these stand for; and all beads within them."""
+    nc, layers, smooth, z_of, config = (
+        subject.nc,
+        subject.witness,
+        subject.smooth,
+        subject.z_of,
+        subject.config,
+    )
+    offset_mm, most_mm, near_mm = (
+        config.contour_offset_mm,
+        config.curves.section_tolerance_mm,
+        smooth_tolerance_mm(config),
+    )
+    base_mm = SECTION_TOLERANCE_MM if smooth is None else near_mm
+    if config.curves.method not in LIFTED:
+        # An interpolating spline goes its own way between points, twice: no place tells how far.
+        base_mm = most_mm
+    checks = [
+        section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base_mm, most_mm, smooth)),
+        outside_check(nc, layers, z_of, config, most_mm),
+    ]
+    if smooth is not None:
+        checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
+    return checks
 
 
 def section_check(
@@ -281,3 +307,47 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
         if len(way) > 1:
             lines.append(shapely.LineString(way))
     return shapely.MultiLineString(lines)
+
+
+# -- beads inside --------------------------------------------------------------------------------------
+
+
+def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, limit_mm: float) -> Check:
+    """Check all metal, whatever its role: no place of a bead's centre line lies outside by more than `limit_mm`.
+
+    Parameters
+    ----------
+    z_of
+        (L,) Z of each of the `layers` in the program.
+    limit_mm
+        How far a centre line may leave the wanted region.
+    """
+    rows = np.flatnonzero(
+        (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    )
+    layer = nearest_layer(nc.end[rows, 2], z_of)
+
+    def farthest(k: int) -> tuple[float, int, int, float, float] | None:
+        owner, at = nc.samples(rows[layer == k], STEP_MM)
+        region = wanted_region(layers.section(k), config)
+        if region.is_empty:
+            return (math.inf, int(owner[0]), k, *at[0]) if owner.size else None
+        shapely.prepare(region)
+        out = np.flatnonzero(~shapely.intersects_xy(region, at[:, 0], at[:, 1]))
+        if not out.size:
+            return None
+        away = np.asarray(shapely.distance(shapely.points(at[out]), region))
+        first = int(np.argmax(away > limit_mm)) if (away > limit_mm).any() else int(np.argmax(away))
+        return float(away.max()), int(owner[out[first]]), k, *at[out[first]]
+
+    every = [place for place in run_each(farthest, range(len(layers))) if place is not None]
+    if not every:
+        return Check(
+            "beads inside", True, 0.0, limit_mm, "mm", "", "every bead lies within the part and its allowance"
+        )
+    wrong = [place for place in every if place[0] > limit_mm]
+    away, row, k, x, y = min(wrong, key=lambda place: place[1]) if wrong else max(every)
+    how = f"{away:.4g} mm outside of the part" if math.isfinite(away) else "where the part has no section"
+    text = f"a bead runs {how}, in layer {k + 1} at ({x:.3f}, {y:.3f})"
+    value = max(place[0] for place in every)
+    return Check("beads inside", not wrong, value, limit_mm, "mm", nc.where(row), text, k, float(x), float(y))

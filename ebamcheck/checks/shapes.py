@@ -1,4 +1,4 @@
-"""Distance of two sampled paths as shapes, whatever their parameters."""
+"""Sampled paths: points of a B-spline, and the distance of two paths as shapes, whatever their parameters."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ CLOSER = 1.0 - 1e-9
 
 MOST_STEPS = 16
 """Segments that are walked along from one place to the next; what is farther is looked for."""
+
+DEGREE = 3
+"""Degree of every spline piece."""
 
 
 @kernel
@@ -85,3 +88,31 @@ def shape_distance(driven: Floats, wanted: Floats) -> Floats:
     segment, missed = _farthest(target, path, float(result.max(initial=0.0)))
     np.maximum.at(result, segment // driven.shape[1], missed)
     return np.asarray(result)
+
+
+# -- points of splines ---------------------------------------------------------------------------------
+
+
+def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
+    """Points of a clamped cubic B-spline, (S, n, 2).
+
+    Parameters
+    ----------
+    knots, control
+        (m + 4,) and (m, 2).
+    at
+        (S, n) parameters: row s lies in the s-th span between two different knots, its ends included.
+
+    References
+    ----------
+    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50.
+    """
+    span = np.flatnonzero(knots[1:] > knots[:-1])
+    first = span - DEGREE
+    place = [np.asarray(control)[first + k][:, None] for k in range(DEGREE + 1)]
+    for r in range(1, DEGREE + 1):
+        for k in range(DEGREE, r - 1, -1):
+            low, high = knots[first + k][:, None], knots[span + 1 + k - r][:, None]
+            share = ((at - low) / (high - low))[..., None]
+            place[k] = (1.0 - share) * place[k - 1] + share * place[k]
+    return np.asarray(place[DEGREE], np.float64)

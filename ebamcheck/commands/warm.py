@@ -104,11 +104,9 @@ def _errors_alone() -> Iterator[None]:
 def _what_a_box_has_not() -> None:
     """Splines in a program, and metal that lies beside the part."""
     from ebamcheck.checks.shapes import shape_distance
-    from ebamcheck.checks.spline_points import spline_points
     from ebamcheck.metal.distances import moved_to_neighbours
 
     shape_distance(np.eye(2)[None], np.eye(2)[None])
-    spline_points(np.repeat([0.0, 1.0], 4), np.zeros((4, 2)), np.array([[0.5]]))
     field = np.eye(2)
     moved_to_neighbours(np.zeros((2, 2)), field, field > 0.0, field == 0.0)
 

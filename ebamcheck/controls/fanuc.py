@@ -20,11 +20,11 @@ from ebamcheck.controls.gcode.reading import PLAIN_GCODE, GcodeReader
 from ebamcheck.controls.gcode.writing import one_file
 from ebamcheck.nc.control import Control, Group
 from ebamcheck.nc.files import ProgramFiles, write_files
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.words import WordError
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 
 NAME = "fanuc"
 

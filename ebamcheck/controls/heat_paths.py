@@ -20,11 +20,11 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
+from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_power import power_shares
-from ebamcheck.writing.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.writing.tracks import Toolpath
 
 SCRIPT = "run.sh"

@@ -26,6 +26,13 @@ gun goes around without a stop, and mitred offsets of GEOS 3.14 lose whole regio
 NO_WIDTH_MM = 1e-3
 """An inset region narrower than this on average has vanished but for rounding."""
 
+JOIN_MM = 1e-3
+"""Overlap at which a region grown back over another counts as covering it: far under any bead, far over
+the rounding of offsets, so that differences leave no slivers along common borders."""
+
+WALL_ASPECT = 2.0
+"""Least length over width of a thin wall; rounder pieces are small solids."""
+
 POLYGON = 3
 """Type of a polygon among shapely's geometries; collections have the greater ones."""
 
@@ -235,6 +242,32 @@ def _sides(region: BaseGeometry) -> tuple[Floats, Floats, Floats]:
     way = end - start
     inwards = np.column_stack([-way[:, 1], way[:, 0]]) / np.hypot(way[:, 0], way[:, 1])[:, None]
     return start, end, inwards
+
+
+def split_thin(
+    region: BaseGeometry, width_mm: float, crumb_mm2: float
+) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
+    """Split a region into solids and parts narrower than `width_mm`, by opening.
+
+    The core is the region eroded by half the width and grown back; what it does not reach is thin.
+    Crumbs (corners) and pieces that are not longer than wide go back to the solids.
+
+    Returns
+    -------
+    solids, thin
+        Polygons that together are the region.
+    """
+    grown_mm = 0.5 * width_mm + JOIN_MM
+    core = shapely.buffer(eroded(region, 0.5 * width_mm, ARC_SEGMENTS), grown_mm, quad_segs=ARC_SEGMENTS)
+    pieces = valid_polygons(region if core.is_empty else shapely.difference(region, core))
+    thin = [p for p in pieces if p.area >= crumb_mm2 and aspect(p) >= WALL_ASPECT]
+    if not thin:
+        return valid_polygons(region), []
+    if core.is_empty and len(thin) == len(pieces):
+        return [], thin
+    # The core takes the rim by which it was overgrown: solids and thin parts share their border exactly.
+    solids = valid_polygons(shapely.difference(region, shapely.union_all(thin)))
+    return [p for p in solids if mean_width_mm(p) > NO_WIDTH_MM], thin
 
 
 def ground(lines: NDArray[np.object_], bead_width_mm: float) -> BaseGeometry:

@@ -1,4 +1,4 @@
-"""Limits of power and temperature: the power that melts the wire, and the interpass temperature, from process and material."""
+"""Limits of power, wire and temperature: what melts the wire, how wide a bead may be, and the interpass temperature."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import numpy as np
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.feed_along import along_window
+from ebamcheck.settings.process_window import MOST_SPACINGS
+from ebamcheck.settings.wire_speed import wire_speed_mm_s
 
 WIDER = 1.0005
 """Width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program."""
@@ -68,6 +71,25 @@ def own_power_shares(config: Config, width_mm: Floats, thickness_mm: float) -> F
     window = process.metal_energy_j_mm3[0] * metal_mm3_s / process.power_w
     wider = width_mm > WIDER * process.hatch_spacing_mm
     return np.where(wider, np.minimum(np.maximum(pool, window), 1.0), 0.0)
+
+
+def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
+    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed, of the pool, and of the
+    metal that the full power melts, which a bead gets where it needs it.
+
+    Where the feed follows along the path, those of wire and feed together, at the share of the power of the layer.
+    """
+    process = config.process
+    per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
+    slow, fast = along_window(config, power_share)
+    melts_mm3_s = min(melted_mm3_s(config), process.power_w / process.metal_energy_j_mm3[0])
+    most = min(
+        process.wire_speed_max_mm_s / (per_mm * slow),
+        MOST_SPACINGS * process.hatch_spacing_mm,
+        melts_mm3_s / (process.travel_speed_mm_s * thickness_mm),
+    )
+    least = process.wire_speed_min_mm_s / (per_mm * fast)
+    return least, max(least, most)
 
 
 def entry_limit_k(config: Config) -> float:

@@ -29,12 +29,12 @@ from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.judge.thesis import rises_k
 from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.inputs import CurveColumns, deposition_heights
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.island_heat import island_heat
 from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import CurveColumns, deposition_heights
 
 BEADS = ("islands", "all")
 """Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""

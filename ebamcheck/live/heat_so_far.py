@@ -16,10 +16,10 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.heat_again import BeadHeat, FollowedHeat, highest_entry_k, may_differ_k
 from ebamcheck.checks.interpass_checks import within_range
 from ebamcheck.checks.text_heat import sections_of_text, text_beads
-from ebamcheck.checks.verification import read_checked
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.nc.roles import by_height, by_shape
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.program.verification import read_checked
 from ebamcheck.scan.heat.interpass import SimulatedLayer
 from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers, ScanPlan

@@ -14,13 +14,13 @@ from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.verification.verify import part_of_run
-from ebamcheck.writing.inputs import deposition_heights, layer_thickness
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,8 +21,9 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.checks.hatch_form import form_checks
-from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
@@ -42,7 +43,6 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.stages import (
@@ -283,7 +283,7 @@ class LayerMaker:
             files = written(laid, self.part, config, folder)
         with clock.stage("verify"):
             read = control(config.machine.control).load("reader")
-            program, _ = matched(read(files.main, config), laid.path)
+            program, match = matched(read(files.main, config), laid.path)
             weighing = self._aside.submit(mesh_and_metal, program, self.part, witness, stands, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
@@ -292,7 +292,7 @@ class LayerMaker:
                 config=config,
                 curves=laid.beads,
                 plan=plan,
-                path=laid.path,
+                match=match,
                 layers=witness,
                 heat=True,
                 before=heat.rested(wait_s + rise_s).part.column,

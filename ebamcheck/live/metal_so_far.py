@@ -16,22 +16,22 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.metal_below import MetalBelow
-from ebamcheck.checks.verification import read_checked
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.height_map import MapFigures
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface, target_of
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check
+from ebamcheck.program.verification import read_checked
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
-from ebamcheck.writing.inputs import deposition_heights
 from ebamcheck.writing.wire import metal_region
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from ebamcheck.checks.consumables import FRESH, Spent, lasting
 from ebamcheck.checks.heat_again import FollowedHeat
+from ebamcheck.checks.mesh_checks import layer_check
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.live.heat_so_far import heated, layer_text
@@ -29,7 +30,6 @@ from ebamcheck.live.publishing import (
     write_synced,
 )
 from ebamcheck.live.released_layer import current_off, ended_early
-from ebamcheck.pipeline.mesh_sections import layer_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.program import Check
 from ebamcheck.record.certificate_checks import part_hash

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.checks.checks import check_record
-from ebamcheck.checks.entry_check import NAME, PLACE_MM, entry_check
-from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.entry_check import entry_check
+from ebamcheck.checks.header_checks import marked_validated
+from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.nc.files import ProgramFiles
@@ -86,7 +87,7 @@ def checked_again(
         nc = read_program(whole, config)
         check = _checked(nc, folder / names[0], int(entry["layer"]), z_of, config, validated)
     except InputError as error:
-        check = Check(NAME, False, 1.0, 0.0, "faults", FOLDER, str(error))
+        check = Check("entry", False, 1.0, 0.0, "faults", FOLDER, str(error))
     if bool(entry["validated"]) != validated:
         text = f"is recorded as {_status(not validated)}, the whole program is {_status(validated)}"
         check = replace(check, passed=False, where=f"{names[0]}:1", text=text)
@@ -137,7 +138,9 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
     tops = np.unique(np.round(complete.end[complete.deposit, 2], 3))
     z_mm = _first_mm(entry)
     if not tops.size or not np.isfinite(z_mm):
-        return Check(NAME, False, 1.0, 0.0, "faults", program.name, "one of the two programs lays no metal")
+        return Check(
+            "entry", False, 1.0, 0.0, "faults", program.name, "one of the two programs lays no metal"
+        )
     layer = int(np.abs(tops - z_mm).argmin())
     return entry_check(complete, entry, layer + 1, float(tops[layer]), config, said_validated)
 
@@ -162,7 +165,7 @@ def begins_later(program: Path, z_of: Floats, config: Config) -> list[Check]:
         f"the program begins at Z {z_mm:.3f}, layer {layer} of {len(z_of)}, and so does not make the whole part: one that goes on "
         "after a break is verified against the whole program, --whole RUN or --whole PROGRAM"
     )
-    return [Check(NAME, False, float(layer), 1.0, "layer", nc.where(_first(nc)), text)]
+    return [Check("entry", False, float(layer), 1.0, "layer", nc.where(_first(nc)), text)]
 
 
 def _first(nc: NCProgram) -> int:

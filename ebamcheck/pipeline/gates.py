@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.checks.heat_again import highest_entry_k
-from ebamcheck.checks.interpass_checks import AGAIN, COLD, HEAT_CHECKS, INTERPASS, within_range
-from ebamcheck.checks.melting_check import MELTING
+from ebamcheck.checks.interpass_checks import AGAIN, COLD, INTERPASS, within_range
+from ebamcheck.checks.rules import of_gate
+from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison import Finding as Disagreement
 from ebamcheck.comparison.doubt import doubted_layers
@@ -20,12 +20,12 @@ from ebamcheck.comparison.findings import worst_of
 from ebamcheck.errors import ExitCode
 from ebamcheck.findings import at_layer
 from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
 from ebamcheck.pipeline.independence import not_counted, resting
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
-from ebamcheck.writing.inputs import deposition_heights
 
 NO_AGREEMENT = "layers without agreement"
 """Unit of the gate `agreement`."""
@@ -149,7 +149,7 @@ def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:
 def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
     """The metal of the program is that of the part, lies where the part is, and is flat; the first check that fails speaks."""
     limit = config.process.mass_tolerance
-    made = of_deposit(checks)
+    made = of_gate(checks, "deposit")
     if not made:
         return Gate(
             "deposit",
@@ -171,7 +171,7 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
 def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Gate:
     """No bead is entered above the limit, by the plan and by the balance of the text, or too cold after a wait; and its wire melts."""
     limit_k, ambient_k = highest_entry_k(config), config.process.ambient_temperature_k
-    by_name = {check.name: check for check in checks if check.name in HEAT_CHECKS}
+    by_name = {check.name: check for check in of_gate(checks, "heat")}
     again, cold = by_name.pop(AGAIN, None), by_name.pop(COLD, None)
     if len(by_name) < 2:
         why = "no program was written: there is no contour"
@@ -205,7 +205,7 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
 
 def program_gate(checks: Iterable[Check]) -> Gate:
     """Every check of the program that was read back passed; what other gates are about is theirs."""
-    made = [check for check in checks if check.name not in (*DEPOSIT_CHECKS, *OF_THE_MESH, *HEAT_CHECKS)]
+    made = of_gate(checks, "program")
     failed = [c for c in made if not c.passed]
     if not made:
         return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")

@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ebamcheck.checks.loose_limits import loose_limits
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.mesh.part_source import read_reference
@@ -15,7 +16,6 @@ from ebamcheck.pipeline import noticed
 from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, cross_check, primary_of
 from ebamcheck.pipeline.live_program import check_waits
-from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.slab_work import wanted_slabs

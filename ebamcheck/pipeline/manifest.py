@@ -20,6 +20,7 @@ from ebamcheck.findings import records
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
 from ebamcheck.pipeline.fitted import FitResult
 from ebamcheck.pipeline.gates import Gate
@@ -34,7 +35,6 @@ from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
-from ebamcheck.writing.inputs import deposition_heights
 
 
 def manifest(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.consumables import consumed
-from ebamcheck.checks.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
+from ebamcheck.checks.deposit_checks import NARROW
 from ebamcheck.checks.interpass_checks import INTERPASS, within_range
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.process_checks import seam_turns
@@ -28,11 +28,11 @@ from ebamcheck.checks.remedies import (
 )
 from ebamcheck.findings import Finding, Severity, at_layer
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import deposition_heights
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 
@@ -66,11 +66,11 @@ METAL: Mapping[str, tuple[str, str]] = {
         "metal-excess",
         "look at that place in the picture of the metal; " + HATCH,
     ),
-    SOLID: ("level-within-layer", LEVELS),
-    SECTIONS: ("sections-off-mesh", OFF_MESH),
-    BETWEEN: ("lost-between-cuts", FLAT),
-    HEIGHTS: ("height-off-part", MISTAKE),
-    PART_FILE: ("part-off-file", MISTAKE),
+    "metal of the solid": ("level-within-layer", LEVELS),
+    "sections of the mesh": ("sections-off-mesh", OFF_MESH),
+    "between the cuts": ("lost-between-cuts", FLAT),
+    "layers of the part": ("height-off-part", MISTAKE),
+    "part of the file": ("part-off-file", MISTAKE),
     "surface": (
         "metal-excess",
         f"{LESS_METAL}; else turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
@@ -90,7 +90,7 @@ LACKING: Mapping[str, str] = {
 def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
     """What is wrong with the metal of a program, each with its place."""
     for check in checks:
-        told = check.name == BETWEEN and check.value > 0.0
+        told = check.name == "between the cuts" and check.value > 0.0
         if (check.passed and not told) or check.name == NARROW:
             continue
         code, remedy = METAL[check.name]

@@ -22,9 +22,7 @@ from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import uppermost_seams, with_bead_ends, written_form
-from ebamcheck.writing.bead_parts import path_points
 from ebamcheck.writing.bead_power import along_beads
-from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.seams import NO_SEAMS
 from ebamcheck.writing.tracks import toolpath
 from ebamcheck.writing.wire import bare_surface, wired
@@ -77,8 +75,7 @@ def power_by_wire(
         path = with_bead_ends(path, process, decimals, below)
         if not path.kind.size:
             return BeadPower(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-        points = path_points(path)
-        parts = wired(path, plan, config, points, segment_lengths(path.kind, points), surface)
+        parts = wired(path, plan, config, surface)
         return along_beads(parts, path.ring.size, thickness_mm, config)
 
     return power_of

@@ -14,10 +14,11 @@ import pandas as pd
 from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.checks.deposit import Deposit, deposit
 from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.marked import marked_validated
+from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.metal_field import FIELD_FILE, write_field
-from ebamcheck.checks.remedies import told
+from ebamcheck.checks.rules import told
 from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
 from ebamcheck.curves.per_part import surface_kept
@@ -27,6 +28,7 @@ from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates, noticed_in_program
 from ebamcheck.pipeline.choice import witness_backend
@@ -37,7 +39,6 @@ from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.plate_record import plate_record
-from ebamcheck.pipeline.solid_metal import of_mesh, solid_check
 from ebamcheck.pipeline.stages import (
     LaidOut,
     header_of,
@@ -51,7 +52,6 @@ from ebamcheck.pipeline.work import Job, one_beside
 from ebamcheck.program import Check, program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan
 from ebamcheck.writing.events import event_totals, process_events
-from ebamcheck.writing.inputs import deposition_heights
 from ebamcheck.writing.tracks import Toolpath
 
 TOTALS = (
@@ -212,7 +212,7 @@ def _verified(
 ) -> ProgramProof:
     """Read the text of a program back and check it against what it was made from."""
     config, witness, heights = job.config, sections.witness, sections.contours.heights
-    program, _ = matched(read_program(files.main, config), laid.path)
+    program, match = matched(read_program(files.main, config), laid.path)
     job.add_finding(*noticed_in_program.of_seams(program, heights, config))
     job.add_finding(*noticed_in_program.of_consumables(program, config))
     feeds = aside.submit(side_by_side, program, sections.contours, config)
@@ -223,7 +223,7 @@ def _verified(
         config=config,
         curves=laid.beads,
         plan=laid.plan,
-        path=laid.path,
+        match=match,
         layers=witness,
         beads=True,
         heat=True,

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ebamcheck.checks.mesh_checks import layer_borders
 from ebamcheck.layers.layer_rule import section_areas
 from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.solid_metal import layer_borders
 from ebamcheck.settings.config import Config
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ebamcheck.backend import BackendSettings
+from ebamcheck.checks.loose_limits import loose_limits
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.layers.cuts import cut_heights
@@ -21,7 +22,6 @@ from ebamcheck.pipeline import noticed
 from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import write_comparison
 from ebamcheck.pipeline.finishing import RunResult, SlabRecord, finish, finished_result
-from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.slab_slicing import SlabRun, cut_slabs
 from ebamcheck.pipeline.work import Job, Observer, Silent
 from ebamcheck.preflight.report import Preflight

@@ -1,6 +1,6 @@
 """The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced.
 
-The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.window_checks`.
+The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.value_checks`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,10 @@ one machine and wire vary from layer to layer; nominal."""
 MOST_SPACINGS = 1.6
 """Greatest width of a bead over the spacing: it stands that much higher over the layer than its neighbours, which the
 next layer still melts."""
+
+TURN_SPACINGS = 1.5
+"""Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
+part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
 
 ROUNDING = 1e-9
 """Of a ratio of floats."""

@@ -16,17 +16,14 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from ebamcheck.checks.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import OF_THE_MESH, of_deposit
-from ebamcheck.checks.end_gaps import NAME as ENDS_OF_BEADS
-from ebamcheck.checks.entry_check import NAME as ENTRY
-from ebamcheck.checks.hatch_form import CROSSINGS, LINES
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
+from ebamcheck.checks.loose_limits import loose_limits
+from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal_field import FIELD_FILE
 from ebamcheck.checks.narrow_features import NarrowFeature
-from ebamcheck.checks.verification import read_checked
+from ebamcheck.checks.rules import RULES, of_gate
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves, fit_for_program
@@ -38,6 +35,7 @@ from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
@@ -46,14 +44,13 @@ from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
-from ebamcheck.pipeline.loose_limits import loose_limits
 from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.pipeline.section_volume import volume_off
-from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, verify_program
+from ebamcheck.program.verification import read_checked
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
@@ -71,7 +68,6 @@ from ebamcheck.verification.tables_again import (
 )
 from ebamcheck.version import __version__
 from ebamcheck.writing.bead_ends import planned_path
-from ebamcheck.writing.inputs import deposition_heights
 
 SAME_FIGURE = 1e-6
 """Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
@@ -85,23 +81,12 @@ COVERAGE = "coverage"
 PROGRAM = "program"
 """The gate whose figure counts checks, of which more are made here than in a run."""
 
-OF_TEXT_ALONE = (
-    ENTRY,
-    "readable",
-    "coverage",
-    "gaps",
-    "hatch spacing",
-    "lines laid once",
-    LINES,
-    CROSSINGS,
-    HANDSHAKE,
-    WIRE_OF_BEADS,
-    ENDS_OF_BEADS,
+OF_TEXT_ALONE = {
+    *("readable", "entry", HANDSHAKE),
+    *(name for rule in RULES if {"beads", "part"} & {*rule.needs} for name in rule.checks),
     # Not by runs of an earlier version.
-    AGAIN,
-    COLD,
-    *OF_THE_MESH,
-)
+    *(AGAIN, COLD),
+}
 """Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version."""
 
 
@@ -166,7 +151,7 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
     checks += live_checked_again(run.path, record, config, float(part.size[2]))
-    told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
+    told += [*noticed.of_profile(config), *of_metal(of_gate(checks, "deposit"))]
     told += of_narrow(narrow, fresh.heights, config)
     tables |= of_text
     if record["witness"] != witness:
@@ -373,7 +358,7 @@ def _figures(again: Again, record: Mapping[str, Any]) -> Check:
         if c["name"] not in found or not _same_check(c, found[c["name"]])
     ]
     recorded = {c["name"] for c in record["checks"]}
-    differ += [f"{name}: not in the record" for name in found if name not in (*recorded, *OF_TEXT_ALONE)]
+    differ += [f"{name}: not in the record" for name in found if name not in recorded | OF_TEXT_ALONE]
     text = "; ".join(differ[:3]) or f"{len(record['checks'])} figures of checks are those of the record"
     return Check("recorded figures", not differ, float(len(differ)), 0.0, "faults", "run.json", text)
 
@@ -436,6 +421,7 @@ def text_again(
     nc, readable = read_checked(run.program_folder / record["files"][0]["name"], config)
     if nc is None:
         return TextAgain([readable], plan, tables)
+    nc, match = matched(nc, path)
     z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
     laid = deposit(nc, fresh, z_of, config)
     checks = verify_program(
@@ -443,7 +429,8 @@ def text_again(
         config=config,
         curves=beads,
         plan=plan,
-        path=path,
+        match=match,
+        part=part,
         layers=fresh,
         smooth=smooth,
         beads=True,
@@ -453,9 +440,9 @@ def text_again(
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest),
     )
-    tables |= tables_of_program(nc, path, run.read_layers(str(manifest["primary"])), config)
+    tables |= tables_of_program(nc, run.read_layers(str(manifest["primary"])), config)
     tables |= tables_of_metal(laid, z_of, config.base_mm)
-    return TextAgain([readable, *with_solid(checks, part, fresh, config)], plan, tables, laid.narrow)
+    return TextAgain([readable, *checks], plan, tables, laid.narrow)
 
 
 def truth_of(manifest: Mapping[str, Any]) -> Truth:

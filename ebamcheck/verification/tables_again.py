@@ -19,7 +19,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ebamcheck.checks.deposit import Deposit
-from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal_field import FIELD_FILE, field_table
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import EbamcheckError, InputError
@@ -139,11 +138,8 @@ def tables_of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, 
     }
 
 
-def tables_of_program(
-    nc: NCProgram, path: Toolpath, contours: Layers, config: Config
-) -> dict[str, pd.DataFrame]:
-    """Tables of a program that was read; `contours` are those that it was made from."""
-    nc, _ = matched(nc, path)
+def tables_of_program(nc: NCProgram, contours: Layers, config: Config) -> dict[str, pd.DataFrame]:
+    """Tables of a program that was read, with the roles of its plan; `contours` are those that it was made from."""
     return {
         "program.csv": program_summary(nc, config),
         "kinematics.csv": side_by_side(nc, contours, config).reset_index(),

@@ -18,13 +18,13 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
+from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import plate_checks
-from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
@@ -47,7 +47,6 @@ from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.files import differences
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.gates_again import compared, truth_of, work_again
-from ebamcheck.writing.inputs import deposition_heights
 
 
 def verify(
@@ -326,6 +325,7 @@ def verify_against_part(
     made = verify_file(
         program,
         config=config,
+        part=part,
         layers=witness,
         smooth=smooth_sections(curves, config),
         beads=True,
@@ -340,7 +340,6 @@ def verify_against_part(
             differences=tuple(_differences(program, config)),
         ),
     )
-    made = with_solid(made, part, witness, config)
     if not all(check.passed for check in made):
         z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
         made = [*begins_later(program, z_of, config), *made]

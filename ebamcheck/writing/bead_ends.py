@@ -8,22 +8,19 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.nc.control import control
+from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, CurveColumns, ScanColumns
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.writing.bead_parts import (
     ROUNDING_MM,
-    SHORTEST_BLOCK_MM,
     Stretches,
     Tracks,
     cut,
     parts_of,
-    path_points,
     snapped,
 )
-from ebamcheck.writing.cuts import segment_lengths
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 from ebamcheck.writing.seams import NO_SEAMS, seam_shifts
 from ebamcheck.writing.segments import Form
 from ebamcheck.writing.tracks import Toolpath, toolpath
@@ -66,30 +63,30 @@ def with_bead_ends(
     """
     if not (process.shapes_bead_ends and path.kind.size):
         return path
-    points = path_points(path)
-    lengths = segment_lengths(path.kind, points)
-    tracks = Tracks.of(path, lengths)
-    seams, _ = _seams(path, process, tracks, points, lengths, below)
-    return cut(path, points, lengths, parts_of(path, tracks, _stretches(tracks, seams, process)), decimals)
+    tracks = Tracks.of(path)
+    seams, _ = _seams(path, process, tracks, below)
+    return cut(path, parts_of(path, tracks, _stretches(tracks, seams, process)), decimals)
 
 
 def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> Floats:
     """Seams (n, 2) of the uppermost layer of a path before its beads are started; `below` as of :func:`with_bead_ends`."""
     if process.seam_shift_mm <= 0.0 or not path.kind.size:
         return below
-    points = path_points(path)
-    lengths = segment_lengths(path.kind, points)
-    return _seams(path, process, Tracks.of(path, lengths), points, lengths, below)[1]
+    return _seams(path, process, Tracks.of(path), below)[1]
 
 
-def _seams(
-    path: Toolpath, process: ProcessSettings, tracks: Tracks, points: Floats, lengths: Floats, below: Floats
-) -> tuple[Floats, Floats]:
+def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floats) -> tuple[Floats, Floats]:
     """Shift of each track, (T,), and the seams of the uppermost layer."""
     if process.seam_shift_mm <= 0.0:
         return np.zeros(path.ring.size), below
     return seam_shifts(
-        path.layer_starts, path.track_starts, tracks.closed, points, lengths, process.seam_shift_mm, below
+        path.layer_starts,
+        path.track_starts,
+        tracks.closed,
+        path.points,
+        path.lengths,
+        process.seam_shift_mm,
+        below,
     )
 
 

@@ -6,13 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.writing.cuts import segment_parts
 from ebamcheck.writing.segments import CIRCULAR, CUBIC
 from ebamcheck.writing.tracks import Toolpath, cleaned, rounded
-
-SHORTEST_BLOCK_MM = 0.05
-"""A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter."""
 
 ROUNDING_MM = 1e-7
 """Rounding of a length along a whole stack."""
@@ -32,9 +30,9 @@ class Tracks:
     """(N,) where each segment ends."""
 
     @classmethod
-    def of(cls, path: Toolpath, lengths: Floats) -> Tracks:
-        """Lay the tracks of a path one behind the other; `lengths` (N,) are those of its segments."""
-        ends = np.cumsum(lengths)
+    def of(cls, path: Toolpath) -> Tracks:
+        """Lay the tracks of a path one behind the other."""
+        ends = np.cumsum(path.lengths)
         bounds = np.concatenate([[0.0], ends])[path.track_starts]
         some = np.diff(path.track_starts) > 0
         closed = np.zeros(some.size, np.bool_)
@@ -110,19 +108,11 @@ def parts_of(path: Toolpath, tracks: Tracks, stretches: Stretches) -> Parts:
 # -- the path anew -----------------------------------------------------------------------------------
 
 
-def path_points(path: Toolpath) -> Floats:
-    """Points of all segments, (N, 4, 2), as :mod:`ebamcheck.writing.cuts` takes them."""
-    points = np.stack([path.segment_start, path.segment_start, path.end, path.end], axis=1)
-    points[path.kind == CUBIC] = path.bezier
-    points[path.kind == CIRCULAR, 1:3] = path.middle[:, None]
-    return points
-
-
-def cut(path: Toolpath, points: Floats, lengths: Floats, parts: Parts, decimals: int) -> Toolpath:
-    """Return the path of the parts, rounded; `points` and `lengths` are those of its segments."""
-    segment = parts.segment
+def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
+    """Return the path of the parts, rounded."""
+    segment, lengths = parts.segment, path.lengths
     whole = (parts.low == 0.0) & (parts.high >= lengths[segment] - ROUNDING_MM)
-    kind, made_points = path.kind[segment], points[segment]
+    kind, made_points = path.kind[segment], path.points[segment]
     some = np.flatnonzero(~whole)
     length = lengths[segment[some]]
     made_points[some] = segment_parts(

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.heat.melting import own_power_shares
+from ebamcheck.nc.inputs import Interpass
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan.heat.part_heat import BeadPower
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_parts import Parts
-from ebamcheck.writing.inputs import Interpass
 from ebamcheck.writing.tracks import Toolpath
 
 

@@ -1,7 +1,7 @@
 """The events of a program before any control writes it: beads, turns, moves and waits, in the order of execution.
 
 They are made once, from the path that every control translates. Lengths, times, wire and starts of a plan are read
-here; those of a program are read from its text (:mod:`ebamcheck.checks.summary`), and both agree to the rounding of
+here; those of a program are read from its text (:mod:`ebamcheck.checks.consumables`), and both agree to the rounding of
 the text.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from ebamcheck.nc.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
@@ -19,10 +20,7 @@ from ebamcheck.settings.wire_speed import (
     wire_mm2,
     wire_speed_mm_s,
 )
-from ebamcheck.writing.bead_parts import path_points
 from ebamcheck.writing.bead_power import power_shares
-from ebamcheck.writing.cuts import segment_lengths
-from ebamcheck.writing.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.writing.tracks import Toolpath
 
 CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
@@ -72,7 +70,7 @@ def process_events(path: Toolpath, plan: ScanColumns, config: Config) -> pd.Data
 
 def _beads(path: Toolpath, plan: ScanColumns, config: Config, heat: Interpass) -> pd.DataFrame:
     """Segments of tracks: each is metal."""
-    length = segment_lengths(path.kind, path_points(path))
+    length = path.lengths
     sizes = np.diff(path.track_starts)
     track = np.repeat(np.arange(sizes.size), sizes)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[track]

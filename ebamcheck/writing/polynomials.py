@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ebamcheck.nc.inputs import DEGREE, SPLINE, CurveColumns
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.writing.inputs import DEGREE, SPLINE, CurveColumns
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns
 
 
 def write_program(

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ebamcheck.nc.comments import comment
+from ebamcheck.nc.inputs import ScanColumns
 from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.safe_end import safe_end_mm
 from ebamcheck.nc.templates import ProcessValues
@@ -16,7 +17,6 @@ from ebamcheck.scan.filling.preheat_lines import pass_lines
 from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.inputs import ScanColumns
 from ebamcheck.writing.layer_text import pause_blocks
 from ebamcheck.writing.safe_states import Templates
 

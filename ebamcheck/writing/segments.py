@@ -8,10 +8,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.nc.inputs import ARC, LINE, SPLINE, CurveColumns
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.writing.biarcs import spline_arcs
 from ebamcheck.writing.circles import arc_chords
-from ebamcheck.writing.inputs import ARC, LINE, SPLINE, CurveColumns
 from ebamcheck.writing.polynomials import Spans, chords, spans
 
 STRAIGHT, CUBIC, CIRCULAR = range(3)

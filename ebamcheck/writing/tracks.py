@@ -13,11 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.turns import follows
-from ebamcheck.settings.config import Config
-from ebamcheck.writing.circles import Circles, circles
-from ebamcheck.writing.inputs import (
+from ebamcheck.nc.inputs import (
     CurveColumns,
     ScanColumns,
     check_same_stack,
@@ -25,6 +21,11 @@ from ebamcheck.writing.inputs import (
     hatch_columns,
     layer_thickness,
 )
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.turns import follows
+from ebamcheck.settings.config import Config
+from ebamcheck.writing.circles import Circles, circles
+from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Form, contour_segments
 
 STRAIGHT_SAGITTA_MM = 1e-5
@@ -100,6 +101,19 @@ class Toolpath:
         filled = np.diff(self.track_starts) > 0
         begin[self.track_starts[:-1][filled]] = self.start[filled]
         return begin
+
+    @cached_property
+    def points(self) -> Floats:
+        """(N, 4, 2) points of each segment, as :mod:`ebamcheck.writing.cuts` takes them."""
+        points = np.stack([self.segment_start, self.segment_start, self.end, self.end], axis=1)
+        points[self.kind == CUBIC] = self.bezier
+        points[self.kind == CIRCULAR, 1:3] = self.middle[:, None]
+        return points
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """(N,) length of each segment, mm."""
+        return segment_lengths(self.kind, self.points)
 
     @cached_property
     def circles(self) -> Circles:

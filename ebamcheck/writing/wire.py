@@ -16,18 +16,16 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import ARC_SEGMENTS
-from ebamcheck.heat.melting import melted_mm3_s
+from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.pools import pooled
 from ebamcheck.metal.surface import HALF
+from ebamcheck.nc.inputs import ScanColumns, interpass_of
 from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import along_window
-from ebamcheck.settings.process_window import MOST_SPACINGS
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
 from ebamcheck.writing.bead_parts import (
     ROUNDING_MM,
     Parts,
@@ -35,11 +33,9 @@ from ebamcheck.writing.bead_parts import (
     Tracks,
     cut,
     parts_of,
-    path_points,
     snapped,
 )
-from ebamcheck.writing.cuts import segment_lengths, segment_places
-from ebamcheck.writing.inputs import ScanColumns, interpass_of
+from ebamcheck.writing.cuts import segment_places
 from ebamcheck.writing.tracks import Toolpath
 
 STRETCH_BEADS = 1.0
@@ -73,25 +69,6 @@ WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
 
 
-def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
-    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed, of the pool, and of the
-    metal that the full power melts, which a bead gets where it needs it.
-
-    Where the feed follows along the path, those of wire and feed together, at the share of the power of the layer.
-    """
-    process = config.process
-    per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
-    slow, fast = along_window(config, power_share)
-    melts_mm3_s = min(melted_mm3_s(config), process.power_w / process.metal_energy_j_mm3[0])
-    most = min(
-        process.wire_speed_max_mm_s / (per_mm * slow),
-        MOST_SPACINGS * process.hatch_spacing_mm,
-        melts_mm3_s / (process.travel_speed_mm_s * thickness_mm),
-    )
-    least = process.wire_speed_min_mm_s / (per_mm * fast)
-    return least, max(least, most)
-
-
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:
     """Region that a layer is to fill: its section, and the allowance for machining around it."""
     allowance_mm = config.process.machining_allowance_mm
@@ -102,21 +79,17 @@ def with_wire(path: Toolpath, plan: ScanColumns, config: Config, decimals: int) 
     """Give every bead of a path its width; where the plan does not know its sections, all keep theirs."""
     if plan.sections is None or not path.kind.size:
         return path
-    points = path_points(path)
-    lengths = segment_lengths(path.kind, points)
     stands: Surface | None = getattr(plan, "stands", None)
     surface = bare_surface(plan.sections, config) if stands is None else stands.copy()
-    return cut(path, points, lengths, wired(path, plan, config, points, lengths, surface), decimals)
+    return cut(path, wired(path, plan, config, surface), decimals)
 
 
-def wired(
-    path: Toolpath, plan: ScanColumns, config: Config, points: Floats, lengths: Floats, surface: Surface
-) -> Parts:
+def wired(path: Toolpath, plan: ScanColumns, config: Config, surface: Surface) -> Parts:
     """Parts of the segments of a path, each of one width; `surface` is what the layers lie on, and they are laid on it.
 
-    `points` (N, 4, 2) and `lengths` (N,) are those of its segments; the plan knows its sections.
+    The plan knows its sections.
     """
-    tracks = Tracks.of(path, lengths)
+    tracks = Tracks.of(path)
     whole = config.machine.curve_form == "bspline" and not config.machine.poly_licensed
     # On a surface that was measured the wire of every bead follows it; else hatch beads have one wire each.
     divided = np.ones(tracks.low.size, np.bool_) if surface.mapped else _along_walls(path, plan)
@@ -127,9 +100,7 @@ def wired(
     regions = [metal_region(section, config) for section in sections]
 
     found = run_each(
-        lambda k: _layer_beads(
-            path, k, points, lengths, tracks, division, regions[k], surface.step_mm, config
-        ),
+        lambda k: _layer_beads(path, k, tracks, division, regions[k], surface.step_mm, config),
         range(len(path.z)),
     )
     made = [
@@ -274,8 +245,6 @@ class _LayerBeads:
 def _layer_beads(
     path: Toolpath,
     layer: int,
-    points: Floats,
-    lengths: Floats,
     tracks: Tracks,
     division: _Division,
     region: BaseGeometry,
@@ -288,12 +257,13 @@ def _layer_beads(
     target = target_of(region, step_mm, bead_mm)
     rows = slice(int(path.track_starts[a]), int(path.track_starts[b]))
     own = np.repeat(np.arange(a, b), np.diff(path.track_starts[a : b + 1]))
+    points, lengths = path.points[rows], path.lengths[rows]
 
     def places(step: float) -> tuple[Floats, Floats, Ints]:
         """Places along the beads, in cells of the target, the length that each stands for, and its stretch."""
-        owner, along, place, length = segment_places(path.kind[rows], points[rows], lengths[rows], step)
+        owner, along, place, length = segment_places(path.kind[rows], points, lengths, step)
         track = own[owner]
-        begin = (tracks.ends[rows] - lengths[rows])[owner] - tracks.low[track]
+        begin = (tracks.ends[rows] - lengths)[owner] - tracks.low[track]
         stretch = division.at(track, begin + along) - division.starts[a]
         return (place - target.origin) / step_mm, length, stretch
 

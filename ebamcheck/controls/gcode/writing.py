@@ -14,12 +14,12 @@ from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.nc.header import header_lines
+from ebamcheck.nc.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.writing.layer_text import (
     layer_blocks,
     motion_text,

@@ -10,9 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from ebamcheck.nc.inputs import DEGREE
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.inputs import DEGREE
 from ebamcheck.writing.polynomials import halved, refined
 
 LEAST_SPLINE_BLOCKS = 6

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from ebamcheck.checks.machine_state import PLACE_MM, PRINTED_SHARE, TRANSFORMATION_OFF
+from ebamcheck.checks.state_checks import TRANSFORMATION_OFF
+from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.controls.sinumerik.reading import DIALECT
 from ebamcheck.nc.codes import BEAM_VALUES
@@ -47,7 +48,7 @@ class WaitingState:
                 self._known.add(event)
             else:
                 self._values[event] = value
-                if value > self._most.get(event, math.inf) * (1.0 + PRINTED_SHARE):
+                if value > self._most.get(event, math.inf) * (1.0 + VALUE_SHARE):
                     yield f"sets {event} to {value:g}, the process has {self._most[event]:g}"
 
     def words(self, code: str) -> Iterator[str]:
@@ -63,7 +64,7 @@ class WaitingState:
             self._known.discard(self._machine.work_offset)
         self._known |= {*block.codes, *block.values}
         tolerance = block.values.get("CTOL", limit)
-        if not abs(tolerance - limit) <= PRINTED_SHARE * limit:
+        if not abs(tolerance - limit) <= VALUE_SHARE * limit:
             yield f"CTOL {tolerance:g} mm in place of {limit:g} mm"
         way = {axis: block.values[axis] for axis in AXES if axis in block.values}
         if not way:

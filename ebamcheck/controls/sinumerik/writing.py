@@ -26,13 +26,13 @@ from ebamcheck.nc.files import (
     write_files,
 )
 from ebamcheck.nc.header import header_lines
+from ebamcheck.nc.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
 from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.blocks import BlockFormat, numbered
-from ebamcheck.writing.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
 from ebamcheck.writing.layer_text import (
     layer_blocks,
     motion_text,

@@ -11,11 +11,7 @@ import numpy as np
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-
-TURN_SPACINGS = 1.5
-"""Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
-part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
-
+from ebamcheck.settings.process_window import TURN_SPACINGS
 
 SHARPEST_TURN = -math.cos(math.radians(20.0))
 """Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its

@@ -21,18 +21,13 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import (
     ARC_SEGMENTS,
-    NO_WIDTH_MM,
-    aspect,
-    eroded,
+    JOIN_MM,
     inset,
     mean_width_mm,
+    split_thin,
     valid_polygons,
 )
 from ebamcheck.settings.config import Config
-
-JOIN_MM = 1e-3
-"""Overlap at which a region grown back over another counts as covering it: far under any bead, far over
-the rounding of offsets, so that differences leave no slivers along common borders."""
 
 THIN_WALL_BEADS = 3.0
 """Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them."""
@@ -43,9 +38,6 @@ CRUMB = 0.25
 CORNER = 0.5
 """Narrow pieces of the fill under this times the squared opening width are corners of a solid (down to
 about 35 degrees), not walls."""
-
-WALL_ASPECT = 2.0
-"""Least length over width of a thin wall; rounder pieces are small solids."""
 
 FILL_TOLERANCE = 0.002
 """Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
@@ -96,36 +88,11 @@ def layer_regions(section: BaseGeometry, config: Config) -> Regions:
     )
 
 
-def split_thin(
-    region: BaseGeometry, width_mm: float, crumb_mm2: float
-) -> tuple[list[shapely.Polygon], list[shapely.Polygon]]:
-    """Split a region into solids and parts narrower than `width_mm`, by opening.
-
-    The core is the region eroded by half the width and grown back; what it does not reach is thin.
-    Crumbs (corners) and pieces that are not longer than wide go back to the solids.
-
-    Returns
-    -------
-    solids, thin
-        Polygons that together are the region.
-    """
-    core = _offset(eroded(region, 0.5 * width_mm, ARC_SEGMENTS), 0.5 * width_mm + JOIN_MM)
-    pieces = valid_polygons(region if core.is_empty else shapely.difference(region, core))
-    thin = [p for p in pieces if p.area >= crumb_mm2 and aspect(p) >= WALL_ASPECT]
-    if not thin:
-        return valid_polygons(region), []
-    if core.is_empty and len(thin) == len(pieces):
-        return [], thin
-    # The core takes the rim by which it was overgrown: solids and thin parts share their border exactly.
-    solids = valid_polygons(shapely.difference(region, shapely.union_all(thin)))
-    return [p for p in solids if mean_width_mm(p) > NO_WIDTH_MM], thin
-
-
 def bare_walls(
     section: BaseGeometry, contour: BaseGeometry, offset_mm: float, crumb_mm2: float
 ) -> list[shapely.Polygon]:
     """Parts of a section where its inset by `offset_mm` vanished: too narrow for a contour bead."""
-    reached = _offset(contour, offset_mm + JOIN_MM)
+    reached = shapely.buffer(contour, offset_mm + JOIN_MM, quad_segs=ARC_SEGMENTS)
     kept = [p for p in _beside(section, reached) if p.area >= crumb_mm2]
     # A whole small island of metal is no crumb of anything: it still gets its bead.
     alone = [p for p in valid_polygons(section) if p.area < crumb_mm2]
@@ -140,7 +107,3 @@ def _beside(region: BaseGeometry, taken: BaseGeometry) -> list[shapely.Polygon]:
     order = np.argsort(part, kind="stable")
     shapely.multipolygons(others[other[order]], indices=part[order], out=near)
     return [polygon for left in shapely.difference(parts, near) for polygon in valid_polygons(left)]
-
-
-def _offset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
-    return shapely.buffer(region, distance_mm, quad_segs=ARC_SEGMENTS)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH
 from ebamcheck.checks.metal_field import FIELD_FILE, read_field
+from ebamcheck.checks.rules import names_of
 from ebamcheck.showing.markup import inline
 from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart
@@ -51,7 +51,7 @@ def render(run: RunData) -> Markup:
     )
 
 
-CHECKS = (*DEPOSIT_CHECKS, *OF_THE_MESH, "mass balance")
+CHECKS = (*names_of("deposit"), "mass balance")
 """Checks of the program that are about its metal."""
 
 

@@ -1,4 +1,4 @@
-"""What a post-processor needs to know of curves and scan plans: their columns, and nothing else."""
+"""What a program is made from, as who writes it and who checks it know it: columns of curves, scan plans and tracks."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ a circle from its first to its third control point through its second, which lie
 
 DEGREE = 3
 """Degree of every spline piece."""
+
+SHORTEST_BLOCK_MM = 0.05
+"""A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter."""
 
 
 class CurveColumns(Protocol):
@@ -86,6 +89,62 @@ class ScanColumns(Protocol):
     @property
     def vectors(self) -> Any:
         """Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in the order in which they are scanned."""
+
+
+class TrackColumns(Protocol):
+    """Tracks laid out of curves and plan, as :class:`ebamcheck.writing.tracks.Toolpath` holds them."""
+
+    @property
+    def z(self) -> Floats:
+        """(L,) tops of the layers."""
+
+    @property
+    def thickness(self) -> Floats:
+        """(L,) height of each layer, mm."""
+
+    @property
+    def layer_starts(self) -> Ints:
+        """(L + 1,) first track of each layer."""
+
+    @property
+    def track_starts(self) -> Ints:
+        """(T + 1,) first segment of each track."""
+
+    @property
+    def start(self) -> Floats:
+        """(T, 2) where each track starts."""
+
+    @property
+    def ring(self) -> Ints:
+        """(T,) number of the contour ring; -1 for hatch."""
+
+    @property
+    def island(self) -> Ints:
+        """(T,) number of the island; -1 for a contour."""
+
+    @property
+    def segment_start(self) -> Floats:
+        """(N, 2) start of each segment."""
+
+    @property
+    def end(self) -> Floats:
+        """(N, 2) end of each segment."""
+
+    @property
+    def lengths(self) -> Floats:
+        """(N,) length of each segment, mm."""
+
+    @property
+    def turn(self) -> Bools:
+        """(N,) a turn between two hatch lines."""
+
+    @property
+    def goes_on(self) -> Bools:
+        """(N,) a further part of the hatch line before."""
+
+    @property
+    def width(self) -> Floats:
+        """(N,) metal that is laid, in section over the height of the layer, mm."""
 
 
 def hatch_columns(plan: ScanColumns) -> tuple[Ints, Floats]:

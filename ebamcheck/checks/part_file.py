@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import PART_FILE
+from ebamcheck.checks.tolerances import SAME_SIZE
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
@@ -31,9 +31,6 @@ from ebamcheck.settings.units import known_as
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
 """Millimetres in one unit: the inch is exact since 1959. Written anew here."""
-
-SAME_SIZE = 1e-4
-"""Share of its size by which a part may be off: coordinates of an STL file have seven digits."""
 
 HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
 """Bytes before the first facet of a binary STL file, and a facet."""
@@ -102,7 +99,7 @@ def file_check(part: Part, config: Config) -> Check:
     """Check that the part is as large as in its STL file, and stands as the settings say; of a part without a file nothing is said."""
     bodies = _bodies(part, config)
     if not bodies or not all(body.file.path.is_file() for body in bodies):
-        return Check(PART_FILE, True, 0.0, SAME_SIZE, "of its size", "", "no file of the part")
+        return Check("part of the file", True, 0.0, SAME_SIZE, "of its size", "", "no file of the part")
     size = max(float(np.linalg.norm(part.size)), 1e-9)
     first, name, off = bodies[0], Path(part.source).name, dict[str, float]()
     found = wanted = (float(part.size[2]), 0.0, 0.0)
@@ -128,7 +125,7 @@ def file_check(part: Part, config: Config) -> Check:
         text = f"the part {what} in {name}, but {value * size:.6g} mm beside that"
     else:
         text = f"the part {what} in {name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
-    return Check(PART_FILE, value <= SAME_SIZE, value, SAME_SIZE, "of its size", "", text)
+    return Check("part of the file", value <= SAME_SIZE, value, SAME_SIZE, "of its size", "", text)
 
 
 # -- how it stands -----------------------------------------------------------------------------------

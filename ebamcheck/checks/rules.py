@@ -1,0 +1,257 @@
+"""The table of rules: every group of checks with what it needs to know, the gate that it shuts, and what to do where one fails."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from ebamcheck.checks import remedies as do
+from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks, repeated_blocks
+from ebamcheck.checks.bead_end_checks import bead_end_checks, end_gaps_check, ramp_check
+from ebamcheck.checks.bead_wire import bead_wire_check
+from ebamcheck.checks.checks import Check, checks_of
+from ebamcheck.checks.clearance import clearance_checks
+from ebamcheck.checks.consumables import consumables_checks
+from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.event_checks import increment_check, released_checks, value_check, wait_height_check
+from ebamcheck.checks.header_checks import header_checks
+from ebamcheck.checks.interpass_checks import heat_checks, wait_check
+from ebamcheck.checks.matching import matching_checks
+from ebamcheck.checks.mesh_checks import of_mesh, solid_check
+from ebamcheck.checks.overfill import overfill_check
+from ebamcheck.checks.path_checks import (
+    closure_check,
+    contour_checks,
+    hatch_checks,
+    layer_checks,
+)
+from ebamcheck.checks.preheat_checks import preheat_checks
+from ebamcheck.checks.process_checks import process_checks
+from ebamcheck.checks.section_check import section_checks
+from ebamcheck.checks.state_checks import state_checks
+from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.text_checks import text_checks, words_check
+from ebamcheck.checks.tilt_checks import tilt_checks
+from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM
+from ebamcheck.checks.value_checks import window_check, wire_check
+from ebamcheck.findings import at_layer
+from ebamcheck.nc.inputs import deposition_heights
+from ebamcheck.nc.motions import NCProgram
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.plugins import registry
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Checks that are made together.
+
+    Parameters
+    ----------
+    make
+        Makes them of a subject.
+    checks
+        Their names, and what to do where one fails; nothing where that follows from its text.
+    needs
+        What has to be known of the subject, or asked for (:meth:`Subject.knows`); the program alone is always known.
+    gate
+        Gate that they shut.
+    """
+
+    make: Callable[[Subject], Sequence[Check]]
+    checks: Mapping[str, str]
+    needs: tuple[str, ...] = ()
+    gate: str = "program"
+
+    def applies(self, subject: Subject) -> bool:
+        """Whether all is known that it needs."""
+        return all(subject.knows(need) for need in self.needs)
+
+
+def _each(remedy: str, *names: str) -> dict[str, str]:
+    return dict.fromkeys(names, remedy)
+
+
+def _plugged(subject: Subject) -> list[Check]:
+    """Make the checks of all plugins, entry points of the group ``ebamcheck.checks``: each is a function of program and settings.
+
+    It sees what every check of the house sees, and shuts the same gate; one that raises or returns no check is a failed check of
+    its name.
+    """
+    return [check for name in registry.names(registry.CHECKS) for check in _of_plugin(name, subject)]
+
+
+def _of_plugin(name: str, subject: Subject) -> list[Check]:
+    try:
+        found = registry.plugin(registry.CHECKS, name)(subject.nc, subject.config)
+        checks = [found] if isinstance(found, Check) else list(found)
+        if not all(isinstance(check, Check) for check in checks):
+            raise TypeError("it returned what is no Check")
+    except Exception as error:
+        text = f"plugin {name!r} of {registry.CHECKS}: {type(error).__name__}: {error}"
+        remedy = "tell those who make the plugin, or remove it"
+        return [Check(name, False, 1.0, 0.0, "", subject.nc.files[0].name, text, remedy=remedy)]
+    figures = "{0.value:.6g} {0.unit}, the limit is {0.limit:.6g}"
+    return [check if check.text else replace(check, text=figures.format(check)) for check in checks]
+
+
+def _matching(subject: Subject) -> list[Check]:
+    assert subject.match is not None
+    return matching_checks(subject.nc, subject.match, PATH_TOLERANCE_MM)
+
+
+def _metal(subject: Subject) -> list[Check]:
+    assert subject.metal is not None
+    return deposit_checks(subject.nc, subject.metal, subject.config)
+
+
+def _mesh(subject: Subject) -> list[Check]:
+    assert subject.part is not None
+    given = subject.part, subject.witness, subject.config
+    return [solid_check(*given).check, *of_mesh(*given)]
+
+
+# fmt: off
+RULES = (
+    Rule(lambda s: text_checks(s.nc, s.config, s.sha256), _each(
+        do.AGAIN, "encoding", "line ends", "block length", "names and headers", "block numbers", "end of program", "subprograms", "unchanged",
+    )),
+    Rule(lambda s: header_checks(s.nc, s.config, s.truth, s.heights), {
+        **_each(do.AGAIN, "status", "header"), "size on the control": do.SHORTER,
+    }),
+    Rule(lambda s: state_checks(s.nc, s.config), {
+        **_each(do.PROFILE, "modes", "smoothing", "start state", "safe end"), "order of events": do.AGAIN,
+        "feed": do.FEED, **_each(do.AGAIN, "start of path", "spline blocks", "polynomial blocks"), "travel": do.PLACE,
+        **_each(do.PROFILE, "beam", "wire"), "turns": do.AGAIN,
+    }),
+    Rule(lambda s: [wire_check(s.nc, s.config, s.path), *bead_end_checks(s.nc, s.config, s.shares)], {
+        **_each(do.WINDOW, "mass balance", "power"), "overlap of contours": do.AGAIN, "wire retract": do.PROFILE, "parts of hatch lines": do.AGAIN,
+    }),
+    Rule(lambda s: [
+        closure_check(s.nc, s.curves), repeated_blocks(s.nc), words_check(s.nc), increment_check(s.nc, s.config), ramp_check(s.nc, s.config),
+        window_check(s.nc, s.config), value_check(s.nc, s.config), *process_checks(s.nc, s.config),
+    ], {
+        **_each(do.AGAIN, "contours close", "repeated blocks", "words of motions"),
+        "increments": do.STEPS, "ramps in time": do.RAMPS, **_each(do.WINDOW, "process window", "process values"),
+        "seams": do.SEAMS, "overhang": do.OVERHANG, "travel sectors": do.SECTORS, "keep-out zones": do.AWAY,
+    }),
+    Rule(lambda s: [wait_check(s.nc, s.config, s.waits), wait_height_check(s.nc, s.config)], {
+        "layer pause": do.COOL, "waits over the part": do.AGAIN,
+    }),
+    Rule(lambda s: consumables_checks(s.nc, s.config), {"wire on the spool": do.SPOOL, "life of the cathode": do.CATHODE}),
+    Rule(lambda s: heat_checks(s.nc, s.config, s.sections, s.before, s.witness_sections), {
+        "melting power": do.MELT, "interpass temperature": do.COOL, "least entry temperature": do.WARMER, "balance of the heat": do.MISTAKE,
+    }, needs=("heat",), gate="heat"),
+    Rule(lambda s: preheat_checks(s.nc, s.config, s.sections, s.before, s.under), {
+        **_each(do.AGAIN, "preheat calls", "preheat state", "preheat path", "preheat lines", "preheat count"),
+        "preheat temperature": do.HOTTER, "preheat overheating": do.CALMER, "preheat evenness": do.EVENER, "preheat melting": do.WIDER,
+        "preheat balance": do.MISTAKE,
+    }),
+    Rule(lambda s: [*tilt_checks(s.nc, s.config), *released_checks(s.nc, s.config)], {
+        **_each("", "table limits", "table turns", "table height", "frame", "frame taken back"), "layer by itself": do.AGAIN,
+    }),
+    Rule(lambda s: clearance_checks(s.nc, s.z_of, s.config, s.layers), {
+        "collision": do.HIGHER_OR_AWAY, "clearance": do.HIGHER, "support": do.SUPPORT,
+    }),
+    Rule(_plugged, {}),
+    Rule(lambda s: layer_checks(s.nc, s.z_of, s.filled), {
+        "layer count": do.AGAIN, **_each(do.LEVEL, "layer heights", "flat layers"),
+    }, needs=("heights",)),
+    Rule(_matching, _each(do.AGAIN, "beads as planned", "hatch path"), needs=("match",)),
+    Rule(contour_checks, _each(do.AGAIN, "contour rings", "contour path"), needs=("curves",)),
+    Rule(hatch_checks, _each(do.AGAIN, "islands", "hatch vectors"), needs=("plan",)),
+    Rule(section_checks, {"section": do.FIT, "beads inside": do.COARSE, "smooth section": do.FIT}, needs=("layers",)),
+    Rule(_metal, {
+        **_each(do.HATCH, "metal", "metal of layers"), **_each(do.COARSE, "metal outside", "reach of metal"), "holes": do.HOLE,
+        "narrow features": do.NARROW,
+        **_each(do.HATCH, "height inside", "height at edges", "height of layers", "height of zones", "surface"),
+    }, needs=("metal", "layers"), gate="deposit"),
+    Rule(lambda s: [] if s.match else [overfill_check(s.nc, s.z_of, s.config, s.witness)], {"metal laid once": ""}, needs=("layers",)),
+    Rule(line_checks, {
+        "hatch spacing": do.HATCH, "lines laid once": do.AGAIN, **_each(do.HATCH, "hatch lines", "crossings"),
+    }, needs=("beads", "heights")),
+    Rule(coverage_check, {"coverage": do.HATCH}, needs=("beads", "layers")),
+    Rule(gaps_check, {"gaps": do.HATCH}, needs=("beads", "layers")),
+    Rule(lambda s: [bead_wire_check(s.nc, s.config, s.z_of, s.witness)], {"wire of beads": do.WIRE}, needs=("beads", "layers")),
+    Rule(lambda s: [end_gaps_check(s.nc, s.config, s.witness)], {"ends of beads": do.ENDS}, needs=("beads", "layers")),
+    Rule(_mesh, {
+        "metal of the solid": do.LEVELS, "sections of the mesh": do.OFF_MESH, "between the cuts": do.FLAT,
+        **_each(do.MISTAKE, "layers of the part", "part of the file"),
+    }, needs=("part", "metal", "layers"), gate="deposit"),
+)
+# fmt: on
+"""All checks of a program, in the order of a record."""
+
+REMEDIES: Mapping[str, str] = {
+    "readable": do.AGAIN,
+    **{name: remedy for rule in RULES for name, remedy in rule.checks.items() if remedy},
+}
+"""What to do, by name of the check that fails."""
+
+
+def checks_on(subject: Subject, gate: str = "") -> list[Check]:
+    """Make every check for which enough is known of a subject, or those of one gate; in the order of the table."""
+    rules = [rule for rule in RULES if rule.applies(subject) and gate in ("", rule.gate)]
+    if not gate:
+        _ = subject.shares, subject.witness_sections  # Worked out here once, and not by several threads.
+    return checks_of([partial(rule.make, subject) for rule in rules])
+
+
+def names_of(gate: str) -> tuple[str, ...]:
+    """Names of the checks that shut a gate, in their order."""
+    return tuple(name for rule in RULES if rule.gate == gate for name in rule.checks)
+
+
+def of_gate(checks: Iterable[Check], gate: str) -> list[Check]:
+    """Those of some checks that shut a gate; `program` is shut by all that shut no other."""
+    others = {name for rule in RULES if rule.gate != "program" for name in rule.checks}
+    names = names_of(gate)
+    return [
+        check for check in checks if (check.name not in others if gate == "program" else check.name in names)
+    ]
+
+
+def told(
+    checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float, base_mm: float = 0.0
+) -> list[Check]:
+    """Checks of which those that fail tell remedy, layer, and heights in part and program.
+
+    Parameters
+    ----------
+    checks, nc
+        Checks of a program, and the program as it was read.
+    cut_mm
+        (L,) heights of the cuts in the part, mm.
+    first_layer_mm
+        Height of the only layer where there is no second.
+    base_mm
+        Z of what the lowest layer lies on.
+    """
+    deposit_mm = deposition_heights(cut_mm, first_layer_mm, base_mm)
+    found = []
+    for check in checks:
+        if check.passed:
+            found.append(check)
+            continue
+        layer = check.layer if check.layer is not None else layer_of(nc, check.where)
+        place = ""
+        if layer is not None and layer < len(cut_mm):
+            place = at_layer(layer, float(cut_mm[layer]), program_z_mm=float(deposit_mm[layer]))
+        remedy = check.remedy or REMEDIES.get(check.name, do.OTHERWISE)
+        found.append(replace(check, layer=layer, place=place, remedy=remedy))
+    return found
+
+
+def layer_of(nc: NCProgram, where: str) -> int | None:
+    """Layer of a place ``FILE:line``, from 0; None where it lies in none."""
+    name, _, line = where.rpartition(":")
+    numbers = [k for k, file in enumerate(nc.files) if file.name == name]
+    if not numbers or not line.isdecimal():
+        return None
+    rows = np.flatnonzero((nc.file == numbers[0]) & (nc.layer >= 0))
+    if not rows.size:
+        return None
+    after = rows[nc.line[rows] >= int(line)]
+    return int(nc.layer[after[0] if after.size else rows[-1]])
