@@ -1,6 +1,6 @@
 """How soon a layer is published on its measured height: ``python -m benchmarks.live RUN --part PART``; tables in reports/live.
 
-A whole build against the beads of :mod:`ebamcheck.testing.played_control.panel`, in one process: each time is from the line with the height to the
+A whole build against the beads of :mod:`ebamcheck.testing.played_control.program`, in one process: each time is from the line with the height to the
 answer, with every gate and everything on disk. The processor's time stands beside it, since others may work on the machine, too.
 """
 
@@ -25,7 +25,7 @@ from ebamcheck.live.building import Building
 from ebamcheck.live.desk import BetweenLayers, answer_to
 from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.testing.played_control.panel import Growth
+from ebamcheck.testing.played_control.program import Growth
 
 LATENCIES, SUMMARY, TEXT = "latency.csv", "latency-by-islands.csv", "latency.md"
 

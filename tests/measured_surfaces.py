@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.live.before import Before
+from ebamcheck.live.height_map import HeightMap
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.map_files import HeightMap
-from ebamcheck.live.metal_so_far import MetalSoFar
 
 SIZE = (42, 36, 7)
 
 
-def level_metal(maker: LayerMaker) -> MetalSoFar:
-    """Metal of a layer that was laid, level as far as is known."""
-    return MetalSoFar.on(MetalBelow(), maker.section_at(1.0), maker.part, maker.config)
+def level_metal(maker: LayerMaker) -> Before:
+    """A cold part with a layer that was laid, level as far as is known."""
+    return Before.cold(maker.config).on_section(maker.section_at(1.0), maker.part, maker.config)
 
 
 def surface_of(base, hump=0.0, at=(12.0, 18.0), width=4.0, slope=(0.0, 0.0)):

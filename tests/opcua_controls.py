@@ -14,14 +14,13 @@ from ebamcheck.live.building import Building
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.publishing import LAYERS
 from ebamcheck.settings.opcua import OpcuaSettings
-from ebamcheck.testing.played_control.panel import Growth
+from ebamcheck.testing.played_control.program import Growth, Panel, PlayedProgram
 
 pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
 
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
 from ebamcheck.testing.played_control.desk import faults_of, played
-from ebamcheck.testing.played_control.panel import Panel
 from ebamcheck.testing.played_control.server import PlayedServer
 
 LONGEST_S = 90.0
@@ -47,30 +46,21 @@ def built(maker, folder, faults=(), **changes):
         building = Building(maker, folder)
         try:
             door = Door(building, maker.config.machine, opcua, told.append)
-            side = asyncio.create_task(
-                played(
-                    maker.config,
-                    opcua,
-                    None,
-                    maker.height_mm,
-                    Growth(0.05),
-                    2000.0,
-                    faults_of(list(faults)),
-                    lambda row: None,
-                )
-            )
+            planted = faults_of(list(faults))
+            program = PlayedProgram(maker.config, opcua, maker.height_mm, Growth(0.05), 2000.0, planted)
+            side = asyncio.create_task(played(program, None))
             answer = await asyncio.wait_for(door.run(), LONGEST_S)
-            program, ended = await side
-            return answer, program, ended
+            await side
+            return answer, program
         finally:
             building.close()
 
     return (*asyncio.run(both()), told)
 
 
-def sound(folder, part, program, answer, ended):
+def sound(folder, part, program, answer):
     """Every law of a build that went through: what was called was validated, and what was measured is true."""
-    assert ended
+    assert program.ended
     assert answer["answer"] == "built"
     entries = list(read_journal(folder / "journal.jsonl"))
     released = [entry for entry in entries if entry["kind"] == "released"]

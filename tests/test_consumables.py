@@ -13,7 +13,7 @@ from program_text import CONTROLS, ProgramText, near
 from report_runs import write_stl
 
 from ebamcheck.checks.consumables import CATHODE, SPOOL, consumed
-from ebamcheck.live import metal_so_far
+from ebamcheck.live import before
 from ebamcheck.live.building import Building
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.verifying import verify_build
@@ -167,9 +167,7 @@ def test_a_build_keeps_back_the_layer_in_which_it_would_end(setting, name, place
 
 def test_verify_adds_up_what_a_build_took(place, of_a_layer, tmp_path, monkeypatch):
     """A server that takes every layer to begin with a full spool is found after the fact."""
-    monkeypatch.setattr(
-        metal_so_far, "consumed", lambda nc, config, spent: consumed(nc, config), raising=True
-    )
+    monkeypatch.setattr(before, "consumed", lambda nc, config, spent: consumed(nc, config), raising=True)
     answers = three_layers(place, tmp_path / "b", spool_kg=2.5 * of_a_layer["spool_kg"])
     assert [answer["answer"] for answer in answers] == ["published"] * 3
     found = verify_build(tmp_path / "b", place / "box.stl")

@@ -14,9 +14,8 @@ from planted_faults import Text
 
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.value_checks import wire_check
-from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.height_map import figures_of, in_cells
-from ebamcheck.live.layer_feed import at_layer_feed, has_room
+from ebamcheck.live.heights import at_layer_feed, has_room
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
 from ebamcheck.pipeline import stages
@@ -51,7 +50,7 @@ def made(request, tmp_path_factory, paths):
         figures = figures_of(
             in_cells(map_of(surface_of(3.4, 0.7, (14.0, 18.0), 5.0)), metal.surface), metal.surface, config
         )
-        heat, under = HeatSoFar.cold(config), metal.mapped(figures, 1.0)
+        under = metal.mapped(figures, 1.0)
         laid_out, last = stages.planned_path, []
 
         def recorded(*given):
@@ -60,13 +59,13 @@ def made(request, tmp_path_factory, paths):
 
         stages.planned_path = recorded
         try:
-            maker.make(WANTED, heat, folder / "along" / "program", under)
+            maker.make(WANTED, under, folder / "along" / "program")
         finally:
             stages.planned_path = laid_out
         paths[folder / "along" / "program"] = last[-1]
-        along = maker.make(WANTED, heat, folder / "along" / "program", under)
+        along = maker.make(WANTED, under, folder / "along" / "program")
         alone = maker._made(
-            WANTED, heat, folder / "alone" / "program", under, maker.config_of(WANTED, True, along=False)
+            WANTED, under, folder / "alone" / "program", maker.config_of(WANTED, True, along=False)
         )
         sections = maker._slicings[maker.witness].at(along.cut_mm)
 

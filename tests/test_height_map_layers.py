@@ -15,7 +15,6 @@ from slicers_here import runs_cut_here as runs_cut_here
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
-from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import Wanted
@@ -46,7 +45,7 @@ def laid_on(maker, metal, z, tmp_path, mended):
     figures = figures_of(cells, metal.surface, maker.config)
     wanted = Wanted(2, 3.4, 1.7, "MAIN_K0003R1")
     under = metal if mended is None else metal.mapped(figures, mended)
-    made = maker.make(wanted, HeatSoFar.cold(maker.config), tmp_path / f"{mended}" / "p", under)
+    made = maker.make(wanted, under, tmp_path / f"{mended}" / "p")
     assert made.passed, made.why
     program = read_program(made.files.main, made.config)
     sections = maker._slicings[maker.witness].at(made.cut_mm)
@@ -84,8 +83,8 @@ def test_wire_follows_the_local_thickness_along_the_beads_and_the_surface_gets_f
     assert true_known.layers["laid_mm3"].iloc[0] == pytest.approx(
         true_blind.layers["laid_mm3"].iloc[0], rel=0.04
     )
-    assert made.metal.surface is not None
-    assert not made.metal.surface.mapped
+    assert made.after.surface is not None
+    assert not made.after.surface.mapped
 
 
 def test_a_level_map_changes_nothing_but_the_height(maker, metal, tmp_path):

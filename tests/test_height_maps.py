@@ -16,8 +16,7 @@ from measured_surfaces import SIZE, grid_of, level_metal, map_of, surface_of, wr
 from PIL import Image
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.height_map import HOLE, MapCells, UnevenLayer, figures_of, in_cells
-from ebamcheck.live.map_files import HeightMap, read_map
+from ebamcheck.live.height_map import HOLE, HeightMap, MapCells, UnevenLayer, figures_of, in_cells, read_map
 from ebamcheck.metal import target_of
 from ebamcheck.settings.config import Config
 

@@ -12,17 +12,24 @@ from parts import box
 from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.heat.melting import melting_heat_j_kg
+from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
-from ebamcheck.live.heat_so_far import HeatSoFar
-from ebamcheck.live.height_map import figures_of, in_cells
-from ebamcheck.live.heights import HeightRule, Limits, Slopes, bead_limits, feed_limits
-from ebamcheck.live.layer_feed import LOCAL, at_layer_feed, at_speed, speed_share, speed_window
+from ebamcheck.live.height_map import HeightMap, figures_of, in_cells
+from ebamcheck.live.heights import (
+    LOCAL,
+    HeightRule,
+    Limits,
+    Slopes,
+    at_layer_feed,
+    at_speed,
+    bead_limits,
+    feed_limits,
+    speed_share,
+    speed_window,
+)
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.map_files import HeightMap
-from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.metal import target_of
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config, load_config
@@ -154,9 +161,7 @@ def test_wide_limits_are_never_narrower_and_end_at_the_bead():
 
 @pytest.mark.parametrize(("height", "faster"), [(1.2, True), (1.7, None), (3.1, False)])
 def test_metal_is_height_times_area_at_every_feed(maker, place, tmp_path, height, faster):
-    made = maker.make(
-        Wanted(1, 1.7, height, "MAIN_K0002R1"), HeatSoFar.cold(maker.config), tmp_path / "program"
-    )
+    made = maker.make(Wanted(1, 1.7, height, "MAIN_K0002R1"), Before.cold(maker.config), tmp_path / "program")
     assert made.passed, made.why
     (tmp_path / "settings.toml").write_text(as_toml(made.config))
     config = load_config(tmp_path / "settings.toml")
@@ -204,7 +209,7 @@ def on_a_tilt(found, config, thickness_mm, folder):
     """
     x, y = (grid.reshape(-1) for grid in np.meshgrid(np.arange(-3.0, 39.5, 0.5), np.arange(-3.0, 33.5, 0.5)))
     with LayerMaker(found.part, config, found.primary) as maker:
-        metal = MetalSoFar.on(MetalBelow(), maker.section_at(1.0), maker.part, maker.config)
+        metal = Before.cold(maker.config).on_section(maker.section_at(1.0), maker.part, maker.config)
         cells = in_cells(HeightMap(x, y, 1.7 + TILT * (x - 18.0), 0.5), metal.surface)
         under = metal.mapped(figures_of(cells, metal.surface, maker.config), 1.0)
         target = target_of(shapely.box(0, 0, 36, 30), metal.surface.step_mm, config.process.bead_width_mm)
@@ -213,9 +218,7 @@ def on_a_tilt(found, config, thickness_mm, folder):
         made = []
         for name, known in (("blind", metal), ("map", under)):
             wanted = Wanted(1, 1.7, thickness_mm, "MAIN_K0002R1")
-            layer = maker.make(
-                wanted, HeatSoFar.cold(maker.config), folder / f"{name}-{thickness_mm}" / "p", known
-            )
+            layer = maker.make(wanted, known, folder / f"{name}-{thickness_mm}" / "p")
             assert layer.passed, layer.why
             nc = read_program(layer.files.main, layer.config)
             wire = nc.wire_mm_s[nc.deposit & nc.wire]

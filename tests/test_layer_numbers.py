@@ -20,7 +20,7 @@ from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, read_certifi
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.text import values_as_toml
-from ebamcheck.testing.played_control.panel import Growth
+from ebamcheck.testing.played_control.program import Growth
 from ebamcheck.verification.verify import verify
 
 SIZE, COUNT = (30, 24, 12), 7

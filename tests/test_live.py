@@ -12,9 +12,9 @@ from command_line import ebamcheck
 from live_boxes import bad_lines, failed_checks, maker_of, run_of_box
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
-from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish, read_current
@@ -88,10 +88,10 @@ def test_relayer_publishes_a_layer_at_the_measured_height_that_verifies_from_its
 
 def test_a_text_that_was_changed_does_not_verify(maker, place, tmp_path):
     made = maker.make(
-        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), HeatSoFar.cold(maker.config), tmp_path / "s" / "program"
+        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
     )
     assert made.passed, made.why
-    publish(tmp_path / "b", made, certificate_of(made, maker.part, maker.primary, maker.witness))
+    publish(tmp_path / "b", made, certificate_of(made, maker))
     folder = tmp_path / "b" / LAYERS / "MAIN_K0003R1"
     assert failed_checks(folder, place / "box.stl") == []
     path = folder / "program" / "MAIN_K0003R1_L0001.SPF"
@@ -106,7 +106,7 @@ def test_metal_of_a_layer_follows_its_real_height(maker, tmp_path):
     def wire(thickness):
         made = maker.make(
             Wanted(2, 3.4, thickness, "MAIN_K0003R1"),
-            HeatSoFar.cold(maker.config),
+            Before.cold(maker.config),
             tmp_path / f"{thickness}" / "p",
         )
         assert made.passed, made.why
@@ -149,10 +149,10 @@ def test_a_shut_gate_keeps_the_old_layer_and_says_why(place, tmp_path):
 def test_a_single_layer_takes_the_heights_that_a_build_takes(height, said, place, tmp_path):
     run, below = finished_run(place / "box.run"), tmp_path / "none"
     if not said:
-        check_height(below, "MAIN", 2, height, run.tops_mm, run.thickness_mm)
+        check_height(below, run, 2, height)
         return
     with pytest.raises(SettingsError, match=said):
-        check_height(below, "MAIN", 2, height, run.tops_mm, run.thickness_mm)
+        check_height(below, run, 2, height)
 
 
 def test_a_layer_that_was_made_again_is_the_one_below_of_the_next(place, tmp_path):
@@ -237,11 +237,11 @@ def test_controls_of_one_file_get_a_file_of_one_layer(place, tmp_path, control):
     config = Config().changed(machine={"control": control})
     with LayerMaker(found.part, config) as maker:
         made = maker.make(
-            Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), HeatSoFar.cold(config), tmp_path / "s" / "program"
+            Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), Before.cold(config), tmp_path / "s" / "program"
         )
         assert made.passed, made.why
         assert len(made.files.names) == 1
-        certificate = certificate_of(made, maker.part, maker.primary, maker.witness)
+        certificate = certificate_of(made, maker)
         assert publish(tmp_path / "b", made, certificate)["program"].endswith(made.files.names[0])
 
 
@@ -255,10 +255,9 @@ def test_heat_under_a_layer_is_that_of_the_run(place):
     found = finished_run(place / "box.run")
     plan = found.plan
     for layer in (1, 3, 6):
-        heat = heat_under(plan, layer, found.thickness_mm, found.busy_s(), found.config)
-        entered = heat.rested(plan.metrics["wait_s"].iloc[layer])
+        entered = found.before(layer).rested(plan.metrics["wait_s"].iloc[layer])
         assert entered.surface_k == pytest.approx(plan.metrics["enter_k"].iloc[layer], rel=0.12)
-    assert not heat_under(plan, 0, found.thickness_mm, found.busy_s(), found.config).laid
+    assert not found.before(0).laid
 
 
 # -- readings ----------------------------------------------------------------------------------------
@@ -282,9 +281,9 @@ def test_a_repeated_reading_gets_the_same_answer_and_a_contradicting_one_none(bu
     building.start()
     message = {"event": "height", "done": 1, "height_mm": 1.8}
     first = building.height(message)
-    lines = building._journal.lines
+    lines = building.journal.lines
     assert building.height(message) == {**first, "again": True}
-    assert building._journal.lines == lines
+    assert building.journal.lines == lines
     assert building.height({**message, "height_mm": 1.9})["code"] == "repeated"
     assert read_current(building.folder)["name"] == first["name"]
 

@@ -182,7 +182,7 @@ def test_a_disk_without_room_for_the_journal_is_told_and_nothing_is_published(bu
         def no_room(entry):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-        patch.setattr(building._journal, "append", no_room)
+        patch.setattr(building.journal, "append", no_room)
         answer = answer_to(building, line(done=1, height_mm=1.8))
         assert answer["answer"] == "error"
         assert "No space left" in answer["reason"]
@@ -199,7 +199,7 @@ async def on_a_control(maker, folder):
     from ebamcheck.live.opcua.door import Door
     from ebamcheck.live.opcua.handshake import OFFSETS
     from ebamcheck.live.opcua.link import installed
-    from ebamcheck.testing.played_control.panel import Panel
+    from ebamcheck.testing.played_control.program import Panel
     from ebamcheck.testing.played_control.server import PlayedServer
 
     installed()

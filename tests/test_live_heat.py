@@ -12,12 +12,12 @@ from live_boxes import maker_of, run_of_box
 
 import ebamcheck
 from ebamcheck.checks.interpass_checks import INTERPASS
-from ebamcheck.live import released_layer
+from ebamcheck.live import building as building_module
+from ebamcheck.live import followed
+from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
-from ebamcheck.live.heat_so_far import HeatSoFar, LayerText
+from ebamcheck.live.followed import FollowedLayers, LayerText
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.live.released_layer import Followed
 from ebamcheck.live.verifying import verify_build
 from ebamcheck.settings.config import Config
 from tests.parts import box
@@ -31,17 +31,24 @@ def test_the_first_bead_is_entered_as_warm_as_planned(tmp_path):
     write_stl(box(upper=(60, 40, 12)), part)
     config = Config().changed(process={"interpass_at": "layer", "interpass": "off"})
     with LayerMaker(ebamcheck.load(part), config) as maker:
-        heat = HeatSoFar.cold(config)
+        before = Before.cold(config)
         for layer in range(3):
             wanted = Wanted(layer, layer * THICKNESS_MM, THICKNESS_MM, f"MAIN_K{layer}")
-            made = maker.make(wanted, heat, tmp_path / str(layer))
+            made = maker.make(wanted, before, tmp_path / str(layer))
             (entry,) = (check for check in made.checks if check.name == INTERPASS)
             if layer:
-                assert entry.value == pytest.approx(made.heat.last.mean_k[0], abs=0.5)
-            heat = made.heat
+                assert entry.value == pytest.approx(made.after.last.mean_k[0], abs=0.5)
+            before = made.after
 
 
 # -- over all layers, by their texts ------------------------------------------------------------------
+
+
+class Blind(FollowedLayers):
+    """What follows the texts and says nothing of them."""
+
+    def too_warm(self, program, paper, config):
+        return ""
 
 
 class Forgetful(Building):
@@ -49,7 +56,8 @@ class Forgetful(Building):
 
     def _take(self, reading, answer, layer):
         super()._take(reading, answer, layer)
-        self.heat = HeatSoFar.cold(self.maker.config)
+        cold = Before.cold(self.maker.config)
+        self.before = replace(self.before, part=cold.part, last=None)
 
 
 class Levelled(Building):
@@ -57,7 +65,8 @@ class Levelled(Building):
 
     def _take(self, reading, answer, layer):
         super()._take(reading, answer, layer)
-        self.metal = MetalSoFar.none(self.maker.part, self.maker.config)
+        warm, level = self.before, Before.plate(self.maker.part, self.maker.config)
+        self.before = replace(level, part=warm.part, last=warm.last)
 
 
 class Impatient(Building):
@@ -78,7 +87,7 @@ def test_verify_follows_heat_and_metal_over_all_layers(
     server, found, monkeypatch, tmp_path_factory, tmp_path
 ):
     # A server that looks at it itself releases no such layer (test_live_made_wrong.py).
-    monkeypatch.setattr(Followed, "too_warm", lambda *_: "")
+    monkeypatch.setattr(building_module, "FollowedLayers", Blind)
     place = run_of_box(tmp_path_factory, (30, 24, 12))
     with maker_of(place) as maker:
         building = server(maker, tmp_path / "b")
@@ -105,11 +114,11 @@ def test_a_slim_column_on_a_wide_foot_is_followed_from_the_plate_up(monkeypatch)
 
     def said(layers):
         texts = iter(layers)
-        monkeypatch.setattr(released_layer, "layer_text", lambda *_: next(texts))
-        followed, found = Followed(), []
+        monkeypatch.setattr(followed, "layer_text", lambda *_: next(texts))
+        stack, found = FollowedLayers(), []
         for _ in layers:
-            found.append(followed.too_warm(None, {}, Config()))
-            followed.take()
+            found.append(stack.too_warm(None, {}, Config()))
+            stack.take()
         return found
 
     layers = [text(foot, 20)] * 6 + [text(column, 1)] * 10

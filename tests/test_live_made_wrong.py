@@ -16,7 +16,7 @@ from ebamcheck.live import publishing
 from ebamcheck.live.building import Building
 from ebamcheck.live.heights import HeightRule
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.released_layer import ended_early
+from ebamcheck.live.publishing import ended_early
 from ebamcheck.live.verifying import verify_build
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.pipeline.placement import placed_part
@@ -93,9 +93,9 @@ def heat_is_forgotten(monkeypatch):
     right = Building._take
 
     def wrong(self, *given):
-        heat = self.heat
+        cold = self.before
         right(self, *given)
-        self.heat = heat
+        self.before = replace(self.before, part=cold.part, last=cold.last)
 
     monkeypatch.setattr(Building, "_take", wrong)
 

@@ -15,7 +15,7 @@ from ebamcheck.live.building import Building
 from ebamcheck.live.desk import Lines, serve
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.testing.played_control.panel import Growth
+from ebamcheck.testing.played_control.program import Growth
 
 SETTLED, LAYERS = 30, 50
 """Layers after which all is loaded, the texts of the last 64 sections of settings among it; and layers of the column."""

@@ -9,11 +9,10 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks.consumables import FRESH
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.checks.metal_below import MetalBelow
-from ebamcheck.live.metal_so_far import MetalSoFar, metal_checks
+from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program
 from ebamcheck.writing.bead_ends import planned_path
@@ -51,16 +50,17 @@ def test_layers_one_by_one_are_the_whole_program(stack):
     made, single = stack
     nc = made.read()
     whole = deposit(nc, made.layers, made.z, CONFIG)
-    metal = MetalSoFar(MetalBelow(), Surface(np.array(SQUARE.bounds), CONFIG.process.bead_width_mm))
+    metal = MetalBelow()
+    surface = Surface(np.array(SQUARE.bounds), CONFIG.process.bead_width_mm)
     for k, (layer, section, config) in enumerate(single):
-        found = deposit(layer, section, made.z[k : k + 1], config, stands=metal.surface)
+        found = deposit(layer, section, made.z[k : k + 1], config, stands=surface)
         for name in FIGURES:
             assert found.layers[name].iloc[0] == pytest.approx(whole.layers[name].iloc[k], abs=1e-9), name
-        last = deposit_checks(layer, found, config, metal.below)
-        metal = metal.with_layer(found.layers, found.surface, FRESH, config)
+        last = deposit_checks(layer, found, config, metal)
+        metal, surface = metal.and_layers(found.layers, config.process), found.surface
     # What holds for the whole part is said of it when its last layer is judged.
     of_whole = {check.name: check for check in deposit_checks(nc, whole, CONFIG)}
-    assert metal.below.layers == 4
+    assert metal.layers == 4
     for check in last:
         if check.name in MEANS:
             assert check.value == pytest.approx(of_whole[check.name].value, abs=1e-9), check.name
@@ -172,7 +172,9 @@ def test_a_surface_that_is_too_uneven_refuses_the_layer(stack):
     sums = MetalBelow(1, 1.0, 1.0)
 
     def failed(height_mm):
-        checks, _ = metal_checks(layer, section, MetalSoFar(sums, hump(height_mm)), config)
+        checks, _ = metal_checks(
+            layer, section, replace(Before.cold(config), below=sums, surface=hump(height_mm)), config
+        )
         return {check.name for check in checks if not check.passed}
 
     assert "surface" not in failed(1.0)

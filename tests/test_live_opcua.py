@@ -19,7 +19,7 @@ from ebamcheck.live.journal import read_journal
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import Link, installed
 from ebamcheck.live.publishing import LAYERS
-from ebamcheck.testing.played_control.panel import FAULTS
+from ebamcheck.testing.played_control.program import FAULTS
 
 SIZE = (30, 24, 5.2)
 
@@ -55,8 +55,8 @@ BUILDS = {
 )
 def test_a_build_goes_through_its_faults_and_lays_what_was_proved(name, maker, place, tmp_path):
     faults, wanted = BUILDS[name]
-    answer, program, ended, told = built(maker, tmp_path / "b", faults)
-    sound(tmp_path / "b", place / "box.stl", program, answer, ended)
+    answer, program, told = built(maker, tmp_path / "b", faults)
+    sound(tmp_path / "b", place / "box.stl", program, answer)
     assert wanted <= {text.get("code", text["answer"]) for text in told}
     assert all(len(text.get("reason", "").splitlines()) <= 1 for text in told)
     if name == "resets":

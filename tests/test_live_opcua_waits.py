@@ -17,7 +17,7 @@ from opcua_controls import control, free_url, on_a_desk, until
 from ebamcheck.live.building import Building
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import BrokenOff, Link, within
-from ebamcheck.testing.played_control.panel import Panel
+from ebamcheck.testing.played_control.program import Panel
 from ebamcheck.testing.played_control.server import PlayedServer
 
 STEPS = 8

@@ -14,14 +14,14 @@ from command_line import command, ebamcheck
 from live_boxes import Server, bad_lines, failed_checks, maker_of, play, run_of_box
 
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
-from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
 from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import JOURNAL, LAYERS, certificate_of, publish, read_current
-from ebamcheck.testing.played_control.panel import Growth
+from ebamcheck.testing.played_control.program import Growth
 
 SIZE = (30, 24, 12)
 
@@ -149,9 +149,9 @@ def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, m
     if place_of_kill == "staged":
         monkeypatch.setattr(module, "publish", kill)
     elif place_of_kill == "renamed":
-        appended = made._journal.append
+        appended = made.journal.append
         monkeypatch.setattr(
-            made._journal, "append", lambda entry: kill() if entry["kind"] == "layer" else appended(entry)
+            made.journal, "append", lambda entry: kill() if entry["kind"] == "layer" else appended(entry)
         )
     else:
         monkeypatch.setattr(publishing, "write_synced", kill)
@@ -178,9 +178,9 @@ def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, m
 
 def test_a_file_that_was_exchanged_before_publishing_is_not_published(maker, tmp_path):
     made = maker.make(
-        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), HeatSoFar.cold(maker.config), tmp_path / "s" / "program"
+        Wanted(2, 3.4, 1.6, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
     )
-    certificate = certificate_of(made, maker.part, maker.primary, maker.witness)
+    certificate = certificate_of(made, maker)
     path = made.files.folder / made.files.names[1]
     path.write_text(path.read_text() + "\n")
     with pytest.raises(SettingsError, match="not the file that was verified"):
@@ -190,12 +190,12 @@ def test_a_file_that_was_exchanged_before_publishing_is_not_published(maker, tmp
 
 def test_what_is_not_validated_is_never_published(maker, tmp_path):
     made = maker.make(
-        Wanted(2, 3.4, 0.5, "MAIN_K0003R1"), HeatSoFar.cold(maker.config), tmp_path / "s" / "program"
+        Wanted(2, 3.4, 0.5, "MAIN_K0003R1"), Before.cold(maker.config), tmp_path / "s" / "program"
     )
     assert not made.passed
     assert "process window" in made.why
     with pytest.raises(InputError, match="not validated"):
-        publish(tmp_path / "b", made, certificate_of(made, maker.part, maker.primary, maker.witness))
+        publish(tmp_path / "b", made, certificate_of(made, maker))
     assert not (tmp_path / "b").exists()
 
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 import shapely
@@ -11,7 +12,7 @@ from planted_faults import Text
 from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.preheat_checks import preheat_checks
-from ebamcheck.live.heat_so_far import HeatSoFar, heat_under
+from ebamcheck.live.before import Before
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh.files import load
@@ -38,12 +39,12 @@ def made(tmp_path_factory):
     config = Config().changed(preheat=LAYERS, machine=MACHINE, process={"current_ma": 60.0})
 
     with LayerMaker(load(part), config) as maker:
-        heat, layers = HeatSoFar.cold(config), []
+        before, layers = Before.cold(config), []
         for k, base_mm in enumerate((0.0, 1.7)):
             wanted = Wanted(k, base_mm, 1.65, f"MAIN_K{k + 1:04d}R1")
-            layers.append(maker.make(wanted, heat, folder / wanted.name / "program"))
+            layers.append(maker.make(wanted, before, folder / wanted.name / "program"))
             assert layers[-1].passed, layers[-1].why
-            heat = layers[-1].heat
+            before = layers[-1].after
     return folder, layers
 
 
@@ -73,15 +74,15 @@ def test_a_released_layer_brings_its_scan_along_in_one_file(made):
     ways = [read_program(layer.files.folder, layer.config).preheating for layer in made[1]]
     assert ways[0].end[1:, 0].max() > 150.0
     assert 20.0 - 1e-6 <= ways[1].end[1:, 0].min() < ways[1].end[1:, 0].max() <= 130.0 + 1e-6
-    assert lowest.deposit_s > lowest.heat.layer_s + 10.0
-    assert upper.deposit_s > upper.heat.layer_s + 10.0
+    assert lowest.deposit_s > lowest.after.layer_s + 10.0
+    assert upper.deposit_s > upper.after.layer_s + 10.0
 
 
 def test_the_layer_begins_on_the_heat_of_its_scan(made):
     """Without it, the same layer would begin colder than the target, in the plan as in the text."""
     _, (lowest, upper) = made
     nc = read_program(upper.files.folder, upper.config)
-    before = lowest.heat.rested(upper.wait_s + RISE_S).part.column
+    before = lowest.after.rested(upper.wait_s + RISE_S).part.column
     assert before.surface_k < 645.0
     warm = {c.name: c for c in preheat_checks(nc, upper.config, [SECTION], before, SECTION)}
     assert all(check.passed for check in warm.values())
@@ -206,7 +207,7 @@ def test_how_often_and_how_warm_is_judged_where_the_heat_is_known(plant, wanted,
     text = Text(tmp_path / "program")
     plant(text)
     text.save()
-    before = lowest.heat.rested(upper.wait_s + RISE_S).part.column
+    before = lowest.after.rested(upper.wait_s + RISE_S).part.column
     checks = preheat_checks(
         read_program(tmp_path / "program", upper.config), upper.config, [SECTION], before, SECTION
     )
@@ -266,10 +267,8 @@ def test_a_build_preheats_the_plate_with_its_first_layer_and_plays_again(place, 
 
 def test_a_layer_made_again_knows_the_preheated_plate(place, tmp_path):
     found = finished_run(place / "box.run")
-    warm = heat_under(found.plan, 1, found.thickness_mm, found.busy_s(), found.config)
-    cold = heat_under(
-        found.plan, 1, found.thickness_mm, found.busy_s(), found.config.changed(preheat={"when": "off"})
-    )
+    warm = found.before(1)
+    cold = replace(found, config=found.config.changed(preheat={"when": "off"})).before(1)
     # As the run itself has it, by its plan.
     leave_k = found.plan.metrics["leave_k"].to_numpy()[0]
     assert warm.surface_k > cold.surface_k + 10.0

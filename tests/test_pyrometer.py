@@ -10,14 +10,14 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
+from ebamcheck.live.before import Before, corrected, fault_of_warmth
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
-from ebamcheck.live.heat_so_far import HeatSoFar
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import LAYERS
-from ebamcheck.live.pyrometer import Warmth, corrected, fault_of_warmth, warmth_of
+from ebamcheck.live.readings import Warmth, warmth_of
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 5.2)
@@ -39,9 +39,9 @@ def maker(tmp_path_factory):
 def heat(maker, tmp_path_factory):
     """Heat of a part when its first layer was laid."""
     folder = tmp_path_factory.mktemp("first") / "p"
-    made = maker.make(Wanted(0, 0.0, 1.7, "MAIN_K0001R1"), HeatSoFar.cold(maker.config), folder)
+    made = maker.make(Wanted(0, 0.0, 1.7, "MAIN_K0001R1"), Before.cold(maker.config), folder)
     assert made.passed, made.why
-    return made.heat
+    return made.after
 
 
 @pytest.mark.in_turn(2)
@@ -75,9 +75,7 @@ def test_temperatures_out_of_limits_are_refused_with_the_limit(heat):
         assert "give kelvins" in fault_of_warmth(heat, Warmth(value, 20.0), wide)
     for after_s in (-1.0, 1e6):
         assert "after_s" in fault_of_warmth(heat, Warmth(warm, after_s), wide)
-    assert "on which something was laid" in fault_of_warmth(
-        HeatSoFar.cold(config), Warmth(300.0, 0.0), config
-    )
+    assert "on which something was laid" in fault_of_warmth(Before.cold(config), Warmth(300.0, 0.0), config)
 
 
 @pytest.mark.parametrize("value", ["hot", True, float("nan"), float("inf"), [300.0]])
@@ -104,7 +102,7 @@ def test_the_wait_follows_the_temperature_and_the_journal_says_why(maker, heat, 
         try:
             first = ask(building, event="start")
             height = {"event": "height", "done": 1, "height_mm": first["thickness_mm"]}
-            warm = building.heat.rested(8.0).surface_k
+            warm = building.before.rested(8.0).surface_k
             assert ask(building, **height, surface_k="hot", after_s=8.0)["code"] == "temperature"
             assert ask(building, **height, surface_k=warm + 400.0, after_s=8.0)["code"] == "temperature"
             read = {} if off_k is None else {"surface_k": warm + off_k, "after_s": 8.0}

@@ -9,7 +9,7 @@ import pytest
 
 from ebamcheck.commands.options import assignments
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.map_files import read_map
+from ebamcheck.live.height_map import read_map
 from ebamcheck.mesh.part_source import read_plate
 from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.plugins import registry

@@ -26,8 +26,7 @@ from ebamcheck.live.opcua.link import installed
 from ebamcheck.live.publishing import JOURNAL
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.testing.played_control.desk import PROFILE, desk_profile, faults_of, played
-from ebamcheck.testing.played_control.panel import FAULTS, Growth
-from ebamcheck.testing.played_control.program import PlayedLayer, PlayedProgram
+from ebamcheck.testing.played_control.program import FAULTS, Growth, PlayedLayer, PlayedProgram
 from ebamcheck.testing.played_control.server import SESSIONS
 
 TABLE = "machine.csv"
@@ -84,15 +83,14 @@ def machine_command(
     folder = output or run.with_name(f"{name}.{'opcua' if opcua else 'live'}")
     if not opcua and (folder / JOURNAL).is_file():
         raise SettingsError(f"{folder}: holds a build that was begun: give another folder with -o")
-    rows: list[PlayedLayer] = []
+    top_mm = float(found.part.size[2])
 
     def tell(row: PlayedLayer) -> None:
-        rows.append(row)
         typer.echo(
             f"{row.layer:5d} {row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f} {row.wait_s:7.2f}s  {row.name}"
         )
 
-    def listens(program: PlayedProgram) -> None:
+    def listens() -> None:
         if opcua:
             typer.echo(f"listens at {link.url}; in another terminal: ")
             typer.echo(f"    ebamcheck live {run} --opcua --config {desk / PROFILE}")
@@ -102,23 +100,24 @@ def machine_command(
             open_.callback(_started(command, program))
         typer.echo(f"{'layer':>5} {'base':>9} {'planned':>8} {'grown':>8} {'waited':>8}  program")
 
+    program = PlayedProgram(found.config, link, top_mm, growth, speed, faults, tell)
     with ExitStack() as open_:
         desk = folder if opcua else open_.enter_context(scratch_folder())
-        access, top_mm = desk_profile(desk, link), float(found.part.size[2])
-        program, ended = asyncio.run(
-            played(found.config, link, access, top_mm, growth, speed, faults, tell, sessions, listens)
-        )
+        access = desk_profile(desk, link)
+        asyncio.run(played(program, access, sessions, listens))
     made_folder(folder)
     with replacing(folder / TABLE) as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(PlayedLayer)])
         writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+        writer.writerows(asdict(row) for row in program.laid)
     off_mm, tolerance_mm = program.bed_mm - top_mm, 0.5 * bead_limits(found.config).least_mm
-    if not ended:
-        typer.echo(f"the main program stopped after {len(rows)} layers: no layer was released in time")
+    if not program.ended:
+        typer.echo(
+            f"the main program stopped after {len(program.laid)} layers: no layer was released in time"
+        )
         return ExitCode.OUT_OF_TOLERANCE
     typer.echo(
-        f"{len(rows)} layers; the top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
+        f"{len(program.laid)} layers; the top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
     )
     return ExitCode.PASS if abs(off_mm) <= tolerance_mm else ExitCode.OUT_OF_TOLERANCE
 

@@ -10,22 +10,17 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layer_numbers import index_of_number
-from ebamcheck.live.heat_so_far import heat_under
-from ebamcheck.live.height_map import MapCells, figures_of, in_cells
+from ebamcheck.live.before import Before
+from ebamcheck.live.height_map import MapCells, figures_of, in_cells, read_map
 from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.map_files import read_map
-from ebamcheck.live.metal_so_far import MetalSoFar
-from ebamcheck.live.publishing import tilted
-from ebamcheck.live.relaying import Relayered, check_height, relayer
+from ebamcheck.live.relaying import Relayered, check_height, relayer, tilted
 from ebamcheck.nc.files import preheat_name
 from ebamcheck.pipeline.turned import stands_of
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.settings.config import Config
 
 
 def relayer_command(
@@ -76,42 +71,36 @@ def relayer_command(
     if turned is not None and alike(turned, run):
         turned, found = None, finished_run(run, part)
     index = index_of_number(layer, len(found.thickness_mm))
-    before, built_mm = None, 0.0
+    upright, built_mm = None, 0.0
     if turned is not None:
-        before = finished_run(run, part)
-        built_mm = float(before.tops_mm[index - 1]) if index else 0.0
-        found = replace(found, config=_turning(before, found, direction, built_mm))
-    heat = heat_under(found.plan, index, found.thickness_mm, found.busy_s(), found.config)
+        machine = found.config.machine
+        if not (machine.tilt_axes or machine.rotary):
+            raise SettingsError(
+                f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
+                "(machine.tilt_axes)"
+            )
+        upright = finished_run(run, part)
+        built_mm = float(upright.tops_mm[index - 1]) if index else 0.0
+        found = replace(found, config=tilted(upright, found, built_mm))
+    before = found.before(index)
     folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
     with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
-        if before is not None:
-            maker.stands = stands_of(before.part, found.part, built_mm, before.config)
-        # Along another direction other layers would have been laid than those that the run knows.
-        metal = None if turned else found.metal_under(index)
+        if upright is not None:
+            maker.stands = stands_of(upright.part, found.part, built_mm, upright.config)
+            # Along another direction other layers would have been laid than those that the run knows.
+            before = replace(before, below=None)
         cells: MapCells | None = None
         if height_map is not None:
-            metal, cells, measured_z = mapped(found, maker, index, metal, height_map)
+            before, cells, measured_z = mapped(found, maker, index, before, height_map)
         assert measured_z is not None
-        if turned is None:
-            program = found.config.machine.program_name
-            check_height(folder, program, index, measured_z, found.tops_mm, found.thickness_mm)
-        done = relayer(maker, heat, index, measured_z, folder, metal, cells)
+        if upright is None:
+            check_height(folder, found, index, measured_z)
+        done = relayer(maker, before, index, measured_z, folder, cells)
     if as_json:
         print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})
     else:
         _tell(done, found, index)
     return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
-
-
-def _turning(before: FinishedRun, found: FinishedRun, direction: str, built_mm: float) -> Config:
-    """Settings of a layer of the turned part; refused where nothing turns it."""
-    machine = found.config.machine
-    if not (machine.tilt_axes or machine.rotary):
-        raise SettingsError(
-            f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
-            "(machine.tilt_axes)"
-        )
-    return tilted(before.part, found.part, found.config, built_mm)
 
 
 def alike(direction: tuple[float, ...], run: Path) -> bool:
@@ -122,17 +111,16 @@ def alike(direction: tuple[float, ...], run: Path) -> bool:
 
 
 def mapped(
-    found: FinishedRun, maker: LayerMaker, layer: int, metal: MetalSoFar | None, file: Path
-) -> tuple[MetalSoFar, MapCells, float]:
-    """Metal under a layer of a run, a map in its cells, and the mean of the map."""
+    found: FinishedRun, maker: LayerMaker, layer: int, before: Before, file: Path
+) -> tuple[Before, MapCells, float]:
+    """What stands under a layer of a run with its section, a map in the cells of that, and the mean of the map."""
     if layer == 0:
         raise SettingsError("--height-map is of a layer that was laid: on the plate give --measured-z")
-    below = metal.below if metal is not None else MetalBelow()
     middle_mm = float(found.tops_mm[layer - 1] - 0.5 * found.thickness_mm[layer - 1])
-    metal = MetalSoFar.on(below, maker.section_at(middle_mm), found.part, found.config)
-    assert metal.surface is not None
-    cells = in_cells(read_map(file, found.config.height_map), metal.surface)
-    return metal, cells, figures_of(cells, metal.surface, found.config).mean_mm
+    before = before.on_section(maker.section_at(middle_mm), found.part, found.config)
+    assert before.surface is not None
+    cells = in_cells(read_map(file, found.config.height_map), before.surface)
+    return before, cells, figures_of(cells, before.surface, found.config).mean_mm
 
 
 def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:

@@ -15,26 +15,24 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
-from ebamcheck.live.ground import Ground
-from ebamcheck.live.heat_so_far import HeatSoFar
+from ebamcheck.json_values import sha256_of_json
+from ebamcheck.live.before import Before, Ground, fault_of_warmth
+from ebamcheck.live.followed import FollowedLayers
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.journal import FORMAT, Journal, check_format, read_journal
-from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of, program_settings_sha256
-from ebamcheck.live.map_reading import map_reading
-from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of
 from ebamcheck.live.publishing import (
     JOURNAL,
     LAYERS,
     PROGRAM,
     certificate_of,
+    ended_early,
     layer_name,
     publish,
     read_current,
 )
-from ebamcheck.live.pyrometer import fault_of_warmth, warmth_of
-from ebamcheck.live.readings import Reading, Refusal, fault_of, reading_of
-from ebamcheck.live.released_layer import Followed, ended_early
+from ebamcheck.live.readings import Reading, Refusal, fault_of, map_reading, reading_of, warmth_of
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -58,50 +56,36 @@ class Standing:
 
 
 class Building:
-    """A build.
+    """A build in a folder, where layers, journal and ``current.json`` lie; heights are uniform ones where no rule is given.
 
-    Parameters
-    ----------
-    maker
-        Makes its layers.
-    folder
-        Where layers, journal and ``current.json`` lie. A journal that is there is gone on with: its layers are made again,
-        which proves that they still come out the same.
-    rule
-        How heights are chosen; None: uniform ones.
-
-    Raises
-    ------
-    InputError
-        If the journal is of another part or other settings, or its layers do not come out the same.
-    SettingsError
-        If another server writes to it.
+    A journal that is there is gone on with: its layers are made again, which proves that they still come out the same. One of another
+    part or other settings is refused, and one to which another server writes. What a door notes there changes no decision.
     """
 
     def __init__(self, maker: LayerMaker, folder: Path, rule: HeightRule | None = None) -> None:
         self.maker, self.folder = maker, folder
         self.rule = rule or height_rule(maker.part, maker.config)
-        self.heat = HeatSoFar.cold(maker.config)
-        self.metal = MetalSoFar.none(maker.part, maker.config)
+        self.before = Before.plate(maker.part, maker.config)
         self.finished = False
-        self._followed = Followed()
+        self._followed = FollowedLayers()
         self.heights = HeightsTable(folder)
         self._planned_tops_mm = self.rule.plan(0.0).tops_mm
-        self._told: Answer = {}
+        self.told: Answer = {}
+        """The last answer that became the state."""
         self._standing: Standing | None = None
         self._last: Reading | None = None
         self._tried: tuple[Reading, Answer | None] | None = None
         # The lock comes first: two servers on one folder would publish over each other.
         _refuse_relayered(folder)
-        self._journal = Journal(folder / JOURNAL)
+        self.journal = Journal(folder / JOURNAL)
         # What a kill has left: nobody else makes layers here.
         for path in folder.glob(f"{MAKING}*"):
             shutil.rmtree(path, ignore_errors=True)
         try:
-            if self._journal.lines:
-                self._resume(read_journal(self._journal.path))
+            if self.journal.lines:
+                self._resume(read_journal(self.journal.path))
             else:
-                self._journal.append({"kind": "begin", **self._of()})
+                self.journal.append({"kind": "begin", **self._of()})
         except BaseException:
             self.close()
             raise
@@ -109,33 +93,19 @@ class Building:
     def close(self) -> None:
         """Let go of the journal; the table of heights is whole then."""
         self.heights.write(ended=True)
-        self._journal.__exit__(None, None, None)
+        self.journal.close()
 
     @property
     def expected_done(self) -> int:
         """Number of layers that are done when the next reading comes; 0 before anything is published."""
         return 0 if self._standing is None else self._standing.done + 1
 
-    @property
-    def told(self) -> Answer:
-        """The last answer that became the state."""
-        return dict(self._told)
-
-    @property
-    def journal_file(self) -> Path:
-        """File of the journal."""
-        return self._journal.path
-
-    def note(self, entry: Answer) -> None:
-        """Write down what a door did with what is published; it changes no decision."""
-        self._journal.append(entry)
-
     # -- what comes in ------------------------------------------------------------------------------
 
     def start(self) -> Answer:
         """Publish the lowest layer on the plate; on a build that is under way, tell again what is published."""
-        if self._told:
-            return {**self._told, "again": True}
+        if self.told:
+            return {**self.told, "again": True}
         return self._decide(Reading(0, 0.0))
 
     def height(self, message: dict[str, Any]) -> Answer:
@@ -148,31 +118,23 @@ class Building:
         if self._standing is None:
             return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
         if self._last is not None and reading.done == self._last.done:
-            if reading == self._last and self._told:
-                return {**self._told, "again": True}
-            if self._told:
-                return self._refused(
-                    Refusal(
-                        "repeated",
-                        f"the top of {reading.done} layers was measured before, at {self._last.height_mm:g} mm: the first reading counts",
-                    )
-                )
+            if reading == self._last and self.told:
+                return {**self.told, "again": True}
+            if self.told:
+                said = f"the top of {reading.done} layers was measured before, at {self._last.height_mm:g} mm: the first reading counts"
+                return self._refused(Refusal("repeated", said))
         expected = self.expected_done
         if self.finished:
             return self._refused(Refusal("finished", "the part is built: no layer is left"))
         if reading.done != expected:
-            return self._refused(
-                Refusal(
-                    "counter-jump",
-                    f"{reading.done!s:.20} layers are said to be done, expected are {expected}",
-                )
-            )
+            said = f"{reading.done!s:.20} layers are said to be done, expected are {expected}"
+            return self._refused(Refusal("counter-jump", said))
         if "height_map" not in message and reading.height_mm != message.get("height_mm"):
             said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
             return self._refused(Refusal("not-as-said", said))
         fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
         if fault is None and reading.warmth is not None:
-            why = fault_of_warmth(self.heat, reading.warmth, self.maker.config)
+            why = fault_of_warmth(self.before, reading.warmth, self.maker.config)
             fault = Refusal("temperature", why) if why else None
         return self._refused(fault) if fault else self._decide(reading)
 
@@ -182,7 +144,7 @@ class Building:
         if isinstance(warmth, str):
             return Refusal("temperature", warmth)
         if "height_map" in message:
-            reading = map_reading(message, self.metal, self.maker.config, self._last)
+            reading = map_reading(message, self.before.surface, self.maker.config, self._last)
         else:
             reading = reading_of(message)
         return reading if isinstance(reading, Refusal) else replace(reading, warmth=warmth)
@@ -202,7 +164,7 @@ class Building:
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
         if self._tried is None or self._tried[0] != reading:
-            self._journal.append(reading.entry())
+            self.journal.append(reading.entry())
             self._tried = reading, None
         answer, made = self._made(reading)
         if made is None:
@@ -214,7 +176,7 @@ class Building:
             entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
             if "temperature" in answer:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
-            current = publish(self.folder, layer, certificate, before=lambda: self._journal.append(entry))
+            current = publish(self.folder, layer, certificate, before=lambda: self.journal.append(entry))
         except (EbamcheckError, OSError) as error:
             return self._noted(reading, _kept(reading, failure_of(error)))
         finally:
@@ -226,7 +188,7 @@ class Building:
     def _noted(self, reading: Reading, answer: Answer) -> Answer:
         """Write down that no layer came of a reading; once, however often it is tried again."""
         if self._tried != (reading, answer):
-            self._journal.append({"kind": str(answer["answer"]), **answer})
+            self.journal.append({"kind": str(answer["answer"]), **answer})
             self._tried = reading, answer
         return answer
 
@@ -234,21 +196,15 @@ class Building:
         """Let a decision become the state."""
         below = self._standing
         if below is not None:
+            tops_mm, top_mm = self._planned_tops_mm, below.top_mm
             self.heights.add(
-                laid_height(
-                    below.done,
-                    self._planned_tops_mm,
-                    below.base_mm,
-                    below.top_mm,
-                    reading.height_mm,
-                    below.cusp_mm,
-                )
+                laid_height(below.done, tops_mm, below.base_mm, top_mm, reading.height_mm, below.cusp_mm)
             )
-        self._last, self._told = reading, answer
+        self._last, self.told = reading, answer
         if layer is None:
             self.finished = True
             return
-        self.heat, self.metal = layer.heat, layer.metal
+        self.before = layer.after
         self._followed.take()
         cusp_mm = float(answer["cusp_mm"])
         self._standing = Standing(reading.done, layer.wanted.base_mm, layer.wanted.top_mm, cusp_mm)
@@ -265,7 +221,7 @@ class Building:
         limits, why, broken = self.rule.outer, "", False
         program = self.maker.config.machine.program_name
         self.folder.mkdir(parents=True, exist_ok=True)
-        ground = Ground.of(reading, self.heat, self.metal, self.maker.config)
+        ground = Ground.of(reading, self.before, self.maker.config)
         *first, last = ground.mending
         tries = [(1.0, 0, share) for share in first] + [(*how, last) for how in TRIES]
         for number, (factor, shifted, mended) in enumerate(tries, 1):
@@ -279,15 +235,13 @@ class Building:
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=MAKING, dir=self.folder))
             try:
-                made = self.maker.make(wanted, ground.heat, staged / PROGRAM, ground.surface(mended))
+                made = self.maker.make(wanted, ground.mended(mended), staged / PROGRAM)
                 if made.passed:
                     # The least wait counts from the end of the layer below.
                     made = replace(made, wait_s=ground.since_s + made.wait_s)
                     told = ground.told(mended)
-                    certificate = certificate_of(
-                        made, self.maker.part, self.maker.primary, self.maker.witness, told
-                    )
-                    said = [*plan.said, *made.metal.spent.to_do()]
+                    certificate = certificate_of(made, self.maker, told)
+                    said = [*plan.said, *made.after.spent.to_do()]
                     if warm := self._followed.too_warm(staged / PROGRAM, certificate, made.config):
                         raise InputError(warm)
                     answer = {"answer": "published", "layers_left": len(plan), "said": said,
@@ -306,9 +260,8 @@ class Building:
 
     def _refused(self, refusal: Refusal) -> Answer:
         """Answer to a reading that is not used; the journal knows of it."""
-        answer = {"answer": "refused", "code": refusal.code, "reason": refusal.reason}
-        self._journal.append({"kind": "refused", **answer})
-        return answer
+        self.journal.append({"kind": "refused", **refusal.answer})
+        return refusal.answer
 
     # -- going on -----------------------------------------------------------------------------------
 
@@ -317,7 +270,7 @@ class Building:
         return {
             "format": FORMAT,
             "part_sha256": self.maker.part.sha256,
-            "settings_sha256": program_settings_sha256(self.maker.config),
+            "settings_sha256": sha256_of_json(self.maker.config.model_dump()),
             "annealing_steps": self.maker.annealing_steps,
             "mode": self.rule.mode,
             "cusp_mm": self.rule.cusp_mm,

@@ -21,8 +21,6 @@ from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.making import failure_of
 from ebamcheck.live.readings import LONGEST_LINE, Refusal, parsed
 
-READ_BYTES = 65536
-
 
 class Lines:
     """Lines of a file descriptor, with a time limit, in bounded memory: a longer one is cut and told as such."""
@@ -43,7 +41,7 @@ class Lines:
             ready, _, _ = select.select([self._descriptor], [], [], left)
             if not ready:
                 return None
-            found = os.read(self._descriptor, READ_BYTES)
+            found = os.read(self._descriptor, 65536)
             self._ended = not found
             if b"\n" not in found and len(self._held) > LONGEST_LINE:
                 continue  # the rest of a line that is too long already
@@ -52,21 +50,10 @@ class Lines:
         return line
 
 
-def serve(
-    building: Building,
-    lines: Lines,
-    out: IO[str],
-    timeout_s: float,
-    told: Callable[[Answer], None] = lambda _: None,
-) -> None:
+def serve(building: Building, lines: Lines, out: IO[str], timeout_s: float) -> None:
     """Answer lines until the input ends, somebody says ``stop``, or nobody reads the answers.
 
-    Parameters
-    ----------
-    timeout_s
-        Time without a line after which the server says that it waits; once until the next line.
-    told
-        Called with each answer.
+    After a time without a line the server says that it waits, once until the next line.
     """
     said_late, between = False, BetweenLayers(building)
     while True:
@@ -80,7 +67,6 @@ def serve(
         else:
             said_late = False
             answer = answer_to(building, line)
-        told(answer)
         out.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
         out.flush()
         between(answer)
@@ -93,7 +79,7 @@ def answer_to(building: Building, line: bytes) -> Answer:
     try:
         message = parsed(line)
         if isinstance(message, Refusal):
-            return {"answer": "refused", "code": message.code, "reason": message.reason}
+            return message.answer
         known: dict[str, Callable[[], Answer]] = {
             "start": building.start,
             "height": lambda: building.height(message),
@@ -103,11 +89,7 @@ def answer_to(building: Building, line: bytes) -> Answer:
         }
         event: Any = message.get("event")
         if not isinstance(event, str) or event not in known:
-            return {
-                "answer": "refused",
-                "code": "event",
-                "reason": f"event {event!r:.20}: known are {', '.join(known)}",
-            }
+            return Refusal("event", f"event {event!r:.20}: known are {', '.join(known)}").answer
         return known[event]()
     except Exception as error:  # a full disk, say: what was published stays
         return {"answer": "error", "reason": failure_of(error)}

@@ -1,4 +1,4 @@
-"""A measured surface under the next layer: its mean, hump and slope, and how uneven it is, in the cells of the part's metal.
+"""A measured surface under the next layer, from its file to the cells of the part's metal: its mean, hump and slope, how uneven it is.
 
 Cells along the border hold the flank of a bead, which is low whatever lies there: they do not count, and get the height of the
 nearest cell within. Heights are kept to a micrometre, as the journal holds them, so that a replay plans on the same numbers.
@@ -12,17 +12,21 @@ import hashlib
 import math
 import zlib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from scipy import ndimage
 
 from ebamcheck.errors import InputError
-from ebamcheck.live.map_files import HeightMap
 from ebamcheck.metal import Surface
 from ebamcheck.metal.surface import HALF, SPOT_BEADS
 from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.regular_file import regular_file
+from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.height_map import HeightMapSettings
 
 RIM_BEADS = 0.5
 """Width of the border, over the bead width, on which the flank of a bead lies."""
@@ -34,27 +38,152 @@ MENDING = (1.0, 0.6, 0.3)
 """Shares of a measured unevenness that a layer is tried to mend, one after the other, until every gate is open: the most that
 can be proved. A layer gets at most a fifth thicker or thinner for it (``MOST_MENDED``)."""
 
-KEPT_MM = 1e-3
-"""Step in which heights are kept."""
+KEPT_MM, MOST_KEPT_MM = 1e-3, 1e5
+"""Step in which heights are kept, and the greatest that is."""
 
 HOLE = np.iinfo(np.int32).min
 """In place of a height that is not known."""
 
-MOST_KEPT_MM = 1e5
-"""Greatest height that is kept."""
+FRAME = ".frame.toml"
+"""What is put behind the name of a map for the file of its frame."""
+
+MOST_POINTS, MOST_BYTES = 50_000_000, 1_000_000_000
+"""Points of a map, 400 MB, and bytes of a file at most."""
+
+COLUMNS = ("x_mm", "y_mm", "height_mm")
+SUFFIXES = (".csv", ".npy", ".tif", ".tiff")
+
+
+# -- files -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Measured places (n,) in the coordinates of the program, without holes; heights over the base plate; distance of neighbours."""
+
+    x_mm: Floats
+    y_mm: Floats
+    height_mm: Floats
+    step_mm: float
+
+
+def read_map(path: Path, settings: HeightMapSettings) -> HeightMap:
+    """Read a map: CSV with places, or an NPY or TIFF grid in the frame of the settings or of a file beside it."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"{path}: height maps are {', '.join(SUFFIXES)}")
+    try:
+        if regular_file(path).stat().st_size > MOST_BYTES:
+            raise InputError(f"{path}: is larger than {MOST_BYTES / 1e6:g} MB")
+        frame = _frame(path, settings)
+        if path.suffix.lower() == ".csv":
+            return _from_csv(path, frame)
+        grid = _from_npy(path) if path.suffix.lower() == ".npy" else _from_tiff(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    return placed(grid, frame, str(path))
+
+
+def _frame(path: Path, settings: HeightMapSettings) -> HeightMapSettings:
+    """The frame beside a map, else that of the settings."""
+    beside = path.with_name(path.name + FRAME)
+    if not beside.is_file():
+        return settings
+    values = settings.model_dump() | read_toml(beside, InputError)
+    return checked(HeightMapSettings, values, beside, error=InputError)
+
+
+def _from_csv(path: Path, frame: HeightMapSettings) -> HeightMap:
+    """Read places with their heights, or, without such a header, a grid of numbers."""
+    try:
+        head = path.read_bytes()[:4096].decode("utf-8").split("\n", 1)[0]
+        if not set(COLUMNS) <= {name.strip() for name in head.split(",")}:
+            return placed(pd.read_csv(path, header=None).to_numpy(np.float64), frame, str(path))
+        table = pd.read_csv(path, skipinitialspace=True)
+        table.columns = [str(name).strip() for name in table.columns]
+        x, y, value = (table[name].to_numpy(np.float64) for name in COLUMNS)
+    except (ValueError, UnicodeDecodeError) as error:
+        said = " ".join(str(error).split())[:120]
+        raise InputError(
+            f"{path}: is neither {','.join(COLUMNS)} with numbers below nor a grid of numbers: {said}"
+        ) from None
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        row = int(np.argmin(np.isfinite(x) & np.isfinite(y)))
+        raise InputError(f"{path}:{row + 2}: a place is no number; a hole is a row without a height")
+    steps = [float(np.median(np.diff(found))) for at in (x, y) if (found := np.unique(at)).size > 1]
+    step_mm = max(steps) if steps else 0.0
+    return _known(x, y, value, frame, step_mm, str(path))
+
+
+def _from_npy(path: Path) -> Floats:
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise InputError(f"{path}: is no NPY file of numbers: {' '.join(str(error).split())[:120]}") from None
+    if not isinstance(found, np.ndarray) or found.ndim != 2 or found.dtype.kind not in "fiu":
+        raise InputError(f"{path}: is no grid of numbers in rows and columns")
+    return found.astype(np.float64)
+
+
+def _from_tiff(path: Path) -> Floats:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as image:
+            if image.width * image.height > MOST_POINTS:
+                raise InputError(f"{path}: has more than {MOST_POINTS} points")
+            if image.mode not in ("F", "I", "I;16", "I;16B", "I;16L", "L"):
+                raise InputError(
+                    f"{path}: has the mode {image.mode!r}: give one channel of whole or floating numbers"
+                )
+            return np.asarray(image).astype(np.float64)
+    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
+        raise InputError(f"{path}: is no TIFF: {' '.join(str(error).split())[:120]}") from None
+
+
+def placed(grid: Floats, frame: HeightMapSettings, where: str) -> HeightMap:
+    """Put a grid (rows, columns) at its place.
+
+    Examples
+    --------
+    >>> frame = HeightMapSettings(origin_mm=(10.0, 20.0), step_mm=(1.0, 2.0), rows="up")
+    >>> found = placed(np.array([[1.0, np.nan], [3.0, 4.0]]), frame, "")
+    >>> found.x_mm, found.y_mm, found.height_mm
+    (array([10., 10., 11.]), array([20., 22., 22.]), array([1., 3., 4.]))
+    """
+    if grid.ndim != 2 or not grid.size:
+        raise InputError(f"{where}: is no grid of numbers in rows and columns")
+    if grid.size > MOST_POINTS:
+        raise InputError(f"{where}: has more than {MOST_POINTS} points")
+    if frame.rows == "down":
+        grid = grid[::-1]
+    row, column = np.indices(grid.shape)
+    along, up = column.reshape(-1) * frame.step_mm[0], row.reshape(-1) * frame.step_mm[1]
+    turn = math.radians(frame.turn_deg)
+    x = frame.origin_mm[0] + math.cos(turn) * along - math.sin(turn) * up
+    y = frame.origin_mm[1] + math.sin(turn) * along + math.cos(turn) * up
+    return _known(x, y, grid.reshape(-1), frame, max(frame.step_mm), where)
+
+
+def _known(
+    x: Floats, y: Floats, value: Floats, frame: HeightMapSettings, step_mm: float, where: str
+) -> HeightMap:
+    """Leave holes out, and give heights in millimetres."""
+    known = np.isfinite(value)
+    if frame.hole is not None:
+        known &= value != frame.hole
+    if not known.any():
+        raise InputError(f"{where}: has no height at all")
+    height = frame.zero_mm + frame.unit_mm * value[known]
+    return HeightMap(x[known], y[known], np.asarray(height, np.float64), step_mm)
+
+
+# -- cells -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class MapCells:
-    """A map in the cells of a part's metal.
-
-    Parameters
-    ----------
-    corner
-        Column and row of the first cell, counted from the origin of the part.
-    kept
-        (rows, columns) heights in micrometres, :data:`HOLE` where none is known.
-    """
+    """A map in the cells of a part's metal: column and row of the first cell from the part's origin, and (rows, columns) heights in
+    micrometres, :data:`HOLE` where none is known."""
 
     corner: tuple[int, int]
     kept: np.ndarray[Any, np.dtype[np.int32]]
@@ -82,13 +211,7 @@ class MapCells:
 
     @classmethod
     def of_entry(cls, entry: dict[str, Any]) -> MapCells:
-        """Take it back from the journal.
-
-        Raises
-        ------
-        InputError
-            If it is not what was kept.
-        """
+        """Take it back from the journal."""
         try:
             rows, columns = (int(n) for n in entry["shape"])
             content = zlib.decompress(base64.b64decode(entry["um"], validate=True))
@@ -137,21 +260,8 @@ def in_cells(found: HeightMap, surface: Surface) -> MapCells:
 
 @dataclass(frozen=True, eq=False)
 class MapFigures:
-    """What a map says of a layer.
-
-    Parameters
-    ----------
-    mean_mm
-        Mean height of the layer over the base plate.
-    hump_mm, hump_at_mm, dip_mm, dip_at_mm
-        How far the highest spot of a bead lies over the mean, and where; and the lowest under it.
-    slope_deg, slope_to_deg
-        Slope of the plane through the layer, and the direction in which it rises.
-    known
-        Share of the layer of which the height is known.
-    over_mm
-        (rows, columns) height over the mean, in the cells of the surface.
-    """
+    """What a map says of a layer: mean over the base plate, highest and lowest spot of a bead from there, slope of its plane and the
+    direction in which that rises, share of the layer that is known, and (rows, columns) height over the mean in the surface's cells."""
 
     mean_mm: float
     hump_mm: float
@@ -181,13 +291,7 @@ class UnevenLayer(InputError):
 
 
 def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
-    """Judge a map on the metal of the layer that it was taken of.
-
-    Raises
-    ------
-    UnevenLayer
-        If it is of another grid, nothing was laid, too little of the layer is known, or it is too uneven.
-    """
+    """Judge a map on the metal of the layer that it was taken of; :class:`UnevenLayer` where none can be laid on that."""
     settings, bead_mm = config.height_map, config.process.bead_width_mm
     metal = surface.share >= HALF
     if not metal.any():

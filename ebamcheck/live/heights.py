@@ -1,8 +1,13 @@
-"""Heights of the layers that are still to come: uniform, listed, or by cusp height, from what stands to the part's top.
+"""Heights of the layers that are still to come, from what stands to the part's top, and the feed at which one of a height is laid.
 
 A plan is made anew from every measured height. Every level face of the part is a border of layers, where the limits of the
 bead allow it; what they do not allow is said in words before it happens. The cusp of a layer is its height times the cosine
 of the surface's slope (Dolenc and Makela 1994), so that steep walls take thick layers.
+
+Wire goes with feed times height, v_wire A = v b h. Within the limits of the wire the feed stays, and the wire follows the height.
+A layer that would take more wire than the feeder has, or than the beam melts, is laid slower; one that would take less than
+the feeder's least is laid faster: within the windows of feed, travel and line energy. Feed and wire change by the same factor, so
+that a bead by itself stays as high as it was, and limits of layer height over bead height mean the same.
 """
 
 from __future__ import annotations
@@ -15,12 +20,13 @@ from typing import Literal
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import least_power_share
-from ebamcheck.live.layer_feed import farthest_mm
+from ebamcheck.heat.melting import least_power_share, melted_mm3_s
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
+from ebamcheck.settings.feed_along import speed_window
+from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, wire_area_mm2
+from ebamcheck.writing.wire import MOST_MENDED
 
 Mode = Literal["uniform", "listed", "adaptive"]
 
@@ -41,6 +47,101 @@ STEPS_A_LAYER = 16
 
 ROUNDING = 1e-9
 
+LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
+"""Least and greatest local height of a layer over its height, on a surface that was measured. The limits of a wire feed lie
+several times as far apart, so that one feed for the layer leaves the wire room to follow the local height all along."""
+
+CONTOURS = 1.25
+"""Wire of a bead along a contour over that of the layer, about: it lays the rim outside of it, too."""
+
+SHARE_DIGITS = 4
+"""Decimals of a changed feed over that of the process."""
+
+
+# -- feed --------------------------------------------------------------------------------------------
+
+
+def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] = (1.0, 1.0)) -> float | None:
+    """Return the feed of a layer over that of the process: the nearest to 1 within every limit; None: there is none.
+
+    The wire is to have `room` for the least and greatest metal along the beads over that of the layer's height.
+
+    Examples
+    --------
+    >>> speed_share(Config(), 1.7)
+    1.0
+    >>> speed_share(Config().changed(process={"wire_speed_max_mm_s": 30.0}), 1.7)
+    0.8213
+    """
+    process = config.process
+    wire = nominal_wire_speed_mm_s(config, thickness_mm)
+    low, high = speed_window(config)
+    low = max(low, process.wire_speed_min_mm_s / (wire * room[0]))
+    high = min(high, process.wire_speed_max_mm_s / (wire * room[1]))
+    metal_mm3_s = wire * wire_area_mm2(config)
+    high = min(high, process.power_w / (metal_mm3_s * process.metal_energy_j_mm3[0]))
+    low = max(low, process.power_w / (metal_mm3_s * process.metal_energy_j_mm3[1]))
+    high = min(high, melted_mm3_s(config) / metal_mm3_s)
+    if low > high:
+        return None
+    if low <= 1.0 <= high:
+        return 1.0
+    grid = 10.0**SHARE_DIGITS
+    share = math.ceil(low * grid) / grid if low > 1.0 else math.floor(high * grid) / grid
+    return share if low <= share <= high else min(max(1.0, low), high)
+
+
+def at_speed(config: Config, share: float) -> Config:
+    """Return the settings of a layer that is laid at a share of the feed of the process."""
+    if share == 1.0:
+        return config
+    process = config.process
+    changes = {
+        "travel_speed_mm_s": process.travel_speed_mm_s * share,
+        "wire_speed_mm_s": process.wire_speed_mm_s * share,
+    }
+    return config.model_copy(update={"process": process.model_copy(update=changes)})
+
+
+def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, along: bool = True) -> Config:
+    """Return the settings of a layer of a height with its feed; that of the process where no feed is within every limit: the gates tell of it.
+
+    The feed of the process stays where the wire has room, at it, for the beads along contours, too; on a surface that was
+    measured, `mapped`, for the local height besides. Where no feed leaves that much room, as much of it as one leaves, and the feed
+    follows `along` the path, too.
+    """
+    least, most = LOCAL if mapped else (1.0, 1.0)
+    parts = (1.0, 0.75, 0.5, 0.25, 0.0)
+    found = (speed_share(config, thickness_mm, (least**part, (most * CONTOURS) ** part)) for part in parts)
+    laid = at_speed(config, next((share for share in found if share is not None), 1.0))
+    if not (mapped and along) or has_room(laid, thickness_mm):
+        return laid
+    return laid.model_copy(update={"process": laid.process.model_copy(update={"feed_along_path": True})})
+
+
+def has_room(config: Config, thickness_mm: float) -> bool:
+    """Whether the wire can follow the local height of a measured surface at the feed of the settings, along contours, too."""
+    wire = nominal_wire_speed_mm_s(config, thickness_mm)
+    process = config.process
+    return (
+        wire * LOCAL[0] >= process.wire_speed_min_mm_s
+        and wire * LOCAL[1] * CONTOURS <= process.wire_speed_max_mm_s
+    )
+
+
+def farthest_mm(config: Config, from_mm: float, to_mm: float) -> float:
+    """Layer height nearest to `to_mm`, on the way from one that can be laid, for which there is a feed."""
+    if speed_share(config, to_mm) is not None:
+        return to_mm
+    good, bad = from_mm, to_mm
+    for _ in range(50):
+        middle = 0.5 * (good + bad)
+        good, bad = (middle, bad) if speed_share(config, middle) is not None else (good, middle)
+    return good
+
+
+# -- limits ------------------------------------------------------------------------------------------
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -51,22 +152,26 @@ class Limits:
     usual_mm: float
     why: tuple[str, str] = ("", "")
 
+    def hold(self, thickness_mm: Floats) -> bool:
+        """Whether all of some heights are within them."""
+        low, high = self.least_mm * (1.0 - ROUNDING), self.most_mm * (1.0 + ROUNDING)
+        return bool(((thickness_mm >= low) & (thickness_mm <= high)).all())
+
 
 def bead_limits(config: Config) -> Limits:
     """Limits of the bead: the process window, the wire feed, and the power that melts the wire."""
     process = config.process
     per_mm = nominal_wire_speed_mm_s(config, 1.0)
-    bead = process.bead_height_mm
-    low = [
-        (process.layer_over_bead[0] * bead, "process.layer_over_bead"),
+    lowest, highest = (share * process.bead_height_mm for share in process.layer_over_bead)
+    least = max(
+        (lowest, "process.layer_over_bead"),
         (process.wire_speed_min_mm_s / per_mm, "process.wire_speed_min_mm_s"),
-    ]
-    high = [
-        (process.layer_over_bead[1] * bead, "process.layer_over_bead"),
+    )
+    most = min(
+        (highest, "process.layer_over_bead"),
         (process.wire_speed_max_mm_s / per_mm, "process.wire_speed_max_mm_s"),
-        (_melted_mm(config, process.layer_over_bead[1] * bead), "the power of the beam"),
-    ]
-    least, most = max(low), min(high)
+        (_melted_mm(config, highest), "the power of the beam"),
+    )
     if least[0] > most[0]:
         raise SettingsError(
             f"no layer height is within the process: at least {least[0]:.3g} mm by {least[1]}, at most {most[0]:.3g} mm by {most[1]}"
@@ -100,19 +205,13 @@ def _melted_mm(config: Config, most_mm: float) -> float:
     return low
 
 
+# -- layers ------------------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, eq=False)
 class Slopes:
-    """Level faces and slopes of a part.
-
-    Parameters
-    ----------
-    faces_mm
-        (F,) Z over the part's lowest point of its level faces, rising; the bottom is none, the top is the last.
-    step_mm
-        Height of the cells.
-    level
-        (n,) greatest cosine of the slope in each cell from below, 0 for a vertical wall; level faces do not count.
-    """
+    """Level faces and slopes of a part: Z (F,) of its level faces over its lowest point, rising, the top the last; and (n,) greatest cosine
+    of the slope in each cell of a height from below, 0 for a vertical wall, without level faces."""
 
     faces_mm: Floats
     step_mm: float
@@ -131,13 +230,10 @@ class Slopes:
         found = _grouped(z[flat].mean(axis=1), 0.5 * twice[flat]) if flat.any() else np.zeros(0)
         faces = found[(found > LEVEL_MM) & (found < height - LEVEL_MM)]
         count = max(1, math.ceil(height / step_mm - ROUNDING))
-        level = np.zeros(count)
         low, high = z[~flat].min(axis=1), z[~flat].max(axis=1)
         first = np.clip((low / step_mm).astype(np.int64), 0, count - 1)
         last = np.clip(np.ceil(high / step_mm).astype(np.int64) - 1, first, count - 1)
-        of_cell = _greatest(first, last, cosine[~flat], count)
-        np.maximum(level, of_cell, out=level)
-        return cls(np.append(faces, height), step_mm, level)
+        return cls(np.append(faces, height), step_mm, _greatest(first, last, cosine[~flat], count))
 
     @property
     def top_mm(self) -> float:
@@ -149,6 +245,11 @@ class Slopes:
         a = min(max(int(low_mm / self.step_mm + ROUNDING), 0), len(self.level) - 1)
         b = min(max(math.ceil(high_mm / self.step_mm - ROUNDING), a + 1), len(self.level))
         return float(self.level[a:b].max())
+
+    def cusps(self, thickness_mm: Floats, tops_mm: Floats) -> Floats:
+        """(L,) cusp of layers."""
+        steps = zip(thickness_mm.tolist(), tops_mm.tolist(), strict=True)
+        return np.array([step * self.steepest(top - step, top) for step, top in steps])
 
 
 def _grouped(z: Floats, area: Floats) -> Floats:
@@ -178,17 +279,7 @@ def _greatest(first: np.ndarray, last: np.ndarray, value: Floats, count: int) ->
 
 @dataclass(frozen=True, eq=False)
 class HeightPlan:
-    """Layers from what stands to the part's top.
-
-    Parameters
-    ----------
-    base_mm
-        Z of what stands.
-    tops_mm, cusp_mm
-        (L,) Z of each layer's top, and its cusp.
-    said
-        What cannot be met, one line each; empty: everything is met.
-    """
+    """Layers from what stands to the part's top: (L,) Z of each layer's top, and its cusp; and what cannot be met, one line each."""
 
     base_mm: float
     tops_mm: Floats
@@ -209,17 +300,8 @@ class HeightPlan:
 class HeightRule:
     """How heights are chosen.
 
-    Parameters
-    ----------
-    mode
-        ``uniform``: the usual height, changed as little as the faces ask for; ``listed``: given tops; ``adaptive``: as thick
-        as the cusp allows.
-    cusp_mm
-        Greatest cusp of ``adaptive``.
-    listed_mm
-        Tops of ``listed``, rising.
-    by_feed
-        Limits where the feed follows, too, which is used where nothing within `limits` fits; None: the feed stays.
+    ``uniform``: the usual height, changed as little as the faces ask for; ``listed``: given tops, rising; ``adaptive``: as thick as the
+    cusp allows. `by_feed` are limits where the feed follows, too, which it does where nothing within `limits` fits; None: it stays.
     """
 
     slopes: Slopes
@@ -263,9 +345,7 @@ class HeightRule:
             near = np.argmin(np.abs(tops - high))
             if abs(tops[near] - high) <= LEVEL_MM:
                 tops[near] = high
-        steps = np.diff(tops, prepend=base_mm)
-        cusp = np.array([t * self.slopes.steepest(top - t, top) for t, top in zip(steps, tops, strict=True)])
-        return HeightPlan(base_mm, tops, cusp, tuple(said))
+        return HeightPlan(base_mm, tops, self.slopes.cusps(np.diff(tops, prepend=base_mm), tops), tuple(said))
 
     def _stations(self, base_mm: float) -> tuple[list[float], list[str]]:
         """Heights that are to be met exactly, rising up to the top, and which cannot."""
@@ -274,11 +354,10 @@ class HeightRule:
         if top - base_mm <= self.met_mm:
             over = base_mm - top
             late = over > self.met_mm
-            return [], [
-                f"what stands is {over:.3f} mm over the part's top: it is to be machined off"
-            ] if late else []
+            said = [f"what stands is {over:.3f} mm over the part's top: it is to be machined off"]
+            return [], said if late else []
         wanted = sorted({*self.listed_mm, top} if self.mode == "listed" else slopes.faces_mm.tolist())
-        said: list[str] = []
+        said = []
         kept: list[float] = []
         low = base_mm
         for z in wanted:
@@ -312,14 +391,14 @@ class HeightRule:
         else:
             wanted = [limits.usual_mm] * max(1, round(gap / limits.usual_mm))
         scaled = np.array(wanted) * (gap / sum(wanted))
-        if self._within(scaled, outer if self.mode != "uniform" else limits):
+        if (outer if self.mode != "uniform" else limits).hold(scaled):
             return scaled.tolist(), self._said_of_cusp(scaled, low_mm)
         counts = sorted(range(1, math.ceil(gap / outer.least_mm) + 1), key=lambda n: abs(n - len(wanted)))
         # The feed stays where it can.
         for within in (limits, outer):
             for count in counts:
                 even = np.full(count, gap / count)
-                if self._within(even, within):
+                if within.hold(even):
                     said = ""
                     if self.mode == "listed" and count > 1:
                         said = f"the step of {gap:.3f} mm to Z {high_mm:.3f} is laid in {count} layers: the greatest is {within.most_mm:.3f} mm"
@@ -337,10 +416,6 @@ class HeightRule:
             f"{'high' if off_mm > 0.0 else 'low'}"
         )
         return [thick] * count, said
-
-    def _within(self, thickness: Floats, limits: Limits) -> bool:
-        low, high = limits.least_mm * (1.0 - ROUNDING), limits.most_mm * (1.0 + ROUNDING)
-        return bool(((thickness >= low) & (thickness <= high)).all())
 
     def _by_cusp(self, low_mm: float, high_mm: float) -> list[float]:
         """Layers from below, each as thick as the cusp allows; together at least the way."""
@@ -360,7 +435,7 @@ class HeightRule:
         if self.mode != "adaptive":
             return ""
         tops = low_mm + np.cumsum(thickness)
-        cusp = [t * self.slopes.steepest(top - t, top) for t, top in zip(thickness, tops, strict=True)]
+        cusp = self.slopes.cusps(thickness, tops)
         k = int(np.argmax(cusp))
         if cusp[k] <= self.cusp_mm * (1.0 + 1e-6):
             return ""
@@ -373,13 +448,7 @@ class HeightRule:
 def height_rule(
     part: Part, config: Config, mode: Mode = "uniform", cusp_mm: float = 0.5, listed_mm: Sequence[float] = ()
 ) -> HeightRule:
-    """Rule of a part and its process.
-
-    Raises
-    ------
-    SettingsError
-        If the process leaves no height, the cusp is not positive, or listed heights do not rise.
-    """
+    """Rule of a part and its process; refused is a process that leaves no height, a cusp that is none, and heights that do not rise."""
     if not (math.isfinite(cusp_mm) and cusp_mm > 0.0):
         raise SettingsError(f"cusp {cusp_mm} mm: give a positive number of millimetres")
     listed = tuple(float(z) for z in listed_mm)

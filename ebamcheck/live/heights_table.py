@@ -24,20 +24,10 @@ PLOT_EVERY = 20
 
 @dataclass(frozen=True)
 class LaidHeight:
-    """One layer that was laid and measured, heights over the base plate, mm.
+    """One layer that was laid and measured, from 1, with heights over the base plate.
 
-    Parameters
-    ----------
-    layer
-        Its number, from 1.
-    planned_top_mm
-        Its top as it was planned when the build began; NaN for one that was not planned then.
-    base_mm, corrected_top_mm
-        What it was laid on, as measured, and the top that it was to have from there.
-    measured_top_mm, deviation_mm
-        Its top as measured, and how far that is over the corrected one.
-    thickness_mm, grown_mm, cusp_mm
-        Its height as corrected and as measured, and its cusp.
+    Its top as planned when the build began, NaN where it was not planned then; as corrected from what it was laid on; as measured, and how
+    far that is over the corrected one; its height as corrected and as grown, and its cusp.
     """
 
     layer: int

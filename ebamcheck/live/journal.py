@@ -11,9 +11,9 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain
@@ -26,16 +26,8 @@ FIRST = "0" * 64
 """In place of a hash in the first line."""
 
 
-class Journal:
-    """A journal that is written to; locked against a second writer.
-
-    Raises
-    ------
-    SettingsError
-        If another process writes to it.
-    InputError
-        If a line but the last one is damaged.
-    """
+class Journal(AbstractContextManager["Journal"]):
+    """A journal that is written to; locked against a second writer."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -57,13 +49,11 @@ class Journal:
             self._file.close()
             raise
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
+        self.close()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
         """Close the file and let go of the lock."""
         self._file.close()
 
@@ -78,25 +68,13 @@ class Journal:
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
-    """Entries of a journal, from the first; a last line that a kill has cut off is left out.
-
-    Raises
-    ------
-    InputError
-        If there is no journal, or a line is damaged, changed or missing.
-    """
+    """Entries of a journal, from the first; a last line that a kill has cut off is left out, a damaged one raises :class:`InputError`."""
     for _, entry in _lines(path):
         yield entry
 
 
 def check_format(first: Mapping[str, Any], path: Path) -> None:
-    """Refuse to go on with a journal of another format, by its first entry.
-
-    Raises
-    ------
-    InputError
-        If its entries count layers otherwise.
-    """
+    """Refuse to go on with a journal of another format, by its first entry."""
     if first.get("format") != FORMAT:
         raise InputError(
             f"{path}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, or give another "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,13 +12,16 @@ import pandas as pd
 
 from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.metal_so_far import MetalSoFar
+from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.live.before import Before
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
+from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers
+from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.verification.verify import part_of_run
 
@@ -53,20 +56,45 @@ class FinishedRun:
         """What the run's scan plan knows of its layers."""
         return PlanOfLayers.from_parquet(self.folder.path / "scan.parquet")
 
-    def busy_s(self) -> Floats:
-        """(L, 2) time of each layer with the beam on, and with it off: travel, and the waits within the layer."""
-        table = pd.read_csv(self.folder.path / "process.csv")
-        before_s = np.nan_to_num(self.plan.metrics["wait_s"].to_numpy())
-        off_s = table["travel_s"] + np.maximum(table["wait_s"] - before_s, 0.0)
-        return np.column_stack([table["deposit_s"], off_s])
+    def before(self, layer: int) -> Before:
+        """What stands under the layer of that index, laid as the run planned it: heat by the balance alone, sums where it has a table.
 
-    def metal_under(self, layer: int) -> MetalSoFar | None:
-        """Sums of the metal under a layer of the run; None where the run has no table of it."""
+        What differs across a section decays while the next layer is laid; the mean stays. An order that begins on it knows
+        the mean of the whole body, and what differs from the layer on which it works.
+        """
+        found = Before(PartHeat(self._column_under(layer)))
         table = self.folder.path / "deposit.csv"
         if not table.is_file():
-            return None
-        found = pd.read_csv(table).iloc[:layer]
-        return MetalSoFar(MetalBelow().and_layers(found, self.config.process))
+            return found
+        laid = pd.read_csv(table).iloc[:layer]
+        return replace(found, below=MetalBelow().and_layers(laid, self.config.process))
+
+    def _column_under(self, layer: int) -> HeatColumn:
+        """Balance of the heat of the layers under one, by sections, waits and power of the plan."""
+        config, plan, thickness_mm = self.config, self.plan, self.thickness_mm
+        column = HeatColumn(config)
+        if plan.sections is None:
+            return column
+        wait_s, share = (np.nan_to_num(plan.metrics[name].to_numpy()) for name in ("wait_s", "power_share"))
+        share = np.where(share > 0.0, share, 1.0)
+        table = pd.read_csv(self.folder.path / "process.csv")
+        on_s = table["deposit_s"].to_numpy()
+        # With the beam off: travel, and the waits within the layer.
+        off_s = (table["travel_s"] + np.maximum(table["wait_s"] - wait_s, 0.0)).to_numpy()
+        full_w = config.process.power_w * config.material.absorptivity
+        none = np.zeros(len(wait_s))
+        scans = plan.metrics["preheat_passes"].to_numpy() if "preheat_passes" in plan.metrics else none
+        sections, z_mm = list(plan.sections), np.concatenate([[0.0], np.cumsum(thickness_mm)])
+        for k in range(layer):
+            shape = LayerShape.of(plan.sections[k], float(thickness_mm[k]))
+            if shape.area_mm2 <= 0.0:
+                continue
+            if scans[k] > 0:
+                column = preheated(PartHeat(column), sections, k, float(z_mm[k]), config)[0].column
+            column.advance(float(wait_s[k]))
+            column.lay(shape)
+            column.advance(float(on_s[k] + off_s[k]), float(on_s[k] * share[k]) * full_w)
+        return column
 
     def program_of(self, layer: int) -> dict[str, Any] | None:
         """Name and hash of the run's own program of a layer; None where all layers are in one file."""
@@ -77,15 +105,7 @@ class FinishedRun:
 def finished_run(
     folder: Path, part: Path | None = None, direction: tuple[float, ...] | None = None
 ) -> FinishedRun:
-    """Load a finished run and its part.
-
-    Raises
-    ------
-    InputError
-        If it is no run folder, or has no program.
-    SettingsError
-        If the part is not found, or is not the one that the run was made of.
-    """
+    """Load a finished run and its part; refused is a run without a program, and a part of which it was not made."""
     run = RunFolder(folder)
     manifest = run.manifest()
     if not manifest.get("program") or not (folder / "scan.parquet").is_file():

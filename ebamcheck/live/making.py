@@ -7,35 +7,30 @@ control gets is the text that was verified, and anybody can verify it again from
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.backend import BackendSettings
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
-from ebamcheck.json_values import sha256_of_json
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import Layers
-from ebamcheck.live.heat_so_far import HeatSoFar
-from ebamcheck.live.layer_feed import aimed_lower, at_layer_feed, with_feed_along
-from ebamcheck.live.metal_so_far import MetalSoFar, mesh_and_metal
+from ebamcheck.live.before import Before, metal_checks
+from ebamcheck.live.heights import at_layer_feed
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
-from ebamcheck.metal import Surface
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates
@@ -64,6 +59,12 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 
+ROOM_K = 10.0
+"""Room under the limit beside what was found over it: with other waits and power beads are entered at other moments."""
+
+MOST_K = 150.0
+"""More than this no plan is to aim lower."""
+
 
 @dataclass(frozen=True)
 class Wanted:
@@ -90,39 +91,36 @@ class MadeLayer:
 
     Parameters
     ----------
-    wanted, config, cut_mm
-        What was asked for, the settings of its program, and the absolute height of the cut.
-    files
-        Its program; None where a gate shut before one was written.
-    gates, checks
-        What was judged.
-    heat, metal
-        The part's heat and metal when it is done; those before it where no program was written.
+    after
+        What stands when it is done.
     wait_s
         Least time between the last bead below and the first of this layer.
-    islands, deposit_s
-        Islands, and the time with the waits within the layer.
+    deposit_s
+        Its time, with the waits within it.
     seconds
-        Time that each stage took.
+        Time that the making took, by stage.
     """
 
     wanted: Wanted
     config: Config
-    cut_mm: float
-    files: ProgramFiles | None
+    files: ProgramFiles
     gates: tuple[Gate, ...]
     checks: tuple[Check, ...]
-    heat: HeatSoFar
-    metal: MetalSoFar
+    after: Before
     wait_s: float
     islands: int
     deposit_s: float
     seconds: dict[str, float]
 
     @property
+    def cut_mm(self) -> float:
+        """Absolute height of the cut."""
+        return self.config.layers.heights_mm[0]
+
+    @property
     def passed(self) -> bool:
-        """Whether every gate is open and there is a program."""
-        return self.files is not None and self.files.validated and all(gate.passed for gate in self.gates)
+        """Whether every gate is open."""
+        return self.files.validated and all(gate.passed for gate in self.gates)
 
     @property
     def why(self) -> str:
@@ -130,26 +128,11 @@ class MadeLayer:
         return "; ".join(f"gate {gate.name}: {gate.text}" for gate in self.gates if not gate.passed)
 
 
-class LayerMaker:
-    """A part and two slicers, ready to make any layer of it.
+class LayerMaker(AbstractContextManager["LayerMaker"]):
+    """A part as placed and two slicers, ready to make any layer of it.
 
-    Parameters
-    ----------
-    part
-        The part as placed.
-    config
-        Settings of the run.
-    primary
-        Slicer whose contours become the program; empty: the one of the settings, else the default one.
-    annealing_steps
-        Moves by which an order of islands is improved: the greedy plans alone are a matter of a tenth of a second.
-
-    Raises
-    ------
-    BackendMissing
-        If there are no two exact slicers on this machine.
-    SettingsError
-        If programs of the control are not read back.
+    The contours of `primary` become the program: empty, that of the settings, else the default one. An order of islands is improved by
+    `annealing_steps` moves; the greedy plans alone are a matter of a tenth of a second.
     """
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
@@ -176,25 +159,18 @@ class LayerMaker:
         """What stands of a part that is turned between layers; None: it is not."""
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
-        settings = {name: self._settings(name) for name in (self.primary, self.witness)}
+        given = config.slicing.settings
+        names = (self.primary, self.witness)
+        settings = {name: registry.slicer_settings(name, given.get(name, {})) for name in names}
         self._bounds = declared_bounds(part, settings)
         self._slicings = {
             name: self._open.enter_context(Slicing(part, name, **values.model_dump()))
             for name, values in settings.items()
         }
 
-    def __enter__(self) -> Self:
-        """Return itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Free what the slicers hold."""
         self._open.close()
-
-    def _settings(self, backend: str) -> BackendSettings:
-        return registry.slicer_settings(backend, self.config.slicing.settings.get(backend, {}))
 
     @property
     def bottom_mm(self) -> float:
@@ -216,75 +192,60 @@ class LayerMaker:
         cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
         sections = at_layer_feed(self.config, wanted.thickness_mm, mapped, along)
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
+        of_layer = {
+            "heights_mm": (cut_mm,),
+            "layer_height_mm": wanted.thickness_mm,
+            "base_mm": wanted.base_mm,
+        }
         return sections.model_copy(
             update={
                 "part": self._of_part,
-                "layers": sections.layers.model_copy(
-                    update={
-                        "heights_mm": (cut_mm,),
-                        "layer_height_mm": wanted.thickness_mm,
-                        "base_mm": wanted.base_mm,
-                    }
-                ),
+                "layers": sections.layers.model_copy(update=of_layer),
                 "scan": self._of_scan,
                 "machine": sections.machine.model_copy(update={"program_name": wanted.name}),
             }
         )
 
-    def make(
-        self, wanted: Wanted, heat: HeatSoFar, folder: Path, metal: MetalSoFar | None = None
-    ) -> MadeLayer:
-        """Make one layer; its program goes to `folder`, and is stamped as validated where every gate is open.
+    def make(self, wanted: Wanted, before: Before, folder: Path) -> MadeLayer:
+        """Make one layer on what stands; its program goes to `folder`, and is stamped as validated where every gate is open.
 
-        Parameters
-        ----------
-        heat
-            The part's heat when the layer under it is done.
-        metal
-            The metal that stands; None: nothing is known of it, and the layer is judged by itself, on a level surface.
-
-        Raises
-        ------
-        EbamcheckError
-            If a stage cannot do its work at all: the layer has no section, a slicer fails, a setting is wrong.
+        Where the feed follows along the path and a gate shuts, the plan aims cooler, and then the wire follows alone.
         """
-        mapped = metal is not None and metal.mapped_surface
-        make = partial(self._made, wanted, heat, folder, metal)
-        return with_feed_along(
-            make, self.config_of(wanted, mapped), partial(self.config_of, wanted, mapped, False)
+        mapped = before.mapped_surface
+        config = self.config_of(wanted, mapped)
+        made = self._made(wanted, before, folder, config)
+        if made.passed or not config.process.feed_along_path:
+            return made
+        if (over_k := too_warm_k(made.gates)) > 0.0:
+            made = self._made(wanted, before, folder, config, over_k)
+        return (
+            made if made.passed else self._made(wanted, before, folder, self.config_of(wanted, mapped, False))
         )
 
     def _made(
-        self,
-        wanted: Wanted,
-        heat: HeatSoFar,
-        folder: Path,
-        metal: MetalSoFar | None,
-        config: Config,
-        cooler_k: float = 0.0,
+        self, wanted: Wanted, before: Before, folder: Path, config: Config, cooler_k: float = 0.0
     ) -> MadeLayer:
         """Make one layer by its settings, on a plan that aims under the limit of the heat by some kelvins."""
-        clock = Clock()
-        with clock.stage("slice"):
+        seconds: dict[str, float] = {}
+        stands = before.measured()
+        with timed(seconds, "slice"):
             cuts = self._cut(wanted, config)
         contours, witness = cuts[self.primary], cuts[self.witness]
         # What only judges goes on beside what makes the program.
-        comparing = self._aside.submit(self._agreement, cuts, clock)
-        with clock.stage("fit"):
+        comparing = self._aside.submit(self._agreement, cuts, seconds)
+        with timed(seconds, "fit"):
             verdict = self._fitted(contours, config)
             smooth = smooth_layers(verdict.curves)
-        stands = None if metal is None else metal.measured()
-        surface = None if stands is None else stands.surface
-        with clock.stage("plan"):
-            plan, after, wait_s = self._planned(smooth, wanted, heat, aimed_lower(config, cooler_k), surface)
+        with timed(seconds, "plan"):
+            plan, after, wait_s = self._planned(smooth, wanted, stands, aimed_lower(config, cooler_k))
         agreement = comparing.result()
-        with clock.stage("write"):
+        with timed(seconds, "write"):
             laid = laid_out(smooth, plan, config, wanted.layer)
             files = written(laid, self.part, config, folder)
-        with clock.stage("verify"):
+        with timed(seconds, "verify"):
             read = control(config.machine.control).load("reader")
             program, match = matched(read(files.main, config), laid.path)
-            weighing = self._aside.submit(mesh_and_metal, program, self.part, witness, stands, config)
+            weighing = self._aside.submit(self._weighed, program, witness, after, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
@@ -295,22 +256,31 @@ class LayerMaker:
                 match=match,
                 layers=witness,
                 heat=True,
-                before=heat.rested(wait_s + rise_s).part.column,
+                before=before.rested(wait_s + rise_s).part.column,
                 under=self._under(config, self.witness),
                 sha256=files.sha256,
                 smooth=smooth_sections(verdict.curves, config),
             )
-            beside, stands = weighing.result()
+            beside, after = weighing.result()
             checks += [*beside, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = witness.section(0)
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
             made = [self.sound, agreement, *judged_program(verdict, checks, plan.metrics, config)]
             files = marked_validated(files) if all(gate.passed for gate in made) else files
+        scan_s = sum(float(way.time_s.sum()) for way in scans_of(program, config).values())
         return MadeLayer(
-            wanted, config, config.layers.heights_mm[0], files, tuple(made), tuple(checks), after, stands, wait_s,
-            len(plan.islands), after.layer_s + scan_seconds(program, config), clock.seconds,
+            wanted, config, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
+            after.layer_s + scan_s, seconds,
         )  # fmt: skip
+
+    def _weighed(
+        self, program: NCProgram, witness: Layers, before: Before, config: Config
+    ) -> tuple[list[Check], Before]:
+        """Whether a layer is cut where it comes to lie, its section is that of the mesh, and its metal that of the section."""
+        checks, after = metal_checks(program, witness, before, config)
+        height = layer_check(self.part, float(witness.heights[0]), config.base_mm, config.layer_height_mm)
+        return [*checks, height, sections_check(self.part, witness, config)], after
 
     def _cut(self, wanted: Wanted, config: Config) -> dict[str, Layers]:
         """Section of the layer by both slicers."""
@@ -326,23 +296,24 @@ class LayerMaker:
         curves = fit_for_program(contours, config.curves, self.part, error_bound_mm=bound_mm)
         return judged(curves, contours, self.part, config)[0]
 
-    def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:
+    def _agreement(self, cuts: dict[str, Layers], seconds: dict[str, float]) -> Gate:
         """Whether both methods agree on the layer."""
-        with clock.stage("compare"):
+        with timed(seconds, "compare"):
             found = compared_layers(cuts, self.part, self._bounds, self.config, count_evidence=False)
             # Nothing is written here: an outcome is done when it has a file.
             done = {name: Outcome(name, file=Path(name)) for name in cuts}
             return gates.agreement_gate(found, done, 1)
 
     def _under(self, config: Config, backend: str) -> BaseGeometry | None:
-        """Section of what the layer lies on, where that is preheated."""
-        at_mm = height_under_mm(config)
-        return None if at_mm is None else self.section_at(at_mm, backend)
+        """Section of what the layer lies on, half a layer under its bottom, where that is preheated."""
+        if config.base_mm == 0.0 or not asked_for(0, config):
+            return None
+        return self.section_at(max(config.base_mm - 0.5 * config.layer_height_mm, 0.0), backend)
 
     def _planned(
-        self, smooth: Layers, wanted: Wanted, heat: HeatSoFar, config: Config, surface: Surface | None
-    ) -> tuple[ScanPlan, HeatSoFar, float]:
-        """Plan of the layer on the heat so far; the heat when it is done; and the wait before it, s."""
+        self, smooth: Layers, wanted: Wanted, before: Before, config: Config
+    ) -> tuple[ScanPlan, Before, float]:
+        """Plan of the layer on what stands; the same with the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
         section = smooth.section(0)
         stack = Stack(
@@ -351,23 +322,46 @@ class LayerMaker:
         laid, islands = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
-        warm, passes = preheated(heat.part, [section], 0, wanted.base_mm, config, under)
-        power_of = power_by_wire([section], config, surface, wanted.layer)
+        warm, passes = preheated(before.part, [section], 0, wanted.base_mm, config, under)
+        power_of = power_by_wire([section], config, before.surface, wanted.layer)
         done, part, last = ordered_on(
-            warm, heat.last, laid, islands, wanted.thickness_mm, config, order, carry, not heat.laid, power_of
+            warm,
+            before.last,
+            laid,
+            islands,
+            wanted.thickness_mm,
+            config,
+            order,
+            carry,
+            not before.laid,
+            power_of,
         )
         if done.heat is not None:
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under, stands=surface)
-        wait_s = 0.0 if last is None or last is heat.last else last.wait_s
-        return plan, replace(heat, part=part, last=last), wait_s
+        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under, stands=before.surface)
+        wait_s = 0.0 if last is None or last is before.last else last.wait_s
+        return plan, replace(before, part=part, last=last), wait_s
 
 
-def program_settings_sha256(config: Config) -> str:
-    """Hash of the settings of a layer's program, as its header says it."""
-    return sha256_of_json(config.model_dump())
+def too_warm_k(gates: Sequence[Gate]) -> float:
+    """How far a layer is over the limit of the heat, of which that is all that is wrong; else 0."""
+    shut = [gate for gate in gates if not gate.passed]
+    if len(shut) != 1 or shut[0].name != "heat":
+        return 0.0
+    over_k = shut[0].figure - shut[0].limit
+    return over_k if 0.0 < over_k <= MOST_K else 0.0
+
+
+def aimed_lower(config: Config, by_k: float) -> Config:
+    """Settings of a plan that aims under the limit of the heat; the layer itself is judged by the limit."""
+    if by_k <= 0.0:
+        return config
+    limit_k = entry_limit_k(config) - by_k - ROOM_K
+    return config.model_copy(
+        update={"process": config.process.model_copy(update={"interpass_limit_k": limit_k})}
+    )
 
 
 def failure_of(error: Exception) -> str:
@@ -376,20 +370,12 @@ def failure_of(error: Exception) -> str:
     return text if isinstance(error, EbamcheckError) else f"internal error: {type(error).__name__}: {text}"
 
 
-class Clock:
-    """Times of named stages, s."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time a block."""
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - begin
+@contextmanager
+def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    """Keep the time of a block."""
+    begin = time.perf_counter()
+    yield
+    seconds[stage] = time.perf_counter() - begin
 
 
 def preheated_in_layers(config: Config) -> Config:
@@ -397,18 +383,3 @@ def preheated_in_layers(config: Config) -> Config:
     if config.preheat.when == "off":
         return config
     return config.model_copy(update={"preheat": config.preheat.model_copy(update={"scan_in": "layer"})})
-
-
-def height_under_mm(config: Config) -> float | None:
-    """Height over the plate at which the section of what a layer lies on is taken, half a layer under its bottom.
-
-    None where nothing is preheated there.
-    """
-    if config.base_mm == 0.0 or not asked_for(0, config):
-        return None
-    return max(config.base_mm - 0.5 * config.layer_height_mm, 0.0)
-
-
-def scan_seconds(program: NCProgram, config: Config) -> float:
-    """Time of the scan of a layer's program, with its wait."""
-    return sum(float(way.time_s.sum()) for way in scans_of(program, config).values())

@@ -1,9 +1,13 @@
-"""Publishing a layer: its program under a new name, its settings and its certificate, whole and on disk, or not at all."""
+"""Publishing a layer: its program under a new name, its settings and its certificate, whole and on disk, or not at all.
+
+A gate that judges a layer says nothing of what is told beside it (the wait before it, the file that is called, the end of the build):
+that is looked at once more, by `verify`, and by the server before it tells anybody.
+"""
 
 from __future__ import annotations
 
-import hashlib
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable, Mapping
@@ -12,20 +16,16 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import json_text, plain, sha256_of_json
-from ebamcheck.live.making import MadeLayer
-from ebamcheck.live.released_layer import current_off
-from ebamcheck.mesh.on_table import on_table
-from ebamcheck.mesh.part import Part
+from ebamcheck.json_values import json_text, plain, sha256_of_file, sha256_of_json
+from ebamcheck.live.making import LayerMaker, MadeLayer
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import LONGEST_NAME
-from ebamcheck.nc.tilt_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
 from ebamcheck.settings.text import values_as_toml
 from ebamcheck.version import __version__
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.tilt_text import Tilt, tilt_of
+from ebamcheck.writing.tilt_text import tilt_of
 
 CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
 """Files of a published layer, and the folder of its program."""
@@ -38,6 +38,9 @@ FORMAT = "ebamcheck layer 2"
 
 STEM = 10
 """Characters of the program's name that a layer's name keeps: with layer and number it fits a control."""
+
+SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")
+"""What a control is told of a layer that stands in its certificate, too."""
 
 
 def layer_name(program: str, layer: int, number: int) -> str:
@@ -56,72 +59,60 @@ def layer_name(program: str, layer: int, number: int) -> str:
     return name
 
 
-def called_name(made: MadeLayer) -> str:
-    """File that the running program calls: the subprogram, or the one file of a control without subprograms."""
-    if made.files is None:
-        raise InputError(f"layer {made.wanted.layer + 1}: there is no program")
-    suffix = control(made.config.machine.control).subprogram_suffix
-    return made.files.names[1] if suffix and len(made.files.names) > 1 else made.files.names[0]
-
-
 def certificate_of(
-    made: MadeLayer, part: Part, primary: str, witness: str, measured: Mapping[str, Any] | None = None
+    made: MadeLayer, maker: LayerMaker, measured: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """What is known of a made layer, as its certificate holds it: nothing of the clock, so that it can be made again.
 
     What was `measured` under it beside its height is kept there, too.
     """
-    wanted, files = made.wanted, made.files
-    return dict(
-        plain(
-            {
-                "format": FORMAT,
-                "software": __version__,
-                "name": wanted.name,
-                "layer": wanted.layer + 1,
-                "shifted": wanted.shifted,
-                "base_mm": wanted.base_mm,
-                "thickness_mm": wanted.thickness_mm,
-                "top_mm": wanted.top_mm,
-                "cut_mm": made.cut_mm,
-                "travel_speed_mm_s": made.config.process.travel_speed_mm_s,
-                "wire_speed_mm_s": nominal_wire_speed_mm_s(made.config, wanted.thickness_mm),
-                "direction": part.direction,
-                **told_of_table(made.config),
-                "control": made.config.machine.control,
-                "part": {
-                    "name": part.name,
-                    "sha256": part.source_sha256 or part.sha256,
-                    "mesh_sha256": part.sha256,
-                },
-                "settings_sha256": sha256_of_json(made.config.model_dump()),
-                "primary": primary,
-                "witness": witness,
-                "islands": made.islands,
-                "metal_so_far": asdict(made.metal.below),
-                "spent": asdict(made.metal.spent),
-                "wait_s": made.wait_s,
-                "layer_s": made.deposit_s,
-                "leave_k": made.heat.surface_k,
-                "gates": [asdict(gate) for gate in made.gates],
-                "checks": len(made.checks),
-                "called": called_name(made),
-                "files": {} if files is None else dict(files.sha256),
-                "validated": made.passed,
-            }
-            | dict(measured or {})
-        )
-    )
+    wanted, after, config, part, files = made.wanted, made.after, made.config, maker.part, made.files
+    assert after.below is not None
+    suffix = control(config.machine.control).subprogram_suffix
+    fields = {
+        "format": FORMAT,
+        "software": __version__,
+        "name": wanted.name,
+        "layer": wanted.layer + 1,
+        "shifted": wanted.shifted,
+        "base_mm": wanted.base_mm,
+        "thickness_mm": wanted.thickness_mm,
+        "top_mm": wanted.top_mm,
+        "cut_mm": made.cut_mm,
+        "travel_speed_mm_s": config.process.travel_speed_mm_s,
+        "wire_speed_mm_s": nominal_wire_speed_mm_s(config, wanted.thickness_mm),
+        "direction": part.direction,
+        "control": config.machine.control,
+        "part": {"name": part.name, "sha256": part.source_sha256 or part.sha256, "mesh_sha256": part.sha256},
+        "settings_sha256": sha256_of_json(config.model_dump()),
+        "primary": maker.primary,
+        "witness": maker.witness,
+        "islands": made.islands,
+        "metal_so_far": asdict(after.below),
+        "spent": asdict(after.spent),
+        "wait_s": made.wait_s,
+        "layer_s": made.deposit_s,
+        "leave_k": after.surface_k,
+        "gates": [asdict(gate) for gate in made.gates],
+        "checks": len(made.checks),
+        # The subprogram, or the one file of a control without subprograms.
+        "called": files.names[1] if suffix and len(files.names) > 1 else files.names[0],
+        "files": dict(files.sha256),
+        "validated": made.passed,
+    }
+    if (tilt := tilt_of(config, BlockFormat(config.machine.printed_decimals))) is not None:
+        names = [axis.name for axis in config.machine.rotary]
+        fields["table"] = {
+            "positions_deg": dict(zip(names, tilt.positions_deg, strict=True)),
+            "frame_zero_mm": tilt.zero_mm.tolist(),
+            "frame_turn_deg": tilt.turn_deg,
+            "turns_at_z_mm": tilt.up_mm,
+        }
+    return dict(plain(fields | dict(measured or {})))
 
 
 def read_certificate(place: Path) -> dict[str, Any]:
-    """Return the certificate of a layer in its folder.
-
-    Raises
-    ------
-    InputError
-        If it is none, or of a format that counts layers otherwise.
-    """
+    """Return the certificate of a layer in its folder; refused is what is none, or of a format that counts layers otherwise."""
     try:
         found: dict[str, Any] = json.loads((place / CERTIFICATE).read_text(encoding="utf-8"))
         found["part"]["sha256"], found["base_mm"] + 0.0, found["layer"] + 0
@@ -137,28 +128,18 @@ def read_certificate(place: Path) -> dict[str, Any]:
 def publish(
     folder: Path, made: MadeLayer, certificate: Mapping[str, Any], before: Callable[[], None] = lambda: None
 ) -> dict[str, Any]:
-    """Publish a layer that passed, from the place where it was made.
+    """Publish a layer that passed, from the place where it was made, in the folder of the build; the content of ``current.json``.
 
-    Parameters
-    ----------
-    folder
-        Folder of the build.
-    before
-        Called when the layer lies on disk under its name and is not yet the current one: the journal's entry.
-
-    Returns
-    -------
-    dict
-        The content of ``current.json``.
+    `before` is called when the layer lies on disk under its name and is not yet the current one: the journal's entry.
 
     Raises
     ------
     InputError
-        If the layer did not pass, or its files are not the ones that were verified.
+        If the layer did not pass, or the control would be told what is not so.
     SettingsError
-        If a layer of that name with other bytes is there.
+        If its files are not the ones that were verified, or a layer of that name with other bytes is there.
     """
-    if not made.passed or made.files is None:
+    if not made.passed:
         raise InputError(
             f"layer {made.wanted.layer + 1}: is not validated and cannot be published: {made.why}"
         )
@@ -194,17 +175,32 @@ def publish(
 def current_of(certificate: Mapping[str, Any]) -> dict[str, Any]:
     """What a control has to know of the layer that is to be called next."""
     name, called = certificate["name"], certificate["called"]
-    return {
-        "name": name,
-        "layer": certificate["layer"],
-        "base_mm": certificate["base_mm"],
-        "thickness_mm": certificate["thickness_mm"],
-        "travel_speed_mm_s": certificate["travel_speed_mm_s"],
-        "program": f"{LAYERS}/{name}/{PROGRAM}/{called}",
-        "sha256": certificate["files"][called],
-        "wait_s": certificate["wait_s"],
-        "layer_s": certificate["layer_s"],
-    }
+    program, sha256 = f"{LAYERS}/{name}/{PROGRAM}/{called}", certificate["files"][called]
+    return {"name": name, "program": program, "sha256": sha256, **{key: certificate[key] for key in SAID}}
+
+
+def current_off(
+    place: Path, program: Path, current: Mapping[str, Any], paper: Mapping[str, Any]
+) -> list[str]:
+    """What a control is told in `current` that is not so, by the file that it is to call and the certificate; empty where all is."""
+    inside = program.parent == place and program.is_file()
+    wanted: dict[str, Any] = {key: paper.get(key) for key in SAID}
+    wanted |= {"name": place.parent.name, "sha256": sha256_of_file(program) if inside else None}
+    return [key for key, value in wanted.items() if value is None or current.get(key) != value]
+
+
+def ended_early(height_mm: float, at_mm: float, config: Config) -> str:
+    """Why a build that is said to be done at a height is not; empty where it is.
+
+    What is left may be no layer any more: less than the process can lay, by `process.layer_over_bead` and the least speed of the wire.
+    """
+    process = config.process
+    wire_mm3_s = process.wire_speed_min_mm_s * math.pi * process.wire_diameter_mm**2 / 4.0
+    by_wire_mm = wire_mm3_s / (process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing)
+    least_mm = max(process.layer_over_bead[0] * process.bead_height_mm, by_wire_mm)
+    if height_mm - at_mm < least_mm:
+        return ""
+    return f"the build is said to be done at {at_mm:.3f} mm, the part is {height_mm:.3f} mm high"
 
 
 def read_current(folder: Path) -> dict[str, Any] | None:
@@ -228,7 +224,7 @@ def write_synced(path: Path, text: str) -> None:
 
 
 def _check_hash(path: Path, wanted: str) -> None:
-    found = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else "no file"
+    found = sha256_of_file(path) if path.is_file() else "no file"
     if found != wanted:
         raise SettingsError(f"{path}: is not the file that was verified ({found[:12]}, not {wanted[:12]})")
 
@@ -248,41 +244,3 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def tilted(before: Part, now: Part, config: Config, built_mm: float = 0.0) -> Config:
-    """Settings of layers of a part that was built up to a height and is turned by the table; those given where the user turns it.
-
-    Raises
-    ------
-    SettingsError
-        If the control has no frames, or the table cannot turn the part so.
-    """
-    if not config.machine.rotary:
-        return config
-    part = config.part.model_copy(update={"on_table": on_table(before, now, built_mm)})
-    config = config.model_copy(update={"part": part})
-    checked_tilt(config, config.machine.control)
-    tilt_of_config(config)
-    return config
-
-
-def tilt_of_config(config: Config) -> Tilt | None:
-    """How the program turns the table; None where it turns none."""
-    return tilt_of(config, BlockFormat(config.machine.printed_decimals))
-
-
-def told_of_table(config: Config) -> dict[str, Any]:
-    """What a certificate tells of a table: positions of its axes, zero and turn of the frame; nothing where nothing is turned."""
-    tilt = tilt_of_config(config)
-    if tilt is None:
-        return {}
-    names = [axis.name for axis in config.machine.rotary]
-    return {
-        "table": {
-            "positions_deg": dict(zip(names, tilt.positions_deg, strict=True)),
-            "frame_zero_mm": tilt.zero_mm.tolist(),
-            "frame_turn_deg": tilt.turn_deg,
-            "turns_at_z_mm": tilt.up_mm,
-        }
-    }

@@ -1,4 +1,4 @@
-"""Measured heights as they come in, and what is wrong with those that are not used.
+"""Measured heights, surfaces and temperatures as they come in, and what is wrong with those that are not used.
 
 Nothing is converted, clipped or guessed: a height is used as it is or refused with a code and a reason, and what was
 published stays.
@@ -9,10 +9,13 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
-from ebamcheck.live.height_map import MapCells
-from ebamcheck.live.pyrometer import Warmth, warmth_of
+from ebamcheck.errors import InputError
+from ebamcheck.live.height_map import MapCells, UnevenLayer, figures_of, in_cells, read_map
+from ebamcheck.metal import Surface
+from ebamcheck.settings.config import Config
 
 LONGEST_LINE = 4096
 """Bytes of a line; a reading takes a hundred."""
@@ -34,6 +37,19 @@ class Refusal:
 
     code: str
     reason: str
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """What is answered."""
+        return {"answer": "refused", "code": self.code, "reason": self.reason}
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """Mean temperature of the surface, K, and the time after the layer at which it was read."""
+
+    surface_k: float
+    after_s: float
 
 
 @dataclass(frozen=True)
@@ -115,6 +131,52 @@ def reading_of(message: dict[str, Any]) -> Reading | Refusal:
     if not math.isfinite(height_mm):
         return Refusal("not-a-number", f"height_mm {height_mm}: is not finite")
     return Reading(done, height_mm)
+
+
+def map_reading(
+    message: dict[str, Any], surface: Surface | None, config: Config, last: Reading | None = None
+) -> Reading | Refusal:
+    """Read the map of a message; its mean, where there is metal, is the height of the reading.
+
+    One that was used for the `last` reading, and comes again, is that reading.
+    """
+    done = done_of(message)
+    if isinstance(done, Refusal):
+        return done
+    if message.get("unit", UNIT) != UNIT:
+        return Refusal("unit", "the unit of a map is height_map.unit_mm of its frame")
+    if message.get("height_mm") is not None:
+        return Refusal("map", "give `height_mm` or `height_map`: the mean of a map is its height")
+    name = message["height_map"]
+    if not isinstance(name, str) or not name or "\x00" in name:
+        return Refusal("map", f"height_map {name!r:.40}: give the name of a file")
+    if surface is None:
+        return Refusal("map", "nothing is known of what stands")
+    try:
+        cells = in_cells(read_map(Path(name), config.height_map), surface)
+        if last is not None and (last.done, last.map_sha256) == (done, cells.sha256):
+            return replace(last, warmth=None)
+        figures = figures_of(cells, surface, config)
+    except UnevenLayer as error:
+        return Refusal(error.code, str(error))
+    except InputError as error:
+        return Refusal("map", str(error))
+    except MemoryError:
+        return Refusal("map", f"{name:.80}: is too large for the memory of this machine")
+    return Reading.of_map(done, figures.mean_mm, cells)
+
+
+def warmth_of(message: dict[str, Any]) -> Warmth | str | None:
+    """Return the temperature of a message, None where it has none, or what is wrong with it."""
+    if message.get("surface_k") is None:
+        return None
+    values = []
+    for name, unit in (("surface_k", "kelvins"), ("after_s", "seconds since the layer was done")):
+        value = message.get(name)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            return f"{name} {value!r:.20}: give a finite number of {unit}"
+        values.append(float(value))
+    return Warmth(*values)
 
 
 def done_of(message: dict[str, Any]) -> int | Refusal:

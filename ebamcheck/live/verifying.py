@@ -10,13 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.checks.consumables import FRESH, Spent, lasting
-from ebamcheck.checks.heat_again import FollowedHeat
 from ebamcheck.checks.mesh_checks import layer_check
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
-from ebamcheck.live.heat_so_far import heated, layer_text
+from ebamcheck.live.followed import FollowedLayers, FollowedMetal
 from ebamcheck.live.journal import read_journal
-from ebamcheck.live.metal_so_far import MetalAgain
 from ebamcheck.live.publishing import (
     CERTIFICATE,
     CURRENT,
@@ -25,13 +23,13 @@ from ebamcheck.live.publishing import (
     PROGRAM,
     SETTINGS,
     current_of,
+    current_off,
+    ended_early,
     read_certificate,
     read_current,
     write_synced,
 )
-from ebamcheck.live.released_layer import current_off, ended_early
 from ebamcheck.pipeline.placement import placed_part
-from ebamcheck.program import Check
 from ebamcheck.record.certificate_checks import part_hash
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.verification.verify import verify
@@ -41,7 +39,6 @@ VERIFIED = "verified.json"
 
 FEWEST_CHECKS = 40
 """A program that was read at all has more checks than these."""
-
 
 SAME_MM = 1e-6
 """Heights nearer than this are one: those of journal, certificate and settings are the same number."""
@@ -82,87 +79,49 @@ def holds_layers(folder: Path) -> bool:
     return is_build(folder) or any((folder / LAYERS).glob(f"*/{CERTIFICATE}"))
 
 
-def published(folder: Path) -> list[dict[str, Any]]:
-    """Entries of the journal of the layers that were published, in order; the journal is checked line by line.
-
-    Where there is no build, the certificates of the layers, by name: they have the hashes of the files, too.
-    """
-    if not is_build(folder):
-        return [_certified(path) for path in sorted((folder / LAYERS).glob(f"*/{CERTIFICATE}"))]
-    return [entry for entry in read_journal(folder / JOURNAL) if entry.get("kind") == "layer"]
-
-
-def _certified(path: Path) -> dict[str, Any]:
-    """Name and hashes of a layer, of its certificate; the name is that of its folder."""
-    try:
-        files = json.loads(path.read_text(encoding="utf-8"))["files"]
-        return {"name": path.parent.name, "files": {str(name): str(sha256) for name, sha256 in files.items()}}
-    except (ValueError, TypeError, KeyError, AttributeError):
-        raise InputError(f"{path}: is no certificate of a layer") from None
-
-
 def verify_build(
     folder: Path, part: Path, told: Callable[[VerifiedLayer], None] = lambda layer: None
 ) -> list[VerifiedLayer]:
-    """Verify every published layer of a build, and write down what was found.
-
-    Raises
-    ------
-    InputError
-        If the journal is damaged, or the part cannot be read.
-    """
+    """Verify every published layer of a build, and write down what was found; a damaged journal or part raises :class:`InputError`."""
     if not part.is_file():
         raise InputError(f"{part}: cannot be read: there is no such file")
     found, spent, build = [], FRESH, is_build(folder)
-    together = _Together(part)
-    entries = [*_due(folder)]
-    for number, (entry, due) in enumerate(entries, 1):
-        layer, spent = _verified(folder, entry, due, part, spent if due else FRESH)
-        if build and layer.passed:
-            layer = replace(layer, why=together.why(folder / LAYERS / layer.name))
-        elif build:
-            together.end()
-        if build and layer.passed and number == len(entries):
-            layer = replace(layer, why=_last_off(folder, layer.name, part))
+    heat, metal, known = FollowedLayers(), FollowedMetal(part), build
+    layers = [*_published(folder)]
+    for number, (name, files, due) in enumerate(layers, 1):
+        layer, spent = _verified(folder, name, files, due, part, spent if due else FRESH)
+        # What is wrong by itself tells nothing of the layers above.
+        known = known and layer.passed
+        if known:
+            layer = replace(layer, why=_wrong_together(folder / LAYERS / layer.name, heat, metal))
+        if build and layer.passed and number == len(layers):
+            layer = replace(layer, why=_not_current(folder, name) or _ended_early(folder, name, part))
         found.append(layer)
         told(layer)
     write_synced(folder / VERIFIED, json_text([asdict(layer) for layer in found]))
     return found
 
 
-class _Together:
-    """Layers of a build together: heat and metal of each on those below, as far up as their texts tell it."""
-
-    def __init__(self, part: Path) -> None:
-        self._part = part
-        self._heat: FollowedHeat | None = None
-        self._metal: MetalAgain | None = None
-        self._knows_heat = self._knows_metal = True
-
-    def end(self) -> None:
-        """Say nothing of the layers from here on: what one of them tells that is wrong by itself counts for nothing."""
-        self._knows_heat = self._knows_metal = False
-
-    def why(self, place: Path) -> str:
-        """What is wrong with one more layer on those below; empty where nothing is."""
-        if not (self._knows_heat or self._knows_metal):
-            return ""
-        config, paper = load_config(place / SETTINGS), read_certificate(place)
-        text = layer_text(place / PROGRAM, paper, config) if self._knows_heat else None
-        self._knows_heat = text is not None
-        warm, self._heat = ("", None) if text is None else heated(self._heat, text)
-        wrong = None
-        if self._knows_metal:
-            self._metal = self._metal or MetalAgain(placed_part(self._part, config)[0], config)
-            wrong = self._metal.with_layer(place / PROGRAM, paper, config)
-        self._knows_metal = wrong is not None
-        return "; ".join(said for said in (wrong, warm) if said)
+def _wrong_together(place: Path, heat: FollowedLayers, metal: FollowedMetal) -> str:
+    """What is wrong with one more layer on those below, as far up as their texts tell it; empty where nothing is."""
+    program, paper, config = place / PROGRAM, read_certificate(place), load_config(place / SETTINGS)
+    warm = heat.too_warm(program, paper, config)
+    heat.take()
+    return "; ".join(said for said in (metal.wrong_with(program, paper, config), warm) if said)
 
 
-def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
-    """Published layers, each with what the journal asks of it; nothing is asked where there is none."""
+def _published(folder: Path) -> Iterator[tuple[str, dict[str, str], Due | None]]:
+    """Name and hashes of the published layers, in order, and what the journal asks of each; the journal is checked line by line.
+
+    Where there is no build, nothing is asked: the certificates have the hashes of the files, too.
+    """
     if not is_build(folder):
-        yield from ((entry, None) for entry in published(folder))
+        for path in sorted((folder / LAYERS).glob(f"*/{CERTIFICATE}")):
+            try:
+                files = json.loads(path.read_text(encoding="utf-8"))["files"]
+                yield path.parent.name, {str(name): str(sha256) for name, sha256 in files.items()}, None
+            except (ValueError, TypeError, KeyError, AttributeError):
+                raise InputError(f"{path}: is no certificate of a layer") from None
         return
     layer, base_mm = 0, math.nan
     for entry in read_journal(folder / JOURNAL):
@@ -170,17 +129,15 @@ def _due(folder: Path) -> Iterator[tuple[dict[str, Any], Due | None]]:
             # A height of another layer is none that this one was laid on.
             base_mm = float(entry["height_mm"]) if entry.get("done") == layer else math.nan
         elif entry.get("kind") == "layer":
-            yield entry, Due(layer, base_mm, entry.get("wait_s"))
+            yield str(entry["name"]), dict(entry["files"]), Due(layer, base_mm, entry.get("wait_s"))
             layer, base_mm = layer + 1, math.nan
 
 
 def _verified(
-    folder: Path, entry: dict[str, Any], due: Due | None, part: Path, spent: Spent
+    folder: Path, name: str, files: dict[str, str], due: Due | None, part: Path, spent: Spent
 ) -> tuple[VerifiedLayer, Spent]:
     """One layer, and what is taken of spool and cathode when it is done; `spent` is that before it."""
-    name, files = str(entry["name"]), dict(entry["files"])
-    told_by = "the journal" if is_build(folder) else f"its {CERTIFICATE}"
-    place = folder / LAYERS / name
+    told_by, place = "the journal" if due else f"its {CERTIFICATE}", folder / LAYERS / name
     for file, sha256 in files.items():
         path = place / PROGRAM / file
         if not path.is_file() or sha256_of_file(path) != sha256:
@@ -190,7 +147,10 @@ def _verified(
         if why := _other_than(read_certificate(place), name, files, due, config, part):
             return VerifiedLayer(name, 0, why, files), spent
         checks = verify(place / PROGRAM, part, config)
-        checks.append(_height(part, config))
+        # Of the lowest layer the settings alone do not ask that it is cut where it comes to lie.
+        placed, heights = placed_part(part, config)[0], config.layers.heights_mm
+        cut_mm = heights[0] if len(heights) == 1 else math.nan
+        checks.append(layer_check(placed, cut_mm, config.base_mm, config.layer_height_mm))
     except EbamcheckError as error:
         return VerifiedLayer(name, 0, str(error), files), spent
     wrong = [check.in_words() for check in checks if not check.passed]
@@ -201,22 +161,12 @@ def _verified(
     return VerifiedLayer(name, len(checks), "; ".join(wrong), files), spent
 
 
-def _height(file: Path, config: Config) -> Check:
-    """Whether the one layer of a program is cut where it comes to lie; of the lowest one the settings alone do not ask for it."""
-    part = placed_part(file, config)[0]
-    heights = config.layers.heights_mm
-    return layer_check(
-        part, heights[0] if len(heights) == 1 else math.nan, config.base_mm, config.layer_height_mm
-    )
-
-
 def _other_than(
     paper: dict[str, Any], name: str, files: dict[str, str], due: Due | None, config: Config, part: Path
 ) -> str:
     """What certificate, settings, journal and part do not have in common; empty where all tell of the same layer.
 
-    A layer is judged by its own settings: where these are not those that it was published with, or have it lie on another height than
-    was measured, a text that keeps them says nothing.
+    If settings or height differ from those published, checking the text against them proves nothing.
     """
     wanted: tuple[tuple[str, object, object], ...] = (
         ("name", paper.get("name"), name),
@@ -235,11 +185,6 @@ def _other_than(
         if not abs(paper["base_mm"] - base_mm) <= SAME_MM:
             return f"{CERTIFICATE}: lies on {paper['base_mm']:.6g} mm, by {where} on {base_mm:.6g} mm"
     return ""
-
-
-def _last_off(folder: Path, name: str, file: Path) -> str:
-    """What is wrong with the layer that was published last, beside itself."""
-    return _not_current(folder, name) or _ended_early(folder, name, file)
 
 
 def _not_current(folder: Path, name: str) -> str:

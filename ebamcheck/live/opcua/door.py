@@ -123,7 +123,7 @@ class Door:
 
     def _recall(self) -> None:
         """Take from the journal what was done to the control before."""
-        for entry in read_journal(self._building.journal_file):
+        for entry in read_journal(self._building.journal.path):
             if entry["kind"] == LEADS:
                 self._owners.add(float(entry["owner"]))
             elif entry["kind"] == UPLOADED:
@@ -447,4 +447,4 @@ class Door:
     # -- what is told ------------------------------------------------------------------------------
 
     def _note(self, kind: str, **entry: Any) -> None:
-        self._building.note({"kind": kind, **entry})
+        self._building.journal.append({"kind": kind, **entry})

@@ -93,25 +93,6 @@ def _number(value: Any) -> float:
     return float(value)
 
 
-def program_number(name: str) -> int:
-    """Number of a layer's program, as its name ends.
-
-    Examples
-    --------
-    >>> program_number("MAIN_K0037R2")
-    2
-    """
-    found = re.search(r"R(\d+)$", name)
-    if found is None:
-        raise InputError(f"the name {name!r} of a layer does not end with its number")
-    return int(found[1])
-
-
-def digest(sha256: str) -> float:
-    """First digits of a SHA-256 as a whole number, as many as an R parameter holds without rounding."""
-    return float(int(sha256[:12], 16))
-
-
 class Waiting:
     """Whether the main program is seen to wait: its count of the time goes on; one that stands still is noticed after a time, s."""
 
@@ -175,8 +156,12 @@ def proved_program(folder: Path, current: Mapping[str, Any], limit_mb: float) ->
 
 
 def release_of(keys: ReleaseKeys, layer: int, current: Mapping[str, Any]) -> Release:
-    """Values that release the layer that is published, `layer` from 1."""
-    return keys.release(layer, program_number(str(current["name"])), round(float(current["wait_s"]), 3))
+    """Values that release the layer that is published, `layer` from 1; the number of its program ends its name."""
+    name = str(current["name"])
+    number = re.search(r"R(\d+)$", name)
+    if number is None:
+        raise InputError(f"the name {name!r} of a layer does not end with its number")
+    return keys.release(layer, int(number[1]), round(float(current["wait_s"]), 3))
 
 
 def written_before(release: Release) -> dict[str, float]:
@@ -192,4 +177,5 @@ def written_before(release: Release) -> dict[str, float]:
 def told_of(current: Mapping[str, Any]) -> dict[str, float | str]:
     """What is told of a layer beside what releases it, by role."""
     sha256 = str(current["sha256"])
-    return {"digest": digest(sha256), "name": str(current["name"]), "sha256": sha256}
+    # As many digits of it as an R parameter holds without rounding.
+    return {"digest": float(int(sha256[:12], 16)), "name": str(current["name"]), "sha256": sha256}

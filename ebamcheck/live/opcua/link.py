@@ -19,7 +19,6 @@ from ebamcheck.showing.plotting import missing
 
 if TYPE_CHECKING:
     from asyncua.client.client import Client
-    from cryptography import x509
 
 FILES = ("certificate", "private_key", "server_certificate")
 """Settings that name files which a protected channel needs."""
@@ -61,10 +60,10 @@ def checked(opcua: OpcuaSettings) -> None:
         raise SettingsError(opcua.problem)
     if opcua.security != "none":
         for key in FILES:
-            content_of(opcua, key)
+            _loaded(opcua, key)
         check_pair(opcua)
-    if opcua.user and opcua.security != "none":
-        password_of(opcua)
+        if opcua.user:
+            password_of(opcua)
 
 
 def installed() -> None:
@@ -79,13 +78,13 @@ def installed() -> None:
 def password_of(opcua: OpcuaSettings) -> str:
     """Password of the user, from the environment or from a file that nobody else may read."""
     found = os.environ.get(opcua.password_variable, "")
-    if found or not opcua.password_file:
-        if not found:
-            raise SettingsError(
-                f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}; "
-                "or give opcua.password_file"
-            )
+    if found:
         return found
+    if not opcua.password_file:
+        raise SettingsError(
+            f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}; "
+            "or give opcua.password_file"
+        )
     path = Path(opcua.password_file)
     try:
         if path.stat().st_mode & 0o077:
@@ -98,8 +97,8 @@ def password_of(opcua: OpcuaSettings) -> str:
 # -- certificates -----------------------------------------------------------------------------------
 
 
-def content_of(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
-    """Content of a certificate or key, which is one, and its form."""
+def _loaded(opcua: OpcuaSettings, key: str) -> tuple[bytes, str, Any]:
+    """Content of the file of a certificate or key, its form, and what it holds."""
     from cryptography import x509
     from cryptography.hazmat.primitives import serialization
 
@@ -108,33 +107,21 @@ def content_of(opcua: OpcuaSettings, key: str) -> tuple[bytes, str]:
         content = path.read_bytes()
     except OSError as error:
         raise SettingsError(f"opcua.{key} {str(path)!r}: cannot be read: {error.strerror}") from None
-    pem = b"-----BEGIN" in content
+    form = "pem" if b"-----BEGIN" in content else "der"
     try:
         if key == "private_key":
-            (serialization.load_pem_private_key if pem else serialization.load_der_private_key)(content, None)
-        else:
-            (x509.load_pem_x509_certificate if pem else x509.load_der_x509_certificate)(content)
+            return content, form, getattr(serialization, f"load_{form}_private_key")(content, None)
+        return content, form, getattr(x509, f"load_{form}_x509_certificate")(content)
     except (ValueError, TypeError):
         what = "key without a password" if key == "private_key" else "certificate"
         raise SettingsError(f"opcua.{key} {str(path)!r}: is no {what} in PEM or DER") from None
-    return content, "pem" if pem else "der"
-
-
-def _certificate(opcua: OpcuaSettings, key: str) -> x509.Certificate:
-    from cryptography import x509
-
-    content, form = content_of(opcua, key)
-    return (x509.load_pem_x509_certificate if form == "pem" else x509.load_der_x509_certificate)(content)
 
 
 def check_pair(opcua: OpcuaSettings) -> None:
     """Refuse a key of another certificate, one that has run out, or one of another `application_uri`."""
     from cryptography import x509
-    from cryptography.hazmat.primitives import serialization
 
-    content, form = content_of(opcua, "private_key")
-    load = serialization.load_pem_private_key if form == "pem" else serialization.load_der_private_key
-    key, own = load(content, None), _certificate(opcua, "certificate")
+    (*_, key), (*_, own) = (_loaded(opcua, name) for name in ("private_key", "certificate"))
     if key.public_key() != own.public_key():
         raise SettingsError(
             f"opcua.private_key {opcua.private_key!r}: is not the key of opcua.certificate {opcua.certificate!r}: give the two of one pair"
@@ -151,7 +138,7 @@ def check_pair(opcua: OpcuaSettings) -> None:
         )
     now = datetime.datetime.now(datetime.UTC)
     for setting in ("certificate", "server_certificate"):
-        found, file = _certificate(opcua, setting), getattr(opcua, setting)
+        found, file = _loaded(opcua, setting)[2], getattr(opcua, setting)
         first, last = found.not_valid_before_utc, found.not_valid_after_utc
         if not first <= now <= last:
             raise SettingsError(
@@ -164,7 +151,7 @@ def is_offered(opcua: OpcuaSettings, shown: Iterable[bytes]) -> bool:
     from cryptography.hazmat.primitives.serialization import Encoding
 
     # What is shown may be a chain, with the certificate itself first.
-    given = _certificate(opcua, "server_certificate").public_bytes(Encoding.DER)
+    given = _loaded(opcua, "server_certificate")[2].public_bytes(Encoding.DER)
     return any(found.startswith(given) for found in shown)
 
 
@@ -262,7 +249,7 @@ class Link:
         if opcua.security != "none":
             await self._meet(client)
             mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
-            own, key, control = (CertProperties(*content_of(opcua, name)) for name in FILES)
+            own, key, control = (CertProperties(*_loaded(opcua, name)[:2]) for name in FILES)
             # The certificate of the control is given: that of whoever answers is not asked for.
             await client.set_security(
                 getattr(security_policies, f"SecurityPolicy{opcua.policy}"),

@@ -8,7 +8,7 @@ import ipaddress
 import os
 import secrets
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -19,11 +19,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from ebamcheck.atomic_file import made_folder
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.nc.control import control
-from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
-from ebamcheck.testing.played_control.panel import FAULTS, Growth, Panel
-from ebamcheck.testing.played_control.program import PlayedLayer, PlayedProgram
+from ebamcheck.testing.played_control.program import FAULTS, PlayedProgram
 from ebamcheck.testing.played_control.server import SESSIONS, Access, PlayedServer
 
 PROFILE, PASSWORD = "opcua.toml", "password"
@@ -120,72 +117,45 @@ def faults_of(texts: list[str]) -> dict[int, tuple[str, ...]]:
     return found
 
 
-def waiting_text(config: Config, top_mm: float) -> str:
-    """Text of the main program that waits; refused where none is written for the control."""
-    own = control(config.machine.control)
-    if not own.waiting:
-        raise SettingsError(
-            f"machine.control {config.machine.control!r}: no main program is written that waits between layers"
-        )
-    return str(own.load("waiting")(config, top_mm, {})[1])
-
-
 async def played(
-    config: Config,
-    opcua: OpcuaSettings,
+    program: PlayedProgram,
     access: Access | None,
-    top_mm: float,
-    growth: Growth,
-    speed: float,
-    faults: Mapping[int, tuple[str, ...]],
-    told: Callable[[PlayedLayer], None],
     sessions: int = SESSIONS,
-    listens: Callable[[PlayedProgram], None] = lambda program: None,
-) -> tuple[PlayedProgram, bool]:
-    """Play a control until its program ends; what it laid, and whether it came to its end. `listens` is called when it can be reached."""
-    panel = Panel()
-    server = PlayedServer(panel, config.machine, opcua, access, sessions)
-    loop = asyncio.get_running_loop()
-
-    def act(away_s: float, full_s: float) -> None:
-        asyncio.run_coroutine_threadsafe(server.away(away_s, full_s), loop)
-
-    program = PlayedProgram(
-        panel, config, opcua, waiting_text(config, top_mm), growth, speed, faults, act, told
-    )
+    listens: Callable[[], None] = lambda: None,
+) -> None:
+    """Play a control until its program ends; `listens` is called when it can be reached."""
+    opcua, loop = program.opcua, asyncio.get_running_loop()
+    server = PlayedServer(program.panel, program.config.machine, opcua, access, sessions)
+    program.act = lambda away_s, full_s: asyncio.run_coroutine_threadsafe(server.away(away_s, full_s), loop)
     try:
         async with server.serving():
-            listens(program)
-            ended = await _in_thread(program)
+            listens()
+            await _in_thread(program)
             await asyncio.sleep(2.0)  # somebody reads the last values
     except OSError as error:
         raise InputError(f"{opcua.url}: cannot listen there: {error.strerror or error}") from None
-    return program, ended
 
 
-async def _in_thread(program: PlayedProgram) -> bool:
+async def _in_thread(program: PlayedProgram) -> None:
     """Run the program in a thread that an interrupt does not wait for."""
     loop = asyncio.get_running_loop()
-    future: asyncio.Future[bool] = loop.create_future()
+    future: asyncio.Future[None] = loop.create_future()
 
-    def settle(ended: bool | None, error: BaseException | None) -> None:
-        if future.done():
-            return
-        if error is None:
-            future.set_result(bool(ended))
-        else:
-            future.set_exception(error)
+    def settle(error: BaseException | None) -> None:
+        if not future.done():
+            future.set_exception(error) if error else future.set_result(None)
 
     def run() -> None:
+        error: BaseException | None = None
         try:
-            ended, error = program.run(), None
+            program.run()
         except BaseException as raised:
-            ended, error = None, raised
+            error = raised
         if not loop.is_closed():
-            loop.call_soon_threadsafe(settle, ended, error)
+            loop.call_soon_threadsafe(settle, error)
 
     threading.Thread(target=run, name="played program", daemon=True).start()
     try:
-        return await future
+        await future
     finally:
         program.stopped = True

@@ -1,7 +1,7 @@
-"""The program behind a played control: the text of the waiting main program is run block by block, layers grow, heights come.
+"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come.
 
 Layers take the time of their text over a speed; waits of the main program are shortened likewise, to no less than the time in
-which a server can answer. The faults of :data:`ebamcheck.testing.played_control.panel.FAULTS` happen at the layers at which they were asked for.
+which a server can answer. The faults of :data:`FAULTS` happen at the layers at which they were asked for.
 """
 
 from __future__ import annotations
@@ -11,14 +11,37 @@ import math
 import re
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from ebamcheck.controls.sinumerik.waiting_run import Run, run_text
-from ebamcheck.errors import BackendFailed
+from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
+from ebamcheck.nc.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
-from ebamcheck.testing.played_control.panel import Growth, Panel
+
+FAULTS = {
+    "away": "the server is away for a while, when the layer is done",
+    "upload": "the server goes away in the middle of the upload of the layer, which leaves half a file",
+    "refuse": "writes are refused for a while, before the layer is released",
+    "lost-writes": "writes are lost for a while without an error, before the layer is released",
+    "other-file": "the first upload of the layer reads back as another file",
+    "other-client": "another client writes another number over the one that was just written, once",
+    "stray": "another client writes the number of the next layer before the height has come",
+    "late": "the height comes late",
+    "missing": "the height is no number, before it comes",
+    "repeated": "the height comes twice, the second time another one",
+    "absurd": "an absurd height comes before the right one",
+    "inches": "the height comes in inches before the right one",
+    "jump": "the height is said to be of another layer, before it comes",
+    "count": "the counter of layers jumps, and comes back",
+    "reset": "RESET in the middle of the layer; the operator has it laid anew",
+    "reset-between": "RESET after the layer; the operator says that it is whole",
+    "sessions": "no session is left for a while: the server is away and comes back full",
+}
+"""Faults of the played control by name, and what happens; each at a layer, from 1."""
 
 LEAST_WAIT_S = 0.05
 """Least real time of a wait of the main program, however fast it plays."""
@@ -28,6 +51,87 @@ SHOWN_S = 0.6
 
 FAULT_S = 1.0
 """Time for which writes are refused or lost, or the server is away."""
+
+
+# -- what it holds -----------------------------------------------------------------------------------
+
+
+@dataclass
+class Panel:
+    """State of a played control, for the threads of its server and its program: each value is set and read in one step."""
+
+    values: dict[int, float] = field(default_factory=dict)
+    """R parameters by number; those that are not there are 0."""
+    texts: dict[str, str] = field(default_factory=dict)
+    """Variables of text, by what they are."""
+    files: dict[str, bytes] = field(default_factory=dict)
+    """Files by their place."""
+    rights: str = "operate"
+    """`operate`, `refused`, or `lost`: what becomes of writes from outside."""
+    swap_next: bool = False
+    """Whether the next upload is kept as another file."""
+    break_next: bool = False
+    """Whether the server goes away in the middle of the next upload."""
+    overwritten: dict[int, float] = field(default_factory=dict)
+    """R parameters that another client writes over as soon as they are written, once, and what it writes."""
+
+    def get(self, number: int) -> float:
+        """Return an R parameter."""
+        return self.values.get(number, 0.0)
+
+    def set(self, number: int, value: float) -> None:
+        """Set an R parameter from within the control: rights do not matter."""
+        self.values[number] = value
+
+    def write(self, number: int, value: float) -> float:
+        """Set an R parameter from outside, where that is allowed; return what it is then."""
+        if self.rights == "operate":
+            self.values[number] = self.overwritten.pop(number, value)
+        return self.get(number)
+
+    def upload(self, place: str, content: bytes) -> bool:
+        """Keep a file; return whether the server is to go away in the middle of it."""
+        if self.break_next:
+            self.break_next, self.files[place] = False, content[: len(content) // 2]
+            return True
+        if self.swap_next:
+            self.swap_next, content = False, content.replace(b"X", b"Y", 1)
+        if self.rights == "operate":
+            self.files[place] = content
+        return False
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution.
+
+    The noise follows from seed and layer, so that a build comes out the same again.
+    """
+
+    drift: float = 0.0
+    noise: float = 0.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse what no bead does."""
+        if not (math.isfinite(self.drift) and -0.9 < self.drift < 2.0):
+            raise SettingsError(f"drift {self.drift}: give a share of a layer between -0.9 and 2")
+        if not (math.isfinite(self.noise) and 0.0 <= self.noise < 1.0):
+            raise SettingsError(f"noise {self.noise}: give a share of a layer from 0 to under 1")
+
+    def grown_mm(self, layer: int, thickness_mm: float) -> float:
+        """Return the height that a layer really gets; never nothing.
+
+        Examples
+        --------
+        >>> Growth(drift=0.1).grown_mm(3, 2.0)
+        2.2
+        """
+        noise = float(np.random.default_rng((self.seed, layer)).standard_normal()) if self.noise else 0.0
+        return max(thickness_mm * (1.0 + self.drift + self.noise * noise), 0.05 * thickness_mm)
+
+
+# -- its program -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -48,47 +152,51 @@ class Reset(Exception):
 
 
 class PlayedProgram:
-    """The program of a text, the bed and who measures, with named faults at layers, from 1.
-
-    `act` is called for what the server is to do: be away for a time, and be full for another.
-    """
+    """The main program that waits, the bed and who measures, with named faults at layers, from 1."""
 
     def __init__(
         self,
-        panel: Panel,
         config: Config,
         opcua: OpcuaSettings,
-        text: str,
+        top_mm: float,
         growth: Growth,
         speed: float,
-        faults: Mapping[int, tuple[str, ...]] | None = None,
-        act: Callable[[float, float], None] = lambda away_s, full_s: None,
+        faults: Mapping[int, tuple[str, ...]],
         told: Callable[[PlayedLayer], None] = lambda row: None,
     ) -> None:
-        self.panel, self._config, self._opcua, self._text = panel, config, opcua, text
-        self._growth, self._speed, self._act, self._told = growth, speed, act, told
-        self._faults = {layer: list(names) for layer, names in (faults or {}).items()}
+        own = control(config.machine.control)
+        if not own.waiting:
+            raise SettingsError(
+                f"machine.control {config.machine.control!r}: no main program is written that waits between layers"
+            )
+        self._text = str(own.load("waiting")(config, top_mm, {})[1])
+        self.panel, self.config, self.opcua = Panel(), config, opcua
+        self._growth, self._speed, self._told = growth, speed, told
+        self._faults = {layer: list(names) for layer, names in faults.items()}
         self._first = config.machine.live_r
+        self.act: Callable[[float, float], object] = lambda away_s, full_s: None
+        """Called for what the server is to do: be away for a time, and be full for another."""
         self.bed_mm, self.laid = 0.0, list[PlayedLayer]()
         self._known: dict[int, float] = {}
         self._calls, self._time_s = 0, 0.0
         self._waiting: tuple[int, float] | None = None
         self._operator: float | None = None
         self._since = time.monotonic()
-        self.stopped = self.ended = False
+        self.stopped = False
+        self.ended = False
+        """Whether the program came to its end: the part is built."""
 
-    def run(self) -> bool:
-        """Play until the part is built, or the program stops for good; whether it came to its end."""
+    def run(self) -> None:
+        """Play until the part is built, or the program stops for good."""
         self._before(1)
         while not self.stopped:
             self._calls, self._time_s, self._known = 0, 0.0, {}
             try:
-                run = run_text(self._text, self._door, self._config, 10**9)
+                run = run_text(self._text, self._door, self.config, 10**9)
             except Reset:
                 continue
             self.ended = bool(run.stops) and run.stops[-1][0] == "M30"
-            return self.ended
-        return False
+            return
 
     # -- the door of the text ----------------------------------------------------------------------
 
@@ -125,7 +233,7 @@ class PlayedProgram:
         """The operator, once the program waits again."""
         if (
             self._operator is not None
-            and self.panel.get(self._r("waited")) > 2.0 * self._config.machine.live_poll_s
+            and self.panel.get(self._r("waited")) > 2.0 * self.config.machine.live_poll_s
         ):
             self.panel.set(self._r("begin_at"), self._operator)
             self._operator = None
@@ -133,13 +241,13 @@ class PlayedProgram:
     # -- layers ------------------------------------------------------------------------------------
 
     def _lay(self, name: str) -> None:
-        content = self.panel.files.get(file_path(self._config.machine, self._opcua, f"{name}.SPF"))
+        content = self.panel.files.get(file_path(self.config.machine, self.opcua, f"{name}.SPF"))
         if content is None:
             raise BackendFailed(f"alarm 14011: the main program calls {name}, which is not on the control")
         text, layer = content.decode("ascii"), int(self.panel.get(self._r("done"))) + 1
         wait_s = time.monotonic() - self._since
         planned_mm = top_of(text) - self.bed_mm
-        seconds = planned_s(text, self._config.machine.rapid_mm_s) / self._speed
+        seconds = planned_s(text, self.config.machine.rapid_mm_s) / self._speed
         if self._has(layer, "reset"):
             time.sleep(0.5 * seconds)
             self._operator = float(layer)
@@ -187,9 +295,9 @@ class PlayedProgram:
         if self._has(layer, "late"):
             time.sleep(FAULT_S)
         if self._has(layer, "away"):
-            self._act(FAULT_S, 0.0)
+            self.act(FAULT_S, 0.0)
         if self._has(layer, "sessions"):
-            self._act(0.5, FAULT_S)
+            self.act(0.5, FAULT_S)
         self._before(layer + 1)
         if self._has(layer, "count"):
             self.panel.set(self._r("done"), layer + 7.0)

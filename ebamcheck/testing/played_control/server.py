@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any, cast
 from urllib.parse import urlsplit
 
+from ebamcheck.live.opcua.handshake import OFFSETS
 from ebamcheck.live.opcua.link import cancelled
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import TEXT_ROLES, OpcuaSettings
-from ebamcheck.testing.played_control.panel import Panel
+from ebamcheck.testing.played_control.program import Panel
 
 GRID_S = 0.1
 """Grid on which a SINUMERIK samples its values."""
@@ -25,12 +26,6 @@ SESSIONS = 10
 
 AWAY_S = 1.0
 """Time for which a server is away that broke in the middle of an upload."""
-
-LONGER_THAN_AWAY_S = 5.0
-"""Time for which an upload hangs that the server does not outlive."""
-
-R_PARAMETERS = 13
-"""R parameters from ``machine.live_r`` on that are shown."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +77,7 @@ class PlayedServer:
             server.set_certificate_validator(self._known_certificate)
         await server.register_namespace("SinumerikVarProvider")
         self._nodes: dict[int, Any] = {}
-        for number in range(self._machine.live_r, self._machine.live_r + R_PARAMETERS):
+        for number in range(self._machine.live_r, self._machine.live_r + 1 + max(OFFSETS.values())):
             node_id = ua.NodeId.from_string(self._opcua.r_node.replace("{r}", str(number)))
             node = await server.nodes.objects.add_variable(node_id, f"R{number}", self.panel.get(number))
             await node.set_writable()
@@ -101,7 +96,7 @@ class PlayedServer:
         await methods.add_method(upload, "CopyFileToServer", self._upload, [text, data, flag], [])
         await methods.add_method(download, "CopyFileFromServer", self._download, [text], [data])
         # The library counts sessions over all servers of a process, which has this one alone.
-        InternalSession.max_connections = 0 if self.panel.full else self._sessions
+        InternalSession.max_connections = self._sessions
         await server.start()
         self._server = server
 
@@ -141,8 +136,7 @@ class PlayedServer:
         await asyncio.sleep(seconds)
         if self._closing:
             return
-        self.panel.full = full_s > 0.0
-        InternalSession.max_connections = 0 if self.panel.full else self._sessions
+        InternalSession.max_connections = 0 if full_s else self._sessions
         url = urlsplit(self._opcua.url)
         server.bserver = BinaryServer(
             server.iserver, url.hostname or "127.0.0.1", url.port or 4840, server.limits
@@ -151,7 +145,6 @@ class PlayedServer:
         await server.bserver.start()
         if full_s:
             await asyncio.sleep(full_s)
-            self.panel.full = False
             InternalSession.max_connections = self._sessions
 
     async def _show(self) -> None:
@@ -167,7 +160,7 @@ class PlayedServer:
             server = self._server
             if server is None:
                 continue
-            for number, value in self.panel.snapshot().items():
+            for number, value in dict(self.panel.values).items():
                 if number in self._nodes and repr(shown.get(number)) != repr(value):
                     shown[number] = value
                     data = ua.DataValue(ua.Variant(value, ua.VariantType.Double))
@@ -207,7 +200,7 @@ class PlayedServer:
             return _status("BadBrowseNameDuplicated")
         if self.panel.upload(place, content):
             self.broke.set()
-            await asyncio.sleep(LONGER_THAN_AWAY_S)
+            await asyncio.sleep(5.0 * AWAY_S)  # it does not outlive the server
         return []
 
     async def _download(self, parent: Any, path: Any) -> Any:
