@@ -12,7 +12,7 @@ from ebamcheck.checks.checks import Check, count_check, event_faults
 from ebamcheck.nc.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, NCProgram
-from ebamcheck.nc.template_rules import checked_templates
+from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config

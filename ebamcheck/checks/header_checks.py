@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ebamcheck.checks.checks import Check, count_check
-from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import control
+from ebamcheck.nc.conventions import comment, header_lines
 from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED
-from ebamcheck.nc.header import header_lines
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats

@@ -14,11 +14,10 @@ import numpy as np
 
 from ebamcheck.checks.checks import Check, count_check, event_faults
 from ebamcheck.checks.event_checks import order_faults
-from ebamcheck.nc.codes import BEAM_VALUES, SWITCHES
+from ebamcheck.nc.codes import BEAM_VALUES, SWITCHES, templates_of
 from ebamcheck.nc.control import Group, control
+from ebamcheck.nc.conventions import safe_end_mm
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.nc.profile import templates_of
-from ebamcheck.nc.safe_end import safe_end_mm
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.nc.words import group_of, wanted_words
 from ebamcheck.numeric.rings import Bools

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ebamcheck.nc.comments import comment
-from ebamcheck.nc.numbers import plain
+from ebamcheck.nc.conventions import comment, plain
 from ebamcheck.nc.templates import ProcessValues, process_values
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
