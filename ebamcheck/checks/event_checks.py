@@ -13,7 +13,7 @@ from ebamcheck.checks.tolerances import PRINTED, TWO_PLACES_MM, VALUE_SHARE
 from ebamcheck.nc.codes import BEAM_VALUES, DWELL, SWITCHES
 from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, NCProgram
-from ebamcheck.nc.template_rules import checked_templates
+from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config

@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.checks.checks import Check, count_check
 from ebamcheck.checks.tolerances import PRINTED
-from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import control
+from ebamcheck.nc.conventions import comment, header_lines
 from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED, ProgramFiles, mark_validated
-from ebamcheck.nc.header import header_lines
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind

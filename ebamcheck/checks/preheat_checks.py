@@ -23,10 +23,10 @@ from ebamcheck.checks.text_heat import sections_of_text
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.nc.codes import BEAM_VALUES, FOCUS
+from ebamcheck.nc.conventions import safe_end_mm
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.nc.safe_end import safe_end_mm
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config

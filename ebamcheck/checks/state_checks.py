@@ -12,11 +12,10 @@ import numpy as np
 from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults, worst_check
 from ebamcheck.checks.event_checks import order_faults, switch_faults
 from ebamcheck.checks.tolerances import LIMIT_ROUNDING_MM, PLACE_MM, VALUE_SHARE
-from ebamcheck.nc.codes import BEAM_VALUES, SWITCHES
+from ebamcheck.nc.codes import BEAM_VALUES, SWITCHES, templates_of
 from ebamcheck.nc.control import Group, control
+from ebamcheck.nc.conventions import safe_end_mm
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram
-from ebamcheck.nc.profile import templates_of
-from ebamcheck.nc.safe_end import safe_end_mm
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.nc.words import group_of, wanted_words
 from ebamcheck.numeric.rings import Bools, Floats

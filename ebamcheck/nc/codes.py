@@ -13,9 +13,14 @@ from dataclasses import dataclass
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import control
-from ebamcheck.nc.profile import templates_of
 from ebamcheck.nc.words import NUMBER, group_of
 from ebamcheck.settings.machine import MachineSettings
+
+TEMPLATES = (
+    "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
+    "set_beam", "set_power", "set_wire", "set_focus", "layer_begin", "layer_end", "layer_pause",
+)  # fmt: skip
+"""Templates of the machine profile."""
 
 SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
 """Meanings that switch beam or wire."""
@@ -50,6 +55,17 @@ _TOKEN = re.compile(
 _MESSAGE = re.compile(r"MSG\s*\([^()]*\)")
 _MEANINGS = {"on": ("beam_on", "wire_start"), "off": ("beam_off", "wire_stop")}
 _AUX = re.compile(r"[MH]\d+(?:=\d+|(?: [A-Z]\d*)*)")
+
+
+def templates_of(machine: MachineSettings, name: str) -> dict[str, tuple[str, ...]]:
+    """Blocks of every template for a control: those of the profile, or the stock ones where it sets none."""
+    stock = control(name).templates
+    result = {}
+    for template in TEMPLATES:
+        given = getattr(machine, template)
+        untouched = given == MachineSettings.model_fields[template].default
+        result[template] = stock.get(template, given) if untouched else given
+    return result
 
 
 @dataclass(frozen=True)

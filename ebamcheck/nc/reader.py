@@ -15,9 +15,8 @@ from typing import Literal
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.nc.control import Control, control, controls
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
-from ebamcheck.nc.recognition import StateChange, Templates
-from ebamcheck.nc.recorder import NO_CENTRE, Recorder
-from ebamcheck.nc.template_rules import checked_templates
+from ebamcheck.nc.recorder import NO_CENTRE, Recorder, StateChange, Templates
+from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.words import (
     NUMBER,
     SKIP,

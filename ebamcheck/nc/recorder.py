@@ -1,20 +1,24 @@
-"""What a reader notes down while it runs a program: motions, events and block numbers, and their columns."""
+"""What a reader notes down while it runs a program: motions, events and block numbers, and what the templates of the profile do."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from string import Formatter
 
 import numpy as np
 
 from ebamcheck.errors import InputError
-from ebamcheck.nc.codes import BEAM_VALUES, DWELL, SWITCHES
+from ebamcheck.nc.codes import AUXILIARY, BEAM_VALUES, DWELL, SWITCHES, Action
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram, SourceFile
 from ebamcheck.nc.preheating import without_preheating
-from ebamcheck.nc.recognition import StateChange
 from ebamcheck.nc.roles import by_shape, with_travel
 from ebamcheck.nc.table import TableState, starts_in_frames
+from ebamcheck.nc.templates import Programmed
 from ebamcheck.nc.timeline import Events
+from ebamcheck.nc.words import NUMBER
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.regular_file import regular_file
 
@@ -301,3 +305,89 @@ def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floa
     coefficients = np.stack([start[:, :2], first, second, third], axis=2)
     coefficients[kind == ARC] = np.nan
     return coefficients
+
+
+# -- templates in the text ---------------------------------------------------------------------------
+
+RUNNING = ("set_power", "set_wire")
+"""Templates that set values along a bead."""
+
+ENDING = ("beam_off", "wire_stop")
+"""Templates that may set a value to 0 at the end of a bead, before they switch off."""
+
+_ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
+
+
+@dataclass(frozen=True)
+class StateChange:
+    """What a block of a template does."""
+
+    block: str
+    """The block as it stands in the profile."""
+    actions: tuple[tuple[str, float], ...]
+    """Switches (NaN) and values that it sets, in the order of its codes."""
+    before: tuple[str, ...] = ()
+    """Blocks of the same template that come before one that switches."""
+    running: bool = True
+    """Whether the profile has the block in a template for values that change while beam and wire run, or as they end."""
+
+
+class Templates:
+    """All template blocks of a profile, as patterns of text."""
+
+    def __init__(self, templates: Programmed) -> None:
+        self._literal: dict[str, StateChange] = {}
+        self._patterns: list[tuple[re.Pattern[str], StateChange]] = []
+        self._memory: dict[str, StateChange | None] = {}
+        running = {block for name in (*RUNNING, *ENDING) for block, _ in templates[name]}
+        for name, blocks in templates.items():
+            for i, (block, actions) in enumerate(blocks):
+                switches = any(action.meaning in SWITCHES for action in actions)
+                before = tuple(text for text, _ in blocks[:i]) if name in SWITCHES and switches else ()
+                self._add(block, actions, before, block in running or not any(map(templates.get, RUNNING)))
+        # A block that switches is looked for before one that fits the same text and does not.
+        self._patterns.sort(key=lambda entry: not any(name in SWITCHES for name, _ in entry[1].actions))
+
+    def _add(self, block: str, actions: tuple[Action, ...], before: tuple[str, ...], running: bool) -> None:
+        done = tuple((_event(action), action.number) for action in actions if action.meaning != AUXILIARY)
+        known = tuple((name, float("nan") if number is None else number) for name, number in done)
+        change = StateChange(block, known, before, running)
+        plain = _without_zeros(block)
+        if "{" not in plain:
+            self._literal.setdefault(plain, change)
+            return
+        self._patterns.append((re.compile("".join(_pattern_parts(plain)), re.IGNORECASE), change))
+
+    def find(self, code: str) -> StateChange | None:
+        """Return what the block does, if it is of a template; words set apart by any number of blanks, M60 written M060."""
+        if code not in self._memory:
+            self._memory[code] = self._search(_without_zeros(" ".join(code.split())))
+        return self._memory[code]
+
+    def _search(self, code: str) -> StateChange | None:
+        if code in self._literal:
+            return self._literal[code]
+        for pattern, change in self._patterns:
+            found = pattern.fullmatch(code)
+            if found:
+                filled = {group.rsplit("__", 1)[0]: float(text) for group, text in found.groupdict().items()}
+                actions = [(name, filled.pop(name, value)) for name, value in change.actions]
+                return StateChange(change.block, (*actions, *filled.items()), change.before, change.running)
+        return None
+
+
+def _without_zeros(block: str) -> str:
+    """A block whose codes have no zeros before their numbers."""
+    return _ZEROS.sub(r"\1", block)
+
+
+def _event(action: Action) -> str:
+    """Name of the event: what is filled in, else what the code means."""
+    return action.placeholder if action.meaning == DWELL and action.placeholder else action.meaning
+
+
+def _pattern_parts(block: str) -> Iterator[str]:
+    for count, (literal, name, _spec, _conversion) in enumerate(Formatter().parse(block)):
+        yield re.escape(literal)
+        if name is not None:
+            yield f"(?P<{name}__{count}>{NUMBER})"

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ebamcheck.nc.comments import comment
+from ebamcheck.nc.conventions import comment, plain
 from ebamcheck.nc.inputs import Interpass
-from ebamcheck.nc.numbers import plain
+from ebamcheck.nc.recorder import Templates
 from ebamcheck.nc.templates import ProcessValues, process_values
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
@@ -18,7 +18,7 @@ from ebamcheck.settings.feed_along import feed_shares, wire_at
 from ebamcheck.writing.bead_power import layer_power
 from ebamcheck.writing.blocks import BlockFormat
 from ebamcheck.writing.events import NEAR_SPACINGS
-from ebamcheck.writing.safe_states import Templates, entry_blocks
+from ebamcheck.writing.safe_states import entry_blocks
 from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT
 from ebamcheck.writing.tracks import Toolpath
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.nc.comments import comment
+from ebamcheck.nc.conventions import comment
 from ebamcheck.nc.tilt_rules import carried_corners
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config

@@ -6,7 +6,7 @@ Source of the modal groups: LinuxCNC G-code reference.
 from __future__ import annotations
 
 from ebamcheck.nc.control import Control, Group, offsets
-from ebamcheck.nc.numbers import plain
+from ebamcheck.nc.conventions import plain
 from ebamcheck.settings.machine import MachineSettings
 
 GROUPS = (

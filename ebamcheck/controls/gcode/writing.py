@@ -10,12 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ebamcheck.controls.gcode.control import LINUXCNC, PLAIN_GCODE
-from ebamcheck.nc.comments import comment
 from ebamcheck.nc.control import Control
+from ebamcheck.nc.conventions import comment, header_lines, plain
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
-from ebamcheck.nc.header import header_lines
 from ebamcheck.nc.inputs import CurveColumns, ScanColumns, interpass_of
-from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path

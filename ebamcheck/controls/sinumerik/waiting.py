@@ -15,10 +15,8 @@ from collections.abc import Mapping
 from ebamcheck.controls.sinumerik.control import CONTROL, NAME
 from ebamcheck.controls.sinumerik.release_keys import PRIME, SET_OFF
 from ebamcheck.controls.sinumerik.writing import modes
-from ebamcheck.nc.comments import comment
+from ebamcheck.nc.conventions import comment, header_lines, plain
 from ebamcheck.nc.files import NOT_VALIDATED, legal_name
-from ebamcheck.nc.header import header_lines
-from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat, numbered

@@ -14,10 +14,10 @@ from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.controls.sinumerik.reading import DIALECT
 from ebamcheck.nc.codes import BEAM_VALUES
+from ebamcheck.nc.conventions import safe_end_mm
 from ebamcheck.nc.reader import AXES
-from ebamcheck.nc.recognition import StateChange, Templates
-from ebamcheck.nc.safe_end import safe_end_mm
-from ebamcheck.nc.template_rules import checked_templates
+from ebamcheck.nc.recorder import StateChange, Templates
+from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.words import read_block, wanted_words
 from ebamcheck.settings.config import Config
 

@@ -15,7 +15,7 @@ import numpy as np
 from ebamcheck.controls.sinumerik.control import AS_WRITTEN, CONTROL, NAME
 from ebamcheck.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.errors import SettingsError
-from ebamcheck.nc.comments import comment
+from ebamcheck.nc.conventions import comment, header_lines, plain
 from ebamcheck.nc.files import (
     NOT_VALIDATED,
     VALIDATED,
@@ -25,9 +25,7 @@ from ebamcheck.nc.files import (
     preheat_name,
     write_files,
 )
-from ebamcheck.nc.header import header_lines
 from ebamcheck.nc.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
-from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
