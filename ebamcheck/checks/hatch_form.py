@@ -72,15 +72,7 @@ def _lines(nc: NCProgram, config: Config) -> Check:
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
-    """Lines of the hatch beads that are straight throughout, their parts at other power or wire taken together.
-
-    Returns
-    -------
-    first
-        (P + 1,) first line of each bead.
-    row, way
-        (n,) first motion of each line, and (n, 2) from its start to its end, mm.
-    """
+    """Lines of straight hatch beads, parts at other power or wire taken together: first of each bead (P + 1,), first motion (n,), way (n, 2)."""
     beads = nc.beads
     curved = beads.any(nc.kind[beads.rows] != STRAIGHT)
     mine = ~curved[beads.bead] & (nc.island[beads.rows] >= 0)

@@ -28,18 +28,9 @@ APART_MM = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Beads of a program and the tracks of a plan that they follow.
+    """Beads (P,) of a program, the track of a plan that each follows, and whether another bead follows it already.
 
-    Parameters
-    ----------
-    beads
-        (P,) of the program.
-    track
-        (P,) track of each; -1 for a bead that nobody planned.
-    again
-        (P,) beads that follow a track which another bead follows already.
-    path
-        The plan.
+    A bead that nobody planned has track -1.
     """
 
     beads: Beads
@@ -49,13 +40,7 @@ class Matching:
 
 
 def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
-    """Give every bead the role of the track that it follows.
-
-    Returns
-    -------
-    The program with the plan's numbers of rings and islands, its turns and further parts of lines; and what is matched
-    with what. A bead that nobody planned has no role.
-    """
+    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one that nobody planned."""
     beads = nc.beads
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]

@@ -122,7 +122,7 @@ RULES = (
         **_each(do.AGAIN, "status", "header"), "size on the control": do.SHORTER,
     }),
     Rule(lambda s: state_checks(s.nc, s.config), {
-        **_each(do.PROFILE, "modes", "smoothing", "start state", "safe end"), "order of events": do.AGAIN,
+        **_each(do.PROFILE, "modes", "smoothing", "start state"), "order of events": do.AGAIN, "safe end": do.PROFILE,
         "feed": do.FEED, **_each(do.AGAIN, "start of path", "spline blocks", "polynomial blocks"), "travel": do.PLACE,
         **_each(do.PROFILE, "beam", "wire"), "turns": do.AGAIN,
     }),

@@ -35,15 +35,8 @@ CORNER_RAD = math.radians(40.0)
 class Evidence:
     """By how much the contour path may leave the chords of a section, and why.
 
-    Parameters
-    ----------
-    base_mm
-        What fit, rounding and the arcs of an inset leave anywhere.
-    most_mm
-        Limit of the user: nothing allows more.
-    smooth
-        Sections with the curves that the chords stand for; the path may lie between both. None: chords allow what
-        a curve through their ends leaves them by.
+    Fit, rounding and the arcs of an inset leave `base_mm` anywhere, and nothing allows more than `most_mm`. The path may lie between the
+    chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their ends leaves them by.
     """
 
     base_mm: float
@@ -110,13 +103,6 @@ def section_check(
     A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
     not being there. Nor does a slit narrower than :data:`SLIT_MM`, be it a hole, a notch or a gap: unions leave slits of no
     width where shells touch, which an inset would widen. A path around either is not faulted.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    evidence
-        What sets the limit at each place of the path; None: it is `limit_mm` everywhere.
     """
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     index = nearest_layer(nc.end[rows, 2], z_of)
@@ -313,15 +299,7 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
 
 
 def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, limit_mm: float) -> Check:
-    """Check all metal, whatever its role: no place of a bead's centre line lies outside by more than `limit_mm`.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    limit_mm
-        How far a centre line may leave the wanted region.
-    """
+    """Check all metal, whatever its role: no place of a bead's centre line leaves the wanted region by more than `limit_mm`."""
     rows = np.flatnonzero(
         (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
     )
