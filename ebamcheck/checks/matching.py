@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
-from ebamcheck.checks.tolerances import TWO_PLACES_MM
+from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, TWO_PLACES_MM
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
@@ -172,9 +172,9 @@ def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints
 # -- checks ------------------------------------------------------------------------------------------
 
 
-def matching_checks(nc: NCProgram, match: Matching, limit_mm: float) -> list[Check]:
+def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
     """Check that every bead was planned, that none is missing or comes twice or too early, and that all hatch keeps to its track."""
-    return [_bead_faults(nc, match), _hatch_path(nc, match, limit_mm)]
+    return [_bead_faults(nc, match), _hatch_path(nc, match)]
 
 
 def _bead_faults(nc: NCProgram, match: Matching) -> Check:
@@ -204,7 +204,7 @@ def _named(path: TrackColumns, track: int) -> str:
     return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
 
 
-def _hatch_path(nc: NCProgram, match: Matching, limit_mm: float) -> Check:
+def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     """Distance of the motions of hatch beads, turns among them, from their tracks, both ways."""
     beads, path = match.beads, match.path
     alike, rows, segment = _one_by_one(match)
@@ -222,4 +222,4 @@ def _hatch_path(nc: NCProgram, match: Matching, limit_mm: float) -> Check:
         away[mine] = shape_distance(driven, np.stack([path.segment_start[a:b], path.end[a:b]], axis=1))
     found = np.flatnonzero(away >= 0.0)
     what = "distance of hatch and turns from their plan"
-    return worst_check("hatch path", nc, found, away[found], limit_mm, "mm", what)
+    return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)

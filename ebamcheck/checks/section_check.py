@@ -22,7 +22,6 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.settings.config import Config
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
@@ -78,7 +77,7 @@ def section_checks(subject: Subject) -> list[Check]:
         base_mm = most_mm
     checks = [
         section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base_mm, most_mm, smooth)),
-        outside_check(nc, layers, z_of, config, most_mm),
+        outside_check(subject),
     ]
     if smooth is not None:
         checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
@@ -298,12 +297,14 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
 # -- beads inside --------------------------------------------------------------------------------------
 
 
-def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, limit_mm: float) -> Check:
-    """Check all metal, whatever its role: no place of a bead's centre line leaves the wanted region by more than `limit_mm`."""
+def outside_check(subject: Subject) -> Check:
+    """Check all metal, whatever its role: no place of a bead's centre line leaves the part and its allowance by more than contours may."""
+    nc, layers, config = subject.nc, subject.witness, subject.config
+    limit_mm = config.curves.section_tolerance_mm
     rows = np.flatnonzero(
         (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
     )
-    layer = nearest_layer(nc.end[rows, 2], z_of)
+    layer = nearest_layer(nc.end[rows, 2], subject.z_of)
 
     def farthest(k: int) -> tuple[float, int, int, float, float] | None:
         owner, at = nc.samples(rows[layer == k], STEP_MM)
