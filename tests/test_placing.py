@@ -14,12 +14,12 @@ from command_line import FAST, WIDE, frame, write_stl
 from parts import box, sphere
 from slicers_here import slicers_here
 
+from ebamcheck.checks.plate_record import member_of, plate_checks, plate_record
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.part_source import read_part, read_reference, source_sha256
 from ebamcheck.mesh.placing import cosine_and_sine, placing_of
 from ebamcheck.mesh.plates import PlatePart, load_plate
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.plate_record import member_of, plate_checks, plate_record
 from ebamcheck.program import read_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
