@@ -15,12 +15,12 @@ from command_line import write_stl
 from limit_cases import Case, upwards
 from parts import box, join
 
+from ebamcheck.checks import plate_record
 from ebamcheck.checks.mesh_checks import between_check, heights_check, sections_check, solid_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline import plate_record
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.verification import gates_again, tables_again

@@ -8,7 +8,7 @@ import pytest
 
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.remedies import OTHERWISE
-from ebamcheck.checks.rules import REMEDIES, layer_of, names_of, told
+from ebamcheck.checks.rules import REMEDIES, layer_of, names_of, with_remedies
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
 from ebamcheck.plugins.model import models
@@ -32,7 +32,7 @@ def failed(name, where="MAIN_L0002.SPF:18"):
 
 
 def test_both_failed_checks_are_named_with_layer_heights_and_remedy():
-    checks = told(
+    checks = with_remedies(
         [failed("section"), failed("travel", "MAIN_L0001.SPF:25"), failed("feed", "MAIN.MPF:3")],
         NC,
         CUTS,
@@ -58,8 +58,8 @@ def test_layers_of_places():
 def test_every_check_of_the_metal_has_a_remedy_and_a_passed_one_tells_none():
     assert set(names_of("deposit")) <= set(REMEDIES)
     passed = Check("section", True, 0.0, 0.1, "mm", "", "fine")
-    assert told([passed], NC, CUTS, 1.0) == [passed]
-    assert told([failed("of a plugin")], NC, CUTS, 1.0)[0].remedy == OTHERWISE
+    assert with_remedies([passed], NC, CUTS, 1.0) == [passed]
+    assert with_remedies([failed("of a plugin")], NC, CUTS, 1.0)[0].remedy == OTHERWISE
 
 
 def manifest(**changes):

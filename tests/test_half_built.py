@@ -11,7 +11,7 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.rules import told
+from ebamcheck.checks.rules import with_remedies
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.live.loading import finished_run
@@ -50,7 +50,7 @@ def test_a_failed_check_and_a_warning_name_the_height_over_the_plate():
         files=(SimpleNamespace(name="MAIN_L0002.SPF"),), file=np.zeros(1, int), line=np.array([9]), layer=np.array([1])
     )  # fmt: skip
     check = Check("section", False, 0.2, 0.1, "mm", "MAIN_L0002.SPF:9", "at most 0.2 mm")
-    (found,) = told([check], nc, np.array(CUTS), STEP_MM, BASE_MM)
+    (found,) = with_remedies([check], nc, np.array(CUTS), STEP_MM, BASE_MM)
     assert f"Z {BASE_MM + 2 * STEP_MM:.3f} mm" in found.place
     assert f"{BASE_MM + 2 * STEP_MM:.3f}" in _at(1, np.array(CUTS), CONFIG, 1.0, 2.0)
 

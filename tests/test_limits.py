@@ -48,8 +48,8 @@ ELSEWHERE = {
 
 NO_LIMITS = {
     "how finely something is looked at": """
-        bead_checks.MARGIN bead_checks.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
-        hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
+        bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
+        hatch_form.CHORD_MM hatch_form.AT_ONCE heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
         heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM overfill.CELLS process_checks.OUTLINE_STEP_MM
         process_checks.INNER_STEP_MM process_checks.FIRST_ASKED process_checks.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS

@@ -14,6 +14,7 @@ from command_line import FAST, WIDE, frame, write_stl
 from parts import box, sphere
 from slicers_here import slicers_here
 
+from ebamcheck.checks.plate_record import member_of, plate_checks, plate_record
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.part_source import (
     PlatePart,
@@ -25,7 +26,6 @@ from ebamcheck.mesh.part_source import (
     source_sha256,
 )
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.plate_record import member_of, plate_checks, plate_record
 from ebamcheck.program import read_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config

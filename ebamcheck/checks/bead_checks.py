@@ -306,28 +306,11 @@ def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
 def widest_part(
     region: BaseGeometry, segments: Floats, bead_width_mm: float, wider_than_mm: float = 0.0
 ) -> tuple[float, shapely.Polygon | None]:
-    """Find the widest part of a region that lies further than half a bead width from every segment.
+    """Diameter of the largest circle in a region, mm, that lies further than half a bead width from every segment, and the part that holds it.
 
-    Only beads that reach a patch of bare samples are laid there, so that a few bare spots of a layer of a thousand beads
-    cost no union of a thousand. What holds no sample, no wider than one and a half steps of them, is left out.
-
-    Parameters
-    ----------
-    region
-        Polygon or multi-polygon.
-    segments
-        (S, 4) x0, y0, x1, y1 of the centre lines of the beads, mm; beads end in half discs.
-    bead_width_mm
-        Width of the beads.
-    wider_than_mm
-        Width that is asked for: patches come the widest first, and those that cannot hold a circle of that diameter, or
-        of that of a part found already, are not cut out.
-
-    Returns
-    -------
-    tuple
-        Diameter of the largest circle in the part, mm, and the part, within the box around its patch; `wider_than_mm`
-        and None where none is wider.
+    Patches of bare samples come the widest first, and beads are laid only where they reach one: a few bare spots of a layer of a thousand
+    beads cost no union of a thousand. What holds no sample, and no circle over `wider_than_mm`, is left out: that width, and None, where
+    there is no other. Segments (S, 4) x0, y0, x1, y1 are centre lines of beads with round ends, mm.
     """
     bare = bare_samples(region, segments, bead_width_mm)
     widest_mm, widest = wider_than_mm, None

@@ -47,15 +47,7 @@ NO_HEIGHT = KeepOut.model_fields["z_mm"].default
 def clearance_checks(
     nc: NCProgram, z_of: Floats, config: Config, layers: Layers | None = None
 ) -> list[Check]:
-    """Run a program over what stands, and check what it meets.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each layer; of none where they are not known: then those of the program count.
-    layers
-        (L,) sections of the part: where it has metal under a bead, metal has to stand.
-    """
+    """Run a program over what stands, and check what it meets; where `layers` have metal under a bead, metal has to stand."""
     beads = nc.beads
     below = _below(nc, z_of, config.base_mm)
     found = run_over(nc, beads, below, config, HOP_SPACINGS * config.process.hatch_spacing_mm)
@@ -171,13 +163,6 @@ def beads_in_the_air(
     """Find beads (P,) of islands that touch no metal of the layer below, nor anything else that stands.
 
     The first bead of such an island has nothing under it; the others lie beside it, so that they alone do not show it.
-
-    Parameters
-    ----------
-    bare_mm
-        (B,) length of each motion with nothing under it, of :class:`~ebamcheck.checks.clearance.Standing`.
-    below_mm
-        (B,) Z of the layer below that of each motion.
     """
     long = beads.total(np.nan_to_num(nc.lengths[beads.rows]))
     bare = beads.total(bare_mm[beads.rows])
@@ -218,22 +203,9 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
 class Standing:
     """What every motion of a program meets, as columns (B,); zero where it meets nothing.
 
-    Parameters
-    ----------
-    into_mm
-        How deep the tip goes into what stands.
-    head_mm
-        How deep the head does.
-    under_mm
-        How far a travel goes under the bead that it comes from and the one that it leads to.
-    short_mm
-        What a travel lacks of the clearance, where it is longer than a hop.
-    lost
-        Travels from or to a place that no block has given, lower than all that stands and the clearance.
-    bare_mm
-        Length of a bead within half a width of which nothing stands as high as the layer below.
-    bare_from, bare_to
-        Parameters of the motion between which that is.
+    Depth to which the tip goes into what stands, and the head; how far a travel goes under the beads before and after it; what a travel
+    longer than a hop lacks of the clearance; travels from or to a place that no block has given (`lost`); length of a bead within half a
+    width of which nothing stands as high as the layer below, and the parameters of the motion between which that is.
     """
 
     into_mm: Floats
@@ -247,15 +219,7 @@ class Standing:
 
 
 def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_mm: float) -> Standing:
-    """Run a program over the grid of what stands.
-
-    Parameters
-    ----------
-    below_mm
-        (B,) Z of the layer below that of each motion.
-    hop_mm
-        A travel up to this length may stay at the height of the beads.
-    """
+    """Run a program over the grid of what stands; a travel up to `hop_mm` may stay at the height of the beads."""
     machine, bead_mm = config.machine, config.process.bead_width_mm
     origin, shape, cell = _grid(nc, beads, config)
     # A zone of the default height is one to stay out of, and no body of which the height is known.

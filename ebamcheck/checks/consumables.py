@@ -43,15 +43,7 @@ TOLD_LAYERS = 6
 
 @dataclass(frozen=True)
 class Spent:
-    """What the layers below took of the spool that is on, and of the cathode that is in.
-
-    Parameters
-    ----------
-    wire_kg, beam_h
-        Wire, and time under beam.
-    new
-        Names of the checks of what is put on new before the last of these layers.
-    """
+    """What the layers below took of the spool and of the cathode that are in use, and what was put on new before the last of them."""
 
     wire_kg: float = 0.0
     beam_h: float = 0.0
@@ -64,34 +56,10 @@ class Spent:
 
 @dataclass(frozen=True)
 class Consumed:
-    """What a program uses up of one thing, and before which layers a new one is needed.
+    """What a program uses up of one thing, and before which layers, from 0, a new one is needed.
 
-    Parameters
-    ----------
-    name
-        Name of the check.
-    what
-        Of which the build takes so much, such as ``kg of wire``.
-    holder
-        Words for what holds it, such as ``a spool holds``.
-    unit
-        Unit of the figures.
-    setting
-        Setting that tells how much one holds.
-    holds
-        How much one holds.
-    total
-        How much the program uses.
-    changes
-        Layers, from 0, before which a new one is put on.
-    ends_in
-        Layer in which it ends before a stop; None where it lasts.
-    where
-        ``FILE:line`` of the motion in which it ends.
-    spent
-        How much of the one that is there was used before the program.
-    in_use
-        How much of the last one is used when the program is done.
+    It ends in layer `ends_in`, at ``FILE:line`` `where`, if not None; `spent` of the one that is there was used before the program, and
+    `in_use` of the last one is used when it is done.
     """
 
     name: str
@@ -269,16 +237,9 @@ def layer_pauses_s(nc: NCProgram) -> Floats:
 
 
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
-    """One row a layer: blocks, lengths, times and wire.
+    """One row a layer: file, Z, motions, lengths (turns are hatch), times, waits before and within it, and wire.
 
-    Times are those of constant feed: lengths over feed, rapids over ``machine.rapid_mm_s``; ramps of the
-    axes come on top.
-
-    Returns
-    -------
-    DataFrame
-        Columns `layer`, `file`, `z_mm`, `motions`, `contour_mm`, `hatch_mm` (turns included), `travel_mm`,
-        `deposit_s`, `travel_s`, `pause_s` (the waits before it and within it), `wire_mm`, `wire_kg`.
+    Times are those of constant feed: lengths over feed, rapids over ``machine.rapid_mm_s``; ramps of the axes come on top.
     """
     process = config.process
     count = len(nc.layer_files)

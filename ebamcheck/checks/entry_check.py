@@ -28,15 +28,7 @@ GEOMETRY = ("end", "coefficients", "arc")
 def entry_check(
     whole: NCProgram, entry: NCProgram, layer: int, z_mm: float, config: Config, validated: bool
 ) -> Check:
-    """Check a program that begins at a layer against the whole one.
-
-    Parameters
-    ----------
-    layer, z_mm
-        The layer, from 1, and its Z.
-    validated
-        Whether the whole program is called validated, as this one has to be then, and only then.
-    """
+    """Check a program that begins at a layer, from 1, against the whole one; it is to be called `validated` as that is."""
     faults = list(_faults(whole, entry, layer, z_mm, config, Truth(validated)))
     return count_check(
         "entry", faults, f"{len(entry)} motions from layer {layer} on are those of the whole program"

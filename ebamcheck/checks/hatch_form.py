@@ -17,7 +17,7 @@ from shapely.ops import substring
 from ebamcheck.checks.checks import Check, count_check
 from ebamcheck.checks.tolerances import TWO_PLACES_MM
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.numeric.kernels import kernel, run_each
+from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
@@ -47,6 +47,9 @@ that is out of its place has two."""
 
 FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
 
+AT_ONCE = 1_000_000
+"""Pairs of lines that are held at once."""
+
 
 def form_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the form of all hatch beads, and that no bead crosses itself or another of its layer."""
@@ -72,15 +75,7 @@ def _lines(nc: NCProgram, config: Config) -> Check:
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
-    """Lines of the hatch beads that are straight throughout, their parts at other power or wire taken together.
-
-    Returns
-    -------
-    first
-        (P + 1,) first line of each bead.
-    row, way
-        (n,) first motion of each line, and (n, 2) from its start to its end, mm.
-    """
+    """Lines of straight hatch beads, parts at other power or wire taken together: first of each bead (P + 1,), first motion (n,), way (n, 2)."""
     beads = nc.beads
     curved = beads.any(nc.kind[beads.rows] != STRAIGHT)
     mine = ~curved[beads.bead] & (nc.island[beads.rows] >= 0)
@@ -98,143 +93,115 @@ def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
     return first.astype(np.int64), row, np.ascontiguousarray(way)
 
 
-@kernel
-def _parallel(way: Floats, length: Floats, i: int, j: int) -> bool:
-    """Whether two lines have one direction, as far as their rounded ends can tell."""
-    across = abs(way[i, 0] * way[j, 1] - way[i, 1] * way[j, 0])
-    slack = PARALLEL * length[i] * length[j] + TWO_PLACES_MM * max(length[i], length[j])
-    return bool(across <= slack)
-
-
-@kernel
-def _offset(start: Floats, way: Floats, length: Floats, j: int, i: int) -> float:
-    """Distance of the start of line i across line j."""
-    dx, dy = start[i, 0] - start[j, 0], start[i, 1] - start[j, 1]
-    return float((way[j, 0] * dy - way[j, 1] * dx) / length[j])
-
-
-@kernel
-def _turned_back(way: Floats, length: Floats, a: int, b: int) -> int:
-    """First line of a bead that goes back on the one before; -1 for none."""
-    for i in range(a + 1, b):
-        along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
-        known = min(length[i - 1], length[i]) > 10.0 * TWO_PLACES_MM
-        if known and along < LEAST_TURN * length[i - 1] * length[i]:
-            return i
-    return -1
-
-
-@kernel
-def _main_line(way: Floats, length: Floats, a: int, b: int) -> int:
-    """Longest line of the direction that most of a bead has; -1 where no direction has enough of it."""
-    best, most = a, 0.0
-    for i in range(a, b):
-        along = 0.0
-        for k in range(a, b):
-            along += length[k] if _parallel(way, length, i, k) else 0.0
-        if along > most or (along == most and length[i] > length[best]):
-            best, most = i, along
-    return best if most >= TO_AND_FRO * length[a:b].sum() else -1
-
-
-@kernel
-def _goes_to_and_fro(
-    start: Floats, way: Floats, length: Floats, a: int, b: int, j: int, spacing: float
-) -> bool:
-    """Whether two lines along line j follow each other with one turn between, in opposite directions and side by side."""
-    for i in range(a + 2, b):
-        turn = length[i - 1] <= TURN_SPACINGS * spacing + TWO_PLACES_MM and not _parallel(
-            way, length, j, i - 1
-        )
-        if turn and _parallel(way, length, j, i) and _parallel(way, length, j, i - 2):
-            opposite = way[i, 0] * way[i - 2, 0] + way[i, 1] * way[i - 2, 1] < 0.0
-            step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, i - 2))
-            if opposite and TWO_PLACES_MM < step <= WIDEST_SPACINGS * spacing:
-                return True
-    return False
-
-
-@kernel
-def _skew(way: Floats, length: Floats, a: int, b: int, j: int, spacing: float) -> int:
-    """First line of a bead that is neither along line j, nor along any other, nor a turn between two; -1 for none.
-
-    Short motions before the first line along j and behind the last one follow a wall or fill a bare spot, and lie as that
-    does; but a single one that goes half a spacing aside is a turn whose line is missing.
-    """
-    longest = TURN_SPACINGS * spacing + TWO_PLACES_MM
-    low, high = j, j
-    for i in range(a, b):
-        if _parallel(way, length, j, i):
-            low, high = min(low, i), max(high, i)
-    straight = True
-    for i in range(a, b):
-        if _parallel(way, length, j, i):
-            straight = True
-            continue
-        short = length[i] <= longest
-        mate = straight and low < i < high and short
-        if short and not low < i < high:
-            alone = i + 1 == low == a + 1 or i == high + 1 == b - 1
-            aside = abs(way[j, 0] * way[i, 1] - way[j, 1] * way[i, 0]) / length[j]
-            if alone and aside >= 0.5 * spacing:
-                return i
-            mate = True
-        for k in range(a, b):
-            mate = mate or (k != i and _parallel(way, length, i, k))
-        if not mate:
-            return i
-        straight = False
-    return -1
-
-
-@kernel
-def _follows_wall(way: Floats, length: Floats, a: int, b: int) -> bool:
-    """Whether a bead bends gently at several joints one after the other, as along a wall."""
-    bends = 0
-    for i in range(a + 1, b):
-        along = way[i - 1, 0] * way[i, 0] + way[i - 1, 1] * way[i, 1]
-        gentle = along >= GENTLE * length[i - 1] * length[i] and not _parallel(way, length, i - 1, i)
-        bends = bends + 1 if gentle else 0
-        if bends == MANY:
-            return True
-    return False
-
-
-@kernel
-def _uneven(start: Floats, way: Floats, length: Floats, a: int, b: int, j: int) -> int:
-    """First line along line j whose distance from the one before is another than that of those before; -1 for none."""
-    before, pitch = -1, 0.0
-    for i in range(a, b):
-        if not _parallel(way, length, j, i):
-            continue
-        if 0 <= before < i - 1:
-            step = abs(_offset(start, way, length, j, i) - _offset(start, way, length, j, before))
-            if step > 2.0 * TWO_PLACES_MM:
-                if pitch > 0.0 and abs(step - pitch) > 2.0 * TWO_PLACES_MM + PARALLEL * length[j]:
-                    return i
-                pitch = step
-        before = i
-    return -1
-
-
-@kernel
 def form_of(first: Ints, start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
     """Form of each bead: whether its lines are to and fro and evenly so, (P,), and the line where they are not (P,)."""
-    count = first.size - 1
-    state, at = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    length = np.sqrt(way[:, 0] ** 2 + way[:, 1] ** 2)
-    for bead in range(count):
-        a, b = first[bead], first[bead + 1]
-        kind, place = BACK, _turned_back(way, length, a, b)
-        if place < 0 and b - a >= 3:
-            j = _main_line(way, length, a, b)
-            if j >= 0 and _goes_to_and_fro(start, way, length, a, b, j, spacing):
-                kind, place = SKEW, _skew(way, length, a, b, j, spacing)
-                if place < 0 or _follows_wall(way, length, a, b):
-                    kind, place = UNEVEN, _uneven(start, way, length, a, b, j)
-        if place >= 0:
-            state[bead], at[bead] = kind, place
+    sizes = np.diff(first)
+    state, at = np.zeros(sizes.size, np.int64), np.zeros(sizes.size, np.int64)
+    for size in np.unique(sizes[sizes > 1]).tolist():
+        alike, many = np.flatnonzero(sizes == size), max(AT_ONCE // size**2, 1)
+        for some in np.split(alike, range(many, alike.size, many)):
+            lines = first[some][:, None] + np.arange(size)
+            state[some], place = _forms(start[lines], way[lines], spacing)
+            at[some] = np.where(place >= 0, lines[:, 0] + place, 0)
     return state, at
+
+
+def _forms(start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
+    """Form (m,) of beads of as many lines (m, n, 2) each, and the line at fault (m,), -1 for none."""
+    length = np.sqrt(way[..., 0] ** 2 + way[..., 1] ** 2)
+    back = _first(_turned_back(way, length))
+    if way.shape[1] < 3:
+        return np.where(back >= 0, BACK, FINE), back
+    parallel = _parallel(way, length)
+    main, most = _main_lines(parallel, length)
+    bead = np.arange(main.size)
+    along, longest = parallel[bead, main], TURN_SPACINGS * spacing + TWO_PLACES_MM
+    to = start - start[bead, main][:, None]
+    ahead, mains_mm = way[bead, main][:, None], length[bead, main][:, None]
+    offset = (ahead[..., 0] * to[..., 1] - ahead[..., 1] * to[..., 0]) / mains_mm
+    aside = np.abs(ahead[..., 0] * way[..., 1] - ahead[..., 1] * way[..., 0]) / mains_mm
+    # Two lines follow each other with one turn between, in opposite directions and side by side.
+    step = np.abs(offset[:, 2:] - offset[:, :-2])
+    fro = (way[:, 2:] * way[:, :-2]).sum(axis=2) < 0.0
+    turn = (length[:, 1:-1] <= longest) & ~along[:, 1:-1] & along[:, 2:] & along[:, :-2]
+    to_and_fro = (turn & fro & (step > TWO_PLACES_MM) & (step <= WIDEST_SPACINGS * spacing)).any(axis=1)
+    judged = (back < 0) & to_and_fro & (most >= TO_AND_FRO * np.cumsum(length, axis=1)[:, -1])
+    skew = _first(_skew(parallel, along, length <= longest, aside >= 0.5 * spacing))
+    uneven = _first(_uneven(along, offset, mains_mm))
+    lie = judged & ((skew < 0) | _follow_walls(way, length, parallel))
+    state = np.where(back >= 0, BACK, np.where(lie, UNEVEN, np.where(judged, SKEW, FINE)))
+    place = np.where(back >= 0, back, np.where(lie, uneven, np.where(judged, skew, -1)))
+    return np.where(place >= 0, state, FINE), place
+
+
+def _first(which: Bools) -> Ints:
+    """Index (m,) of the first that is true of each row (m, n); -1 for none."""
+    return np.where(which.any(axis=1), which.argmax(axis=1), -1)
+
+
+def _parallel(way: Floats, length: Floats) -> Bools:
+    """Whether lines i and k (m, n, n) of a bead have one direction, as far as their rounded ends can tell."""
+    x, y, one, other = way[..., 0], way[..., 1], length[:, :, None], length[:, None, :]
+    across = np.abs(x[:, :, None] * y[:, None, :] - y[:, :, None] * x[:, None, :])
+    return np.asarray(across <= PARALLEL * one * other + TWO_PLACES_MM * np.maximum(one, other))
+
+
+def _turned_back(way: Floats, length: Floats) -> Bools:
+    """Lines (m, n) that go back on the one before."""
+    back = np.zeros(length.shape, np.bool_)
+    known = np.minimum(length[:, :-1], length[:, 1:]) > 10.0 * TWO_PLACES_MM
+    along = (way[:, :-1] * way[:, 1:]).sum(axis=2)
+    back[:, 1:] = known & (along < LEAST_TURN * length[:, :-1] * length[:, 1:])
+    return back
+
+
+def _main_lines(parallel: Bools, length: Floats) -> tuple[Ints, Floats]:
+    """Longest line (m,) of the direction that most of a bead has, and how much of it that is (m,) mm."""
+    along = np.cumsum(np.where(parallel, length[:, None, :], 0.0), axis=2)[..., -1]
+    most = along.max(axis=1)
+    return np.where(along == most[:, None], length, -1.0).argmax(axis=1), most
+
+
+def _skew(parallel: Bools, along: Bools, short: Bools, aside: Bools) -> Bools:
+    """Lines (m, n) that are neither along the main line, nor along any other, nor a turn between two.
+
+    Short motions before the first line along it and behind the last one follow a wall or fill a bare spot, and lie as that
+    does; but a single one that goes half a spacing aside is a turn whose line is missing.
+    """
+    count = along.shape[1]
+    index, low = np.arange(count), along.argmax(axis=1)[:, None]
+    high = count - 1 - along[:, ::-1].argmax(axis=1)[:, None]
+    inside, alone = (low < index) & (index < high), (index == 0) & (low == 1)
+    alone |= (index == count - 1) & (high == count - 2)
+    behind = np.ones(along.shape, np.bool_)
+    behind[:, 1:] = along[:, :-1]
+    mated = (behind & inside & short) | (parallel.sum(axis=2) > parallel[:, index, index])
+    return np.asarray(~along & np.where(short & ~inside, alone & aside, ~mated))
+
+
+def _follow_walls(way: Floats, length: Floats, parallel: Bools) -> Bools:
+    """Beads (m,) that bend gently at several joints one after the other, as along a wall."""
+    index = np.arange(length.shape[1] - 1)
+    gentle = (way[:, :-1] * way[:, 1:]).sum(axis=2) >= GENTLE * length[:, :-1] * length[:, 1:]
+    bends = np.cumsum(gentle & ~parallel[:, index, index + 1], axis=1)
+    before = np.concatenate([np.zeros((len(bends), 1), bends.dtype), bends], axis=1)
+    return np.asarray((before[:, MANY:] - before[:, :-MANY] == MANY).any(axis=1))
+
+
+def _uneven(along: Bools, offset: Floats, mains_mm: Floats) -> Bools:
+    """Lines (m, n) along the main one whose distance from the line before differs from that of the lines before."""
+    before = _before(along)
+    step = np.abs(offset - np.take_along_axis(offset, np.maximum(before, 0), axis=1))
+    beside = along & (before >= 0) & (before < np.arange(along.shape[1]) - 1) & (step > 2.0 * TWO_PLACES_MM)
+    last = _before(beside)
+    pitch = np.take_along_axis(step, np.maximum(last, 0), axis=1)
+    return beside & (last >= 0) & (np.abs(step - pitch) > 2.0 * TWO_PLACES_MM + PARALLEL * mains_mm)
+
+
+def _before(which: Bools) -> Ints:
+    """Index (m, n) of the last one before each that is true; -1 for none."""
+    index = np.maximum.accumulate(np.where(which, np.arange(which.shape[1]), -1), axis=1)
+    return np.concatenate([np.full((len(which), 1), -1), index[:, :-1]], axis=1)
 
 
 # -- crossings ----------------------------------------------------------------------------------------

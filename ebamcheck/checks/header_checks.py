@@ -218,13 +218,7 @@ def _size(nc: NCProgram, config: Config) -> Check:
 
 
 def marked_validated(files: ProgramFiles) -> ProgramFiles:
-    """Mark a program that was checked as validated.
-
-    Raises
-    ------
-    RuntimeError
-        If more has changed than its status: a mistake of this program. Its files are then again those that were checked.
-    """
+    """Mark a program that was checked as validated; RuntimeError, and the files as they were, if more than its status has changed."""
     checked = {name: (files.folder / name).read_bytes() for name in files.names}
     made = mark_validated(files)
     for name, data in checked.items():

@@ -75,12 +75,8 @@ def may_differ_k(config: Config) -> float:
 def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
     """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
 
-    Where the full power is too little for both, all of it, or that for the wire alone, is asked for.
-
-    Parameters
-    ----------
-    thickness_mm
-        (...) height of what a bead lays where its metal is spread over one spacing, at the feed of the process.
+    Where the full power is too little for both, all of it, or that for the wire alone, is asked for. `thickness_mm` is the height of what
+    a bead lays where its metal is spread over one spacing, at the feed of the process.
     """
     process, material = config.process, config.material
     each_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing
@@ -114,17 +110,7 @@ class BeadHeat:
 def entries_k(
     beads: BeadHeat, sections: Sequence[BaseGeometry], heights_mm: Floats, config: Config
 ) -> Floats:
-    """Temperature of what beads are laid on when the beam comes to them.
-
-    Parameters
-    ----------
-    sections, heights_mm
-        (L,) sections of the layers, and how high each is.
-
-    Returns
-    -------
-    (P,) K.
-    """
+    """Temperature (P,) of what beads are laid on when the beam comes to them, K, in layers (L,) of sections and heights."""
     shapes = [_Shape.of(s, h) for s, h in zip(sections, heights_mm.tolist(), strict=True)]
     return _entered(_Column(config), beads, shapes)
 
@@ -151,20 +137,7 @@ class FollowedHeat:
     def with_layer(
         self, beads: BeadHeat, section: BaseGeometry, height_mm: float
     ) -> tuple[Floats, FollowedHeat]:
-        """Lay one more layer.
-
-        Parameters
-        ----------
-        beads
-            Beads (P,) of the layer; all have layer 0.
-        section, height_mm
-            Section and height of the layer.
-
-        Returns
-        -------
-        bed_k, heat
-            Temperature (P,) of what each bead is laid on, K, and the heat when the layer is done.
-        """
+        """Lay one more layer of beads (P,), all of layer 0: temperature of what each is laid on, K, and the heat when the layer is done."""
         after = copy.copy(self)
         after._column = self._column.copied()
         return _entered(after._column, beads, [_Shape.of(section, height_mm)]), after
@@ -292,14 +265,8 @@ def _follow(
 ) -> None:
     """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end.
 
-    Parameters
-    ----------
-    cells
-        Height, section, and surface that radiates times its emissivity, (n,) each, from the table up.
-    tables
-        Heat content, J/mm^3, and conductivity, W/mm K, at every kelvin.
-    power
-        Heat that the uppermost cell takes up, W.
+    Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
+    conductivity, W/mm K, at every kelvin; the uppermost cell takes up `power`, W.
     """
     for step in range(STEPS):
         span = (2 * step + 1) / STEPS**2 * time

@@ -56,14 +56,7 @@ settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70,
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
-    """Check the waits of a program, before layers, contours, islands, and further beads of these.
-
-    Parameters
-    ----------
-    heat
-        Waits and power of the plan; None where it is not known: then the least wait between layers is that of the
-        settings.
-    """
+    """Check the waits before layers, contours, islands and further beads: those of the plan, or without one the least between layers."""
     return _waits(nc, text_beads(nc, config), config, heat)
 
 
@@ -76,15 +69,8 @@ def heat_checks(
 ) -> list[Check]:
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
-    Parameters
-    ----------
-    sections
-        Sections of the part, for the balance of its heat; None: what the contours of the program enclose.
-    before
-        Heat of what stands when the program begins; None: the cold plate. Of a program that begins on a part that is half
-        built it has to be known: else its entries are not judged, since nothing in its text tells how warm the part is.
-    witness
-        Sections for the second balance, best by a slicer that did not make the program; None: those.
+    Without `sections` those count that the contours of the program enclose; `witness` are those of the second balance. Of a program that
+    begins on a part that is half built, heat `before` it has to be known: nothing in its text tells how warm the part is.
     """
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
@@ -300,17 +286,10 @@ def _waited(beads: TextBeads, config: Config) -> Bools:
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
-    """Temperature of the surface when beads are entered, by the balance of the text, against the least.
+    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,).
 
     Power and waits are planned for metal that is entered near the limit. What waits longer is entered colder than the power is
     tapered for, and fuses worse with what lies under it.
-
-    Parameters
-    ----------
-    bed_k
-        (P,) of each bead.
-    checked
-        (P,) beads for which the window of entry temperatures holds.
     """
     least_k = np.where(checked, least_entries_k(beads, bed_k, config), -np.inf)
     if not np.isfinite(least_k).any():

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
-from ebamcheck.checks.tolerances import TWO_PLACES_MM
+from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, TWO_PLACES_MM
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
@@ -28,18 +28,9 @@ APART_MM = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Beads of a program and the tracks of a plan that they follow.
+    """Beads (P,) of a program, the track of a plan that each follows, and whether another bead follows it already.
 
-    Parameters
-    ----------
-    beads
-        (P,) of the program.
-    track
-        (P,) track of each; -1 for a bead that nobody planned.
-    again
-        (P,) beads that follow a track which another bead follows already.
-    path
-        The plan.
+    A bead that nobody planned has track -1.
     """
 
     beads: Beads
@@ -49,13 +40,7 @@ class Matching:
 
 
 def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
-    """Give every bead the role of the track that it follows.
-
-    Returns
-    -------
-    The program with the plan's numbers of rings and islands, its turns and further parts of lines; and what is matched
-    with what. A bead that nobody planned has no role.
-    """
+    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one that nobody planned."""
     beads = nc.beads
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
@@ -187,9 +172,9 @@ def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints
 # -- checks ------------------------------------------------------------------------------------------
 
 
-def matching_checks(nc: NCProgram, match: Matching, limit_mm: float) -> list[Check]:
+def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
     """Check that every bead was planned, that none is missing or comes twice or too early, and that all hatch keeps to its track."""
-    return [_bead_faults(nc, match), _hatch_path(nc, match, limit_mm)]
+    return [_bead_faults(nc, match), _hatch_path(nc, match)]
 
 
 def _bead_faults(nc: NCProgram, match: Matching) -> Check:
@@ -219,7 +204,7 @@ def _named(path: TrackColumns, track: int) -> str:
     return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
 
 
-def _hatch_path(nc: NCProgram, match: Matching, limit_mm: float) -> Check:
+def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     """Distance of the motions of hatch beads, turns among them, from their tracks, both ways."""
     beads, path = match.beads, match.path
     alike, rows, segment = _one_by_one(match)
@@ -237,4 +222,4 @@ def _hatch_path(nc: NCProgram, match: Matching, limit_mm: float) -> Check:
         away[mine] = shape_distance(driven, np.stack([path.segment_start[a:b], path.end[a:b]], axis=1))
     found = np.flatnonzero(away >= 0.0)
     what = "distance of hatch and turns from their plan"
-    return worst_check("hatch path", nc, found, away[found], limit_mm, "mm", what)
+    return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)

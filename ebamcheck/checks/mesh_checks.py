@@ -78,15 +78,7 @@ class Solid(NamedTuple):
 
 
 def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
-    """Check that the layers neither add to the solid nor leave out of it more than `process.mass_tolerance`.
-
-    Parameters
-    ----------
-    part
-        The part as placed; of a plate each part is held to the limit by itself.
-    layers
-        Its sections at the cuts of the program, from below.
-    """
+    """Check that the layers neither add to the solid, or to one part of a plate, nor leave out of it more than `process.mass_tolerance`."""
     limit, cuts = config.process.mass_tolerance, np.asarray(layers.heights)
     if not len(cuts) or not layers.areas().any():
         return Solid(
@@ -218,15 +210,7 @@ class Lost(NamedTuple):
 
 
 def between_check(part: Part, layers: Layers, config: Config) -> Check:
-    """Check that no opening and no metal is lost between two cuts that is smaller than a least that is set; of others it tells.
-
-    Parameters
-    ----------
-    part
-        The part as placed.
-    layers
-        Its sections by a slicer.
-    """
+    """Check that no opening and no metal is lost between two cuts that is smaller than a least that is set; of others it tells."""
     if config.layers.heights_mm or config.base_mm > 0.0:
         return Check(
             "between the cuts", True, 0.0, 0.0, "features", "", "the settings say which layers there are"
@@ -376,13 +360,6 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
 
     Where there is metal in one and none in the other, the border of the one lies beside that of the other: by no more than
     `curves.section_tolerance_mm`. Lines that graze a side have long pieces whose ends lie on both.
-
-    Parameters
-    ----------
-    part
-        The part as placed.
-    layers
-        Its sections by a slicer.
     """
     limit = config.curves.section_tolerance_mm
     sections = [layers.section(k) for k in range(len(layers))]
@@ -447,15 +424,7 @@ def _is_uneven(cuts: Floats) -> bool:
 
 
 def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
-    """Check that a layer on what stands is cut at its middle, and does not begin over the top of the part.
-
-    Parameters
-    ----------
-    cut_mm
-        Absolute height of its cut.
-    base_mm, thickness_mm
-        Z of what it lies on, over the lowest point of the part; and its height.
-    """
+    """Check that a layer on what stands, at Z `base_mm`, is cut at its middle, and does not begin over the top of the part."""
     low_mm, top_mm = part.bounds[:, 2].tolist()
     off = {
         "the layer is not cut at its middle": abs(cut_mm - low_mm - base_mm - 0.5 * thickness_mm),

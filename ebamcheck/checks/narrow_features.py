@@ -75,20 +75,10 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class NarrowFeature:
-    """A feature over all layers that it goes through.
+    """A feature over all layers that it goes through, from the `first` to the `last`.
 
-    Parameters
-    ----------
-    least_mm
-        Width under which it counts as narrow: that set, or that of the bead; openings are narrowed by the allowance for machining.
-    is_set
-        Whether a setting says so: then it may not be built.
-    narrowest_mm, widest_mm, length_mm
-        Widths from side to side over all layers; the length is that in the layer of the narrowest place.
-    layer, x_mm, y_mm
-        That place.
-    first, last
-        Lowest and highest layer.
+    It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead; openings are narrowed by the allowance
+    for machining. Its length and place are those in the layer where it is narrowest.
     """
 
     kind: Kind
@@ -138,10 +128,7 @@ class NarrowFeature:
 def narrow_features(sections: Sequence[BaseGeometry], config: Config) -> list[NarrowFeature]:
     """Find openings and walls narrower than the least that is set or, where none is, than beads can build; the narrowest first.
 
-    Parameters
-    ----------
-    sections
-        (L,) of the part itself. An allowance for machining takes its double from every opening, and adds it to every wall.
+    An allowance for machining takes its double from every opening of the part's sections, and adds it to every wall.
     """
     process = config.process
     beads = config.changed(process={"least_hole_mm": None, "least_wall_mm": None})
@@ -202,16 +189,7 @@ def _lies(
 
 
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
-    """Find the narrow places of a section.
-
-    Parameters
-    ----------
-    walls
-        Look for walls; else for openings.
-    least_mm
-        Width under which a place is narrow.
-    shallow_mm
-        Notches and tips no deeper than this are the unevenness of a side as it is built.
+    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides.
 
     Examples
     --------
@@ -422,19 +400,7 @@ class ThinWall:
 
 @dataclass(frozen=True)
 class NarrowBead:
-    """What a bead takes that is as wide as a wall, at the travel speed that is set.
-
-    Parameters
-    ----------
-    width_mm
-        Its width.
-    wire_mm_s, power_w, current_ma
-        Wire speed, beam power, and the current that gives it.
-    layer_mm
-        Height of the layer.
-    limits_mm
-        Least width that each limit of the process allows, by the limit's name.
-    """
+    """Width, wire, power and current of a bead as wide as a wall, at the travel speed that is set, and the least width of each limit by its name."""
 
     width_mm: float
     wire_mm_s: float

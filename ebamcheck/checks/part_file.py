@@ -79,14 +79,8 @@ class _MeshFile:
 class _Body:
     """A part in its file, and how it is to stand.
 
-    Parameters
-    ----------
-    file
-        Its facets.
-    direction, turn_deg
-        What points up, in the coordinates of the file; turn about the vertical, counter-clockwise seen from above.
-    place_mm
-        X and Y of the middle of its box, and Z of its lowest point, if that is told; None: it stays where it is.
+    What points up, in the coordinates of the file; the turn about the vertical, counter-clockwise seen from above; X and Y of the middle
+    of its box, and Z of its lowest point, if that is told (None: it stays where it is).
     """
 
     file: _MeshFile

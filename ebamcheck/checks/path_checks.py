@@ -325,13 +325,7 @@ def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floa
 
 
 def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
-    """Check the layers that are laid, in the order in which they are, against the heights expected.
-
-    Parameters
-    ----------
-    z_of, filled
-        (L,) Z of each layer, and whether it is to have metal.
-    """
+    """Check the layers that are laid, in their order, against the Z (L,) expected and whether each is to have metal."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     calls = nc.events.row[(nc.events.kind == Kind.CALL) & (nc.events.file == 0)]
     part = np.searchsorted(calls, rows, side="right")

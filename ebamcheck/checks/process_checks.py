@@ -156,13 +156,9 @@ def _seams(nc: NCProgram, config: Config) -> Check:
 
 
 def seam_turns(nc: NCProgram) -> tuple[Ints, Floats]:
-    """Turn of the path at the seam of each closed contour.
+    """First motion (n,) of each contour that comes back to its start, and the angle of its seam, from 0 to 180 degrees.
 
-    Returns
-    -------
-    row, turn_deg
-        (n,) first motion of each contour that comes back to its start, and the angle (n,) from 0 to 180 degrees between the
-        directions in which it arrives there and sets out.
+    It is that between the directions in which the path arrives there and sets out.
     """
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
     beads = nc.beads.among(rows)

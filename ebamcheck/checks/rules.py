@@ -35,7 +35,6 @@ from ebamcheck.checks.state_checks import state_checks
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.text_checks import text_checks, words_check
 from ebamcheck.checks.tilt_checks import tilt_checks
-from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM
 from ebamcheck.checks.value_checks import window_check, wire_check
 from ebamcheck.findings import at_layer
 from ebamcheck.nc.inputs import deposition_heights
@@ -99,7 +98,7 @@ def _of_plugin(name: str, subject: Subject) -> list[Check]:
 
 def _matching(subject: Subject) -> list[Check]:
     assert subject.match is not None
-    return matching_checks(subject.nc, subject.match, PATH_TOLERANCE_MM)
+    return matching_checks(subject.nc, subject.match)
 
 
 def _metal(subject: Subject) -> list[Check]:
@@ -122,7 +121,7 @@ RULES = (
         **_each(do.AGAIN, "status", "header"), "size on the control": do.SHORTER,
     }),
     Rule(lambda s: state_checks(s.nc, s.config), {
-        **_each(do.PROFILE, "modes", "smoothing", "start state", "safe end"), "order of events": do.AGAIN,
+        **_each(do.PROFILE, "modes", "smoothing", "start state"), "order of events": do.AGAIN, "safe end": do.PROFILE,
         "feed": do.FEED, **_each(do.AGAIN, "start of path", "spline blocks", "polynomial blocks"), "travel": do.PLACE,
         **_each(do.PROFILE, "beam", "wire"), "turns": do.AGAIN,
     }),
@@ -195,7 +194,8 @@ def checks_on(subject: Subject, gate: str = "") -> list[Check]:
     """Make every check for which enough is known of a subject, or those of one gate; in the order of the table."""
     rules = [rule for rule in RULES if rule.applies(subject) and gate in ("", rule.gate)]
     if not gate:
-        _ = subject.shares, subject.witness_sections  # Worked out here once, and not by several threads.
+        # Worked out here once, and not by several threads.
+        _ = subject.nc, subject.shares, subject.sections, subject.witness_sections
     return checks_of([partial(rule.make, subject) for rule in rules])
 
 
@@ -205,29 +205,17 @@ def names_of(gate: str) -> tuple[str, ...]:
 
 
 def of_gate(checks: Iterable[Check], gate: str) -> list[Check]:
-    """Those of some checks that shut a gate; `program` is shut by all that shut no other."""
-    others = {name for rule in RULES if rule.gate != "program" for name in rule.checks}
-    names = names_of(gate)
-    return [
-        check for check in checks if (check.name not in others if gate == "program" else check.name in names)
-    ]
+    """Those of some checks that shut a gate; a check without a row of its own, such as that of a plugin, shuts `program`."""
+    gates = {name: rule.gate for rule in RULES for name in rule.checks}
+    return [check for check in checks if gates.get(check.name, "program") == gate]
 
 
-def told(
+def with_remedies(
     checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float, base_mm: float = 0.0
 ) -> list[Check]:
-    """Checks of which those that fail tell remedy, layer, and heights in part and program.
+    """Checks of which those that fail tell remedy, layer, and its heights in part and program.
 
-    Parameters
-    ----------
-    checks, nc
-        Checks of a program, and the program as it was read.
-    cut_mm
-        (L,) heights of the cuts in the part, mm.
-    first_layer_mm
-        Height of the only layer where there is no second.
-    base_mm
-        Z of what the lowest layer lies on.
+    The cuts (L,) mm are in the part; an only layer is `first_layer_mm` high, and the lowest lies on Z `base_mm`.
     """
     deposit_mm = deposition_heights(cut_mm, first_layer_mm, base_mm)
     found = []

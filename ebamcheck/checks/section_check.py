@@ -22,7 +22,6 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.settings.config import Config
 
 STEP_MM = 0.5
 """Distance of the places compared along the path."""
@@ -35,15 +34,8 @@ CORNER_RAD = math.radians(40.0)
 class Evidence:
     """By how much the contour path may leave the chords of a section, and why.
 
-    Parameters
-    ----------
-    base_mm
-        What fit, rounding and the arcs of an inset leave anywhere.
-    most_mm
-        Limit of the user: nothing allows more.
-    smooth
-        Sections with the curves that the chords stand for; the path may lie between both. None: chords allow what
-        a curve through their ends leaves them by.
+    Fit, rounding and the arcs of an inset leave `base_mm` anywhere, and nothing allows more than `most_mm`. The path may lie between the
+    chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their ends leaves them by.
     """
 
     base_mm: float
@@ -85,7 +77,7 @@ def section_checks(subject: Subject) -> list[Check]:
         base_mm = most_mm
     checks = [
         section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base_mm, most_mm, smooth)),
-        outside_check(nc, layers, z_of, config, most_mm),
+        outside_check(subject),
     ]
     if smooth is not None:
         checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
@@ -110,13 +102,6 @@ def section_check(
     A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
     not being there. Nor does a slit narrower than :data:`SLIT_MM`, be it a hole, a notch or a gap: unions leave slits of no
     width where shells touch, which an inset would widen. A path around either is not faulted.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    evidence
-        What sets the limit at each place of the path; None: it is `limit_mm` everywhere.
     """
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     index = nearest_layer(nc.end[rows, 2], z_of)
@@ -312,20 +297,14 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
 # -- beads inside --------------------------------------------------------------------------------------
 
 
-def outside_check(nc: NCProgram, layers: Layers, z_of: Floats, config: Config, limit_mm: float) -> Check:
-    """Check all metal, whatever its role: no place of a bead's centre line lies outside by more than `limit_mm`.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    limit_mm
-        How far a centre line may leave the wanted region.
-    """
+def outside_check(subject: Subject) -> Check:
+    """Check all metal, whatever its role: no place of a bead's centre line leaves the part and its allowance by more than contours may."""
+    nc, layers, config = subject.nc, subject.witness, subject.config
+    limit_mm = config.curves.section_tolerance_mm
     rows = np.flatnonzero(
         (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
     )
-    layer = nearest_layer(nc.end[rows, 2], z_of)
+    layer = nearest_layer(nc.end[rows, 2], subject.z_of)
 
     def farthest(k: int) -> tuple[float, int, int, float, float] | None:
         owner, at = nc.samples(rows[layer == k], STEP_MM)

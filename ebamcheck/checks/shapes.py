@@ -68,19 +68,10 @@ def _square(polyline: Floats, i: int, x: float, y: float) -> float:
 
 
 def shape_distance(driven: Floats, wanted: Floats) -> Floats:
-    """Largest distance between two paths, both ways, at the motion of the first where it is.
+    """Largest distance of paths (A, n, 2) and (E, m, 2) as shapes, both ways, (A,) at the motion of the first where it is.
 
-    Parameters
-    ----------
-    driven
-        (A, n, 2) samples of motions that follow one another, mm.
-    wanted
-        (E, m, 2) samples of spans that follow one another.
-
-    Returns
-    -------
-    (A,) distance of the motion from the other path, and of what lies nearest to the motion there: exact for the largest,
-    and no more than that for the others.
+    It is that of the motion from the other path, and of what lies nearest to the motion there: exact for the largest, and no more than
+    that for the others.
     """
     path, target = np.ascontiguousarray(driven).reshape(-1, 2), np.ascontiguousarray(wanted).reshape(-1, 2)
     _, away = _farthest(path, target, 0.0)
@@ -94,17 +85,8 @@ def shape_distance(driven: Floats, wanted: Floats) -> Floats:
 
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
-    """Points of a clamped cubic B-spline, (S, n, 2).
+    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
 
-    Parameters
-    ----------
-    knots, control
-        (m + 4,) and (m, 2).
-    at
-        (S, n) parameters: row s lies in the s-th span between two different knots, its ends included.
-
-    References
-    ----------
     C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50.
     """
     span = np.flatnonzero(knots[1:] > knots[:-1])

@@ -45,23 +45,11 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TextBeads:
-    """Beads of a program in its sequence, one from where the beam comes on to where it goes off, as columns (P,).
+    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off.
 
     Who reads the text alone need not know which of them are of one island: each is entered, and each finds the part as
-    warm as it then is. The plan counts them so, too (:mod:`ebamcheck.scan.plan.bead_sequence`).
-
-    Parameters
-    ----------
-    layer, ring, island
-        What each is of; -1 for none.
-    row
-        First motion of each.
-    wait_s, move_s
-        Wait, and moves with the beam off, before it.
-    time_s, energy_j, peak_w
-        Time from its first to its last motion under beam, the beam's energy in it, and its greatest power.
-    stray
-        Waits that no bead follows, or that lie within a bead: (event, what).
+    warm as it then is. The plan counts them so, too. Waits and moves are those before a bead; `row` is its first motion; `stray` are waits
+    that no bead follows, or that lie within one: (event, what).
     """
 
     layer: Ints
@@ -155,25 +143,10 @@ def text_bed_k(
     lowest: BaseGeometry | None = None,
     seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
 ) -> tuple[Floats, Floats]:
-    """Follow the heat of a program by the balance of :mod:`ebamcheck.heat.balance`, bead by bead.
+    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
 
-    Parameters
-    ----------
-    shapes
-        (L,) of the layers.
-    before
-        What stands when the program begins; None: the plate, cold or as the text preheats it.
-    lowest
-        Section of the lowest layer, where the plate is preheated.
-    seen
-        Called with each layer when it is entered, before it is preheated.
-
-    Returns
-    -------
-    bed_k
-        (P,) mean temperature of the surface when each bead is entered, absolute, K.
-    leave_k
-        (L,) that of each layer when it is done; NaN for one without a bead.
+    By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
+    section. `seen` is called with each layer when it is entered, before it is preheated.
     """
     # A plate that the program itself preheats was cold before.
     on_plate = before is None or (config.base_mm == 0.0 and 0 in beads.scans)

@@ -123,11 +123,7 @@ def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
     """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts.
 
-    Parameters
-    ----------
-    on_ramp
-        (n,) which of the motions that lay metal are on a ramp of their bead: there the pool is made, or ends, and the window of
-        the process holds (`process.metal_energy_j_mm3`).
+    On a ramp (n,) of a bead the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`).
     """
     rows = np.flatnonzero(nc.deposit)[~on_ramp]
     need_w = melting_power_w(config, spread_mm(nc, rows, config))

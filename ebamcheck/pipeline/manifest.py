@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.checks.checks import check_record
+from ebamcheck.checks.plate_record import plate_record
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
@@ -26,7 +27,6 @@ from ebamcheck.pipeline.fitted import FitResult
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.live_program import FOLDER as LIVE
-from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.programming import ProgramResult
 from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry

@@ -18,7 +18,8 @@ from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.metal_field import FIELD_FILE, write_field
-from ebamcheck.checks.rules import told
+from ebamcheck.checks.plate_record import plate_record
+from ebamcheck.checks.rules import with_remedies
 from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
 from ebamcheck.curves.per_part import surface_kept
@@ -38,7 +39,6 @@ from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_aga
 from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.stages import (
     LaidOut,
     header_of,
@@ -233,7 +233,7 @@ def _verified(
     job.add_finding(*noticed_in_program.of_overhang(checks, config))
     job.add_finding(*noticed_in_program.of_limit(checks, laid.plan, config))
     checks += _weighed(job, program, witness, metal.result())
-    checks = told(checks, program, heights, config.layer_height_mm, config.base_mm)
+    checks = with_remedies(checks, program, heights, config.layer_height_mm, config.base_mm)
     job.add_finding(*noticed_in_program.of_checks(checks))
     summary = program_summary(program, config)
     numbered(summary).to_csv(job.folder.path / "program.csv", index=False)

@@ -11,6 +11,7 @@ from typing import Any
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.header_checks import Truth
+from ebamcheck.checks.plate_record import plate_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -24,7 +25,6 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.placement import cut_heights, placed_part
-from ebamcheck.pipeline.plate_record import plate_checks
 from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height

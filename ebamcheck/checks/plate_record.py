@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import shapely
 
+from ebamcheck.checks.checks import Check
 from ebamcheck.checks.consumables import KG_MM3
 from ebamcheck.checks.text_heat import motion_seconds
 from ebamcheck.json_values import plain
@@ -17,8 +18,6 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.program import Check
-from ebamcheck.record.form import PLATE
 from ebamcheck.settings.config import Config
 
 SAME_MASS = 1e-9
@@ -26,15 +25,7 @@ SAME_MASS = 1e-9
 
 
 def plate_record(part: Part, config: Config, program: NCProgram | None = None) -> list[dict[str, Any]]:
-    """One entry a part of a plate; none where there is but one part.
-
-    Parameters
-    ----------
-    part
-        What was sliced.
-    program
-        The program as read back from its text; None: `wire_kg` and `layers` are left out.
-    """
+    """One entry a part of a plate, with its wire and layers where the program is known; none where there is but one part."""
     if not isinstance(part, PlatePart):
         return []
     laid = _laid(part, program, config) if program is not None else [{}] * len(part.members)
@@ -112,7 +103,7 @@ def plate_checks(
         ]
     text = faults[0] if faults else f"file, place and mass of {len(found)} parts are those recorded"
     more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-    return [Check(PLATE, not faults, float(len(faults)), 0.0, "faults", where, text + more)]
+    return [Check("plate", not faults, float(len(faults)), 0.0, "faults", where, text + more)]
 
 
 def _same(said: Any, found: Any) -> bool:
