@@ -14,11 +14,11 @@ from parts import box, moved
 
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.checks.process_checks import seam_turns
-from ebamcheck.findings import CODES, SEVERITIES, Finding
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import noticed, noticed_in_program
-from ebamcheck.program import Check, read_program, write_program
+from ebamcheck.program import read_program, write_program
+from ebamcheck.result import CODES, SEVERITIES, Check
 from ebamcheck.settings.config import Config
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -27,7 +27,7 @@ FAST = {"backends": ("planecut", "manifold")}
 figures = st.none() | st.floats(allow_nan=False)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 findings = st.builds(
-    Finding, st.sampled_from(SEVERITIES), st.sampled_from(sorted(CODES)), texts, texts, figures, figures, texts, texts
+    Check.finding, st.sampled_from(SEVERITIES), st.sampled_from(sorted(CODES)), texts, texts, figures, figures, texts, texts
 )  # fmt: skip
 
 

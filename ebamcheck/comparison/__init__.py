@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ebamcheck.comparison.classes import FACE_ON_PLANE, GENERIC, VERTEX_ON_PLANE, layer_classes
 from ebamcheck.comparison.consensus import Comparison, compare_all
-from ebamcheck.comparison.findings import Finding
+from ebamcheck.comparison.disagreement import Disagreement
 from ebamcheck.comparison.pairwise import compare
 
 __all__ = [
@@ -12,7 +12,7 @@ __all__ = [
     "GENERIC",
     "VERTEX_ON_PLANE",
     "Comparison",
-    "Finding",
+    "Disagreement",
     "compare",
     "compare_all",
     "layer_classes",

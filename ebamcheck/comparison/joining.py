@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.comparison.consensus import Comparison
-from ebamcheck.comparison.findings import EMPTY, OUTLIER, UNDECIDED
+from ebamcheck.comparison.disagreement import EMPTY, OUTLIER, UNDECIDED
 
 
 def shifted(comparison: Comparison, first: int) -> Comparison:

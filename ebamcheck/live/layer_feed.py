@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 
 from ebamcheck.heat.melting import entry_limit_k, melted_mm3_s
-from ebamcheck.pipeline.gates import Gate
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import speed_window
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, wire_area_mm2
@@ -142,7 +142,7 @@ class Judged(Protocol):
         """Whether every gate is open."""
 
     @property
-    def gates(self) -> tuple[Gate, ...]:
+    def gates(self) -> tuple[Check, ...]:
         """What was judged."""
 
 
@@ -170,12 +170,12 @@ def with_feed_along(
     return made if made.passed else make(alone(), 0.0)
 
 
-def too_warm_k(gates: Sequence[Gate]) -> float:
+def too_warm_k(gates: Sequence[Check]) -> float:
     """How far a layer is over the limit of the heat, of which that is all that is wrong; else 0."""
     shut = [gate for gate in gates if not gate.passed]
     if len(shut) != 1 or shut[0].name != "heat":
         return 0.0
-    over_k = shut[0].figure - shut[0].limit
+    over_k = shut[0].value - shut[0].limit
     return over_k if 0.0 < over_k <= MOST_K else 0.0
 
 

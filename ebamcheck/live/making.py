@@ -41,7 +41,6 @@ from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.planned_power import power_by_wire
@@ -54,7 +53,8 @@ from ebamcheck.pipeline.stages import (
 )
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, ProgramFiles, verify_program
+from ebamcheck.program import ProgramFiles, verify_program
+from ebamcheck.result import Check
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated
@@ -110,7 +110,7 @@ class MadeLayer:
     config: Config
     cut_mm: float
     files: ProgramFiles | None
-    gates: tuple[Gate, ...]
+    gates: tuple[Check, ...]
     checks: tuple[Check, ...]
     heat: HeatSoFar
     metal: MetalSoFar
@@ -326,7 +326,7 @@ class LayerMaker:
         curves = fit_for_program(contours, config.curves, self.part, error_bound_mm=bound_mm)
         return judged(curves, contours, self.part, config)[0]
 
-    def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Gate:
+    def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Check:
         """Whether both methods agree on the layer."""
         with clock.stage("compare"):
             found = compared_layers(cuts, self.part, self._bounds, self.config, count_evidence=False)

@@ -20,6 +20,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import LONGEST_NAME
 from ebamcheck.nc.tilt_rules import checked_tilt
+from ebamcheck.result import gate_record
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
 from ebamcheck.settings.text import values_as_toml
@@ -103,7 +104,7 @@ def certificate_of(
                 "wait_s": made.wait_s,
                 "layer_s": made.deposit_s,
                 "leave_k": made.heat.surface_k,
-                "gates": [asdict(gate) for gate in made.gates],
+                "gates": [gate_record(gate) for gate in made.gates],
                 "checks": len(made.checks),
                 "called": called_name(made),
                 "files": {} if files is None else dict(files.sha256),

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.checks.checks import check_record
 from ebamcheck.checks.entry_check import NAME, PLACE_MM, entry_check
 from ebamcheck.checks.marked import marked_validated
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
@@ -24,6 +23,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check, read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
+from ebamcheck.result import check_record
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.writing.entry import begin_at_layer
 

@@ -10,17 +10,16 @@ import numpy as np
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
-from ebamcheck.findings import has_fault
 from ebamcheck.pipeline import gates, noticed
 from ebamcheck.pipeline.choice import unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, primary_of
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.manifest import manifest as make_manifest
 from ebamcheck.pipeline.report_writers import write_reports
 from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.work import Job
 from ebamcheck.record.certificate import write_certificate
 from ebamcheck.record.run_folder import FINGERPRINT, RunFolder
+from ebamcheck.result import Check, gate_of_record, has_fault
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline.programming import ProgramResult
@@ -34,7 +33,7 @@ class RunResult:
     """What a run came to."""
 
     folder: RunFolder
-    gates: tuple[Gate, ...]
+    gates: tuple[Check, ...]
     exit_code: ExitCode
     manifest: Mapping[str, Any] = field(repr=False)
 
@@ -42,7 +41,7 @@ class RunResult:
 def finished_result(run: RunFolder) -> RunResult:
     """What a finished run came to, by its record."""
     manifest = run.manifest()
-    found = tuple(Gate(**gate) for gate in manifest["gates"])
+    found = tuple(gate_of_record(gate) for gate in manifest["gates"])
     return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
 
 

@@ -16,9 +16,9 @@ from ebamcheck.curves.columns import Evidence
 from ebamcheck.curves.evidence import CAUSES
 from ebamcheck.curves.fallback import METHODS, POLYLINE
 from ebamcheck.curves.stack_evidence import StackEvidence, stack_evidence
-from ebamcheck.findings import Finding, at_layer
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.result import Check, Place
 from ebamcheck.settings.config import Config
 
 WHY: Mapping[str, str] = {
@@ -86,7 +86,7 @@ class FitVerdict:
         """Layer, height and place of a ring."""
         layer = int(np.searchsorted(self.curves.layer_starts, ring, side="right")) - 1
         x, y = (float(v) for v in self.evidence.at[ring])  # noqa: PD008
-        return at_layer(layer, float(self.curves.heights[layer]), x, y)
+        return str(Place(layer=layer, cut_mm=float(self.curves.heights[layer]), x_mm=x, y_mm=y))
 
 
 def largest_move_mm(config: Config) -> float:
@@ -133,11 +133,11 @@ def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def findings(verdict: FitVerdict) -> Iterator[Finding]:
+def findings(verdict: FitVerdict) -> Iterator[Check]:
     """Rings that fell back, by cause, and what no method was found for."""
     found = verdict.evidence
     if not found.known:
-        yield Finding(
+        yield Check.finding(
             "note",
             "curves-not-lifted",
             "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are",
@@ -150,7 +150,7 @@ def findings(verdict: FitVerdict) -> Iterator[Finding]:
         worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
         plain = int((found.method[rings] == POLYLINE).sum())
         distance = cause in ("sagitta", "plane")
-        yield Finding(
+        yield Check.finding(
             "note",
             "curve-fell-back",
             f"{rings.size} of {found.cause.size} rings fell back to a more cautious fit, {plain} of them to the contour "

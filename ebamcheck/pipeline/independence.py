@@ -9,8 +9,8 @@ from typing import Any
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.independence import EvidenceRule
-from ebamcheck.findings import Finding
 from ebamcheck.plugins import registry
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 
@@ -23,10 +23,10 @@ def evidence_rule(config: Config, names: Iterable[str]) -> EvidenceRule:
     )
 
 
-def no_evidence(comparison: Comparison) -> Iterator[Finding]:
+def no_evidence(comparison: Comparison) -> Iterator[Check]:
     """Slicers that ran and prove nothing."""
     for name, why in comparison.without_weight.items():
-        yield Finding(
+        yield Check.finding(
             "warning",
             "no-evidence",
             f"agreement with {name} proves nothing: {why}, the share comparison.evidence_share of bead or layer",

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.checks.checks import check_record
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED
 from ebamcheck.program import Check
+from ebamcheck.result import check_record
 from ebamcheck.settings.config import Config
 
 FOLDER = "live"

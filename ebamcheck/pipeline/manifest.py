@@ -12,17 +12,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.checks import check_record
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
-from ebamcheck.findings import records
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
 from ebamcheck.pipeline.fitted import FitResult
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.independence import evidence_records
 from ebamcheck.pipeline.live_program import FOLDER as LIVE
 from ebamcheck.pipeline.plate_record import plate_record
@@ -31,6 +28,7 @@ from ebamcheck.pipeline.work import Job
 from ebamcheck.plugins import registry
 from ebamcheck.record.form import FORMAT_VERSION, PLATE
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST
+from ebamcheck.result import Check, check_record, finding_records, gate_record
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
@@ -43,7 +41,7 @@ def manifest(
     comparison: Comparison,
     primary: str,
     program: ProgramResult | None,
-    gates: Sequence[Gate],
+    gates: Sequence[Check],
     code: ExitCode,
 ) -> dict[str, Any]:
     """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
@@ -84,8 +82,8 @@ def manifest(
         "comparison": _comparison_record(comparison, job.config),
         **_plate(job, program),
         **(_program_records(program, job.config) if program else {}),
-        "gates": [asdict(gate) for gate in gates],
-        "findings": records(job.findings),
+        "gates": [gate_record(gate) for gate in gates],
+        "findings": finding_records(job.findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
         "timings": _timings(job, outcomes),

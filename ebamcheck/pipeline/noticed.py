@@ -7,19 +7,19 @@ from collections.abc import Iterator
 import pandas as pd
 
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.findings import Finding, at_layer
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.nc.control import control
 from ebamcheck.preflight.suspicions import of_bodies, suspicions
+from ebamcheck.result import Check, Place
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.wire_speed import wire_speed_mm_s
 from ebamcheck.slicers.isolation import Outcome
 
 
-def turned_over(turned: int, facets: int) -> Finding:
+def turned_over(turned: int, facets: int) -> Check:
     """Facets that `part.fix_orientation` has turned over."""
-    return Finding(
+    return Check.finding(
         "warning",
         "facets-turned-over",
         f"{turned} of {facets} facets were turned over",
@@ -31,14 +31,14 @@ def turned_over(turned: int, facets: int) -> Finding:
     )
 
 
-def fitted_layers(text: str) -> Finding:
+def fitted_layers(text: str) -> Check:
     """A layer height that a run chose for the part."""
-    return Finding("note", "layer-height-fitted", text, "layers.fit_height")
+    return Check.finding("note", "layer-height-fitted", text, "layers.fit_height")
 
 
-def unavailable(outcome: Outcome) -> Finding:
+def unavailable(outcome: Outcome) -> Check:
     """A slicer that this machine cannot run."""
-    return Finding(
+    return Check.finding(
         "note",
         "backend-unavailable",
         f"backend {outcome.name} is not available: {outcome.why}",
@@ -46,16 +46,16 @@ def unavailable(outcome: Outcome) -> Finding:
     )
 
 
-def lost(outcome: Outcome) -> Finding:
+def lost(outcome: Outcome) -> Check:
     """A slicer that did not come to its end."""
     text = f"backend {outcome.name} {outcome.failure}: {outcome.why}"
-    return Finding("warning", "backend-lost", text, outcome.name)
+    return Check.finding("warning", "backend-lost", text, outcome.name)
 
 
-def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
+def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Check]:
     """Layers on which slicers agree only because one of them declares doubt."""
     for a, b, layers, depth_mm, added_mm in doubted_layers(pairs):
-        yield Finding(
+        yield Check.finding(
             "warning",
             "declared-doubt",
             f"{a} and {b} agree on {len(layers)} layers only within places that one of them declares doubtful: they are "
@@ -68,18 +68,18 @@ def of_doubt(pairs: pd.DataFrame, config: Config) -> Iterator[Finding]:
         )
 
 
-def of_set_aside(pairs: pd.DataFrame) -> Iterator[Finding]:
+def of_set_aside(pairs: pd.DataFrame) -> Iterator[Check]:
     """Rings and holes that one slicer of a pair has and the other lacks, where both agree without what is thin."""
     if not len(pairs) or not len(rows := pairs[pairs["set_aside"] > 0]):
         return
     first, most = rows.sort_values("layer", kind="stable").iloc[0], int(rows["set_aside"].max())
     names = sorted({f"{a} and {b}" for a, b in zip(rows["a"], rows["b"], strict=True)})
-    yield Finding(
+    yield Check.finding(
         "note",
         "thin-set-aside",
         f"{'; '.join(names)}: on {rows['layer'].nunique()} layers they agree once up to {most} rings or holes are set aside "
         f"that only one of them has, of gaps and walls thinner than {2.0 * rows['limit_mm'].max():.3g} mm",
-        at_layer(int(first["layer"]), first["height_mm"]),
+        Place(layer=int(first["layer"]), cut_mm=first["height_mm"]),
         float(most),
         None,
         "rings",
@@ -90,7 +90,7 @@ def of_set_aside(pairs: pd.DataFrame) -> Iterator[Finding]:
 # -- the part ----------------------------------------------------------------------------------------
 
 
-def of_part(found: Inspection, config: Config) -> Iterator[Finding]:
+def of_part(found: Inspection, config: Config) -> Iterator[Check]:
     """What bodies, size and file of the part tell."""
     yield from of_bodies(found)
     yield from suspicions(found, config)
@@ -114,11 +114,11 @@ def placeholder_codes(config: Config) -> list[str]:
     ]
 
 
-def of_profile(config: Config) -> Iterator[Finding]:
+def of_profile(config: Config) -> Iterator[Check]:
     """Codes that stand for those of the machine's maker, where a table has to stand, and what the wire feeder has to do by itself."""
     names = placeholder_codes(config)
     if names:
-        yield Finding(
+        yield Check.finding(
             "warning",
             "placeholder-codes",
             f"the codes of beam and wire are those of the default profile, {len(names)} of them",
@@ -129,7 +129,7 @@ def of_profile(config: Config) -> Iterator[Finding]:
             "set the machine maker's codes",
         )
     if axes := [axis.name for axis in config.machine.rotary if config.part.on_table is None]:
-        yield Finding(
+        yield Check.finding(
             "warning",
             "table-as-it-stands",
             f"the program does not command {' and '.join(axes)}: what was proved holds while the table stands at 0, which a layer on a "
@@ -144,7 +144,7 @@ def of_profile(config: Config) -> Iterator[Finding]:
     if process.wire_retract_mm > 0.0:
         wire_mm_s = wire_speed_mm_s(config, process.bead_width_mm, config.layer_height_mm)
         bare_mm = process.wire_retract_mm / wire_mm_s * process.travel_speed_mm_s
-        yield Finding(
+        yield Check.finding(
             "warning",
             "wire-drawn-back",
             f"{process.wire_retract_mm:g} mm of wire are drawn back at the end of each bead, and no block feeds them forward again: "

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.consumables import consumed
 from ebamcheck.checks.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
 from ebamcheck.checks.interpass_checks import INTERPASS, within_range
@@ -26,10 +25,10 @@ from ebamcheck.checks.remedies import (
     OFF_MESH,
     TOO_THIN,
 )
-from ebamcheck.findings import Finding, Severity, at_layer
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check, Place, Severity
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.inputs import deposition_heights
@@ -87,7 +86,7 @@ LACKING: Mapping[str, str] = {
 """Remedies where the metal of a check lacks, other than those of one that has too much."""
 
 
-def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
+def of_metal(checks: Iterable[Check]) -> Iterator[Check]:
     """What is wrong with the metal of a program, each with its place."""
     for check in checks:
         told = check.name == BETWEEN and check.value > 0.0
@@ -100,7 +99,7 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         )
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
-        yield Finding(
+        yield Check.finding(
             "warning" if check.passed else "fault",
             code,
             check.text,
@@ -112,7 +111,7 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         )
 
 
-def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Finding]:
+def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
     """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them.
 
     Parameters
@@ -127,7 +126,7 @@ def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config
         from_mm, to_mm = heights[feature.first], heights[feature.last]
         through = f", z = {from_mm:.3f} to {to_mm:.3f} mm," if feature.last > feature.first else ""
         bridged = "" if feature.is_wall or feature.is_set else ": it is bridged by the melt"
-        yield Finding(
+        yield Check.finding(
             severity,
             "wall-under-bead" if feature.is_wall else "opening-under-bead",
             f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}",
@@ -139,7 +138,7 @@ def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config
         )
     if (more := len(features) - MOST_NARROW) > 0:
         last = features[-1]
-        yield Finding(
+        yield Check.finding(
             "warning",
             "wall-under-bead" if last.is_wall else "opening-under-bead",
             f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm",
@@ -151,12 +150,12 @@ def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config
         )
 
 
-def of_checks(checks: Iterable[Check]) -> Iterator[Finding]:
+def of_checks(checks: Iterable[Check]) -> Iterator[Check]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
             place = ", ".join(text for text in (check.where, check.place) if text)
-            yield Finding(
+            yield Check.finding(
                 "fault", "check-failed", f"{check.name}: {check.text}", place, check.value, check.limit, check.unit,
                 check.remedy,
             )  # fmt: skip
@@ -170,7 +169,7 @@ def _lacks(text: str) -> bool:
     return share is not None and float(share[1]) < 1.0
 
 
-def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
+def of_heat(plan: ScanPlan, config: Config) -> Iterator[Check]:
     """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
     ambient_k = config.process.ambient_temperature_k
     entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
@@ -183,7 +182,7 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
             if entry_k[k] > boiling_k
             else ""
         )
-        yield Finding(
+        yield Check.finding(
             "warning",
             "heat-above-solidus",
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
@@ -196,12 +195,12 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
         )
 
 
-def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Finding]:
+def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Check]:
     """What keeps the part cool: how long the program waits, by its own `summary`, and how far the power goes down."""
     wait_s = float(summary["pause_s"].sum())
     whole_s = wait_s + float(summary["deposit_s"].sum() + summary["travel_s"].sum())
     if wait_s > 0.0:
-        yield Finding(
+        yield Check.finding(
             "note",
             "interpass-wait",
             f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool",
@@ -212,7 +211,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
     share = plan.metrics["power_share"].to_numpy()
     if share.size and np.nanmin(share) < 1.0:
         k, power_w = int(np.nanargmin(share)), config.process.power_w
-        yield Finding(
+        yield Check.finding(
             "note",
             "power-taper",
             f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
@@ -223,7 +222,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
         )
 
 
-def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Finding]:
+def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Check]:
     """Layers that the plan, or the balance of the program's text, enters above the interpass limit; see the gate `heat`."""
     limit_k, metrics = entry_limit_k(config), plan.metrics
     at_bead = config.process.interpass_at == "bead"
@@ -235,7 +234,7 @@ def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterato
     if hot.size:
         k = int(hot[planned_k.to_numpy()[hot].argmax()])
         figure_k, mark = within_range(float(planned_k[k]), config)
-        yield Finding(
+        yield Check.finding(
             "fault",
             "interpass-limit",
             f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
@@ -249,7 +248,7 @@ def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterato
         return
     for check in checks:
         if check.name == INTERPASS and not check.passed:
-            yield Finding(
+            yield Check.finding(
                 "fault", "interpass-limit", check.text, check.where, check.value, limit_k, check.unit,
                 "wait and lower the power as the plan has it: make the program again",
             )  # fmt: skip
@@ -266,7 +265,7 @@ def _cooler(config: Config) -> str:
     return f"no wait is long enough: raise the limit (process.interpass_limit_k){base}, or lower the power further"
 
 
-def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Finding]:
+def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Check]:
     """Contours that start at a corner of the part, where metal heaps up; `heights` (L,) mm are those of the cuts."""
     row, turn_deg = seam_turns(program)
     corner_deg = 180.0 - config.curves.corner_angle_deg
@@ -278,7 +277,7 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
             np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
         )
         count = int(at_corner.sum())
-        yield Finding(
+        yield Check.finding(
             "warning",
             "seam-at-corner",
             f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees",
@@ -290,11 +289,11 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
         )
 
 
-def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
+def of_consumables(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
-            yield Finding(
+            yield Check.finding(
                 "warning",
                 "consumable-change",
                 found.check().text,
@@ -306,13 +305,13 @@ def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
             )
 
 
-def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
+def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Check]:
     """A layer that reaches out steeply, where no angle is set that the process can build."""
     for check in checks:
         if check.name != OVERHANG or config.process.largest_overhang_deg or not check.passed:
             continue
         if check.value > STEEP_DEG:
-            yield Finding(
+            yield Check.finding(
                 "warning",
                 "steep-overhang",
                 f"{check.text}; no angle is set that the process can build, so that a bead's width counts",
@@ -324,7 +323,7 @@ def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
             )
 
 
-def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Finding]:
+def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
     """A program that ends beside the top of the part by more of its height than the metal may be off.
 
     What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
@@ -347,7 +346,7 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
     ends = "the only layer ends" if len(heights) == 1 else f"{len(heights)} layers end"
     if abs(ends_mm - part_mm) > limit:
         listed = bool(config.layers.heights_mm)
-        yield Finding(
+        yield Check.finding(
             "fault" if abs(ends_mm - part_mm) > half_mm + ROUNDING_MM else "warning",
             "height-off-part",
             f"{ends} at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
@@ -363,4 +362,4 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
     """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
     z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm, config.base_mm)[layer]
-    return at_layer(layer, float(heights[layer]), x_mm, y_mm, float(z_mm))
+    return str(Place(layer=layer, cut_mm=float(heights[layer]), x_mm=x_mm, y_mm=y_mm, z_mm=float(z_mm)))

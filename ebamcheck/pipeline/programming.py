@@ -21,7 +21,6 @@ from ebamcheck.checks.remedies import told
 from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
 from ebamcheck.curves.per_part import surface_kept
-from ebamcheck.findings import has_fault
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
@@ -33,7 +32,6 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import CrossCheck
 from ebamcheck.pipeline.entry_program import Entry, write_entry
 from ebamcheck.pipeline.fitted import FitResult, beside_others, fitted, held_against
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.planned_power import plan_program
 from ebamcheck.pipeline.plate_record import plate_record
@@ -48,7 +46,8 @@ from ebamcheck.pipeline.stages import (
     written,
 )
 from ebamcheck.pipeline.work import Job, one_beside
-from ebamcheck.program import Check, program_summary, read_program, verify_program
+from ebamcheck.program import program_summary, read_program, verify_program
+from ebamcheck.result import Check, has_fault
 from ebamcheck.scan import ScanPlan
 from ebamcheck.writing.events import event_totals, process_events
 from ebamcheck.writing.inputs import deposition_heights
@@ -83,7 +82,7 @@ class ProgramResult:
     """The program that begins at a layer; None where none is asked for."""
     live: Mapping[str, Any] | None
     """Record of the main program that waits between layers; None where none is asked for."""
-    gates: tuple[Gate, ...]
+    gates: tuple[Check, ...]
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import control
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.fit_evidence import FitVerdict
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.planned_power import bead_curves
-from ebamcheck.program import Check, ProgramFiles
+from ebamcheck.program import ProgramFiles
+from ebamcheck.result import Check
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
@@ -85,7 +85,7 @@ def written(laid: LaidOut, part: Part, config: Config, folder: Path) -> ProgramF
 
 def judged_program(
     verdict: FitVerdict, checks: Iterable[Check], metrics: pd.DataFrame, config: Config
-) -> list[Gate]:
+) -> list[Check]:
     """Gates of the fit, the plan's coverage, and the checks of a program."""
     made = list(checks)
     return [

@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 from threading import Event
 from typing import Protocol
 
-from ebamcheck.findings import Finding
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import worker_threads
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.record.run_folder import RunInProgress
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.worker_pool import WorkerPool
 
@@ -64,7 +64,7 @@ class Job:
     compile_s: float = 0.0
     """Time in which this process compiled kernels; it is in none of the stages."""
     timings: dict[str, float] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: list[Check] = field(default_factory=list)
     from_layer: int = 1
     """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
     workers: WorkerPool | None = None
@@ -85,7 +85,7 @@ class Job:
         if self.ended.is_set():
             raise CancelledError
 
-    def add_finding(self, *findings: Finding) -> None:
+    def add_finding(self, *findings: Check) -> None:
         """Add what a person has to know of this job, whatever becomes of its gates."""
         self.findings.extend(findings)
 

@@ -17,7 +17,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.mesh.volumes import volumes_between
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.preflight.checks import PreflightCheck
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 
@@ -49,7 +49,7 @@ class ChosenHeight(NamedTuple):
 
     config: Config
     """Settings with the layer height that was chosen."""
-    check: PreflightCheck
+    check: Check
     fitted: bool
     """Whether that is another height than a bead's."""
 
@@ -74,7 +74,7 @@ def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
     share = share_off(part, config)
     if share <= limit:
         text = f"{bead_mm:g} mm, that of a bead: layers are off by {100.0 * share:.2f} % of the solid's metal"
-        return ChosenHeight(config, PreflightCheck(NAME, "pass", text, share, limit, "of the part"), False)
+        return ChosenHeight(config, Check.preflight(NAME, "pass", text, share, limit, "of the part"), False)
     found = nearest_fitting(part, config)
     if found is None:
         text = (
@@ -83,14 +83,14 @@ def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
         )
         remedy = "list the layers (layers.heights_mm), or move the faces"
         return ChosenHeight(
-            config, PreflightCheck(NAME, "warning", text, share, limit, "of the part", remedy), False
+            config, Check.preflight(NAME, "warning", text, share, limit, "of the part", remedy), False
         )
     text = (
         f"layers of {found.height_mm:g} mm in place of a bead's {bead_mm:g} mm, which would be off by {100.0 * share:.2f} % of the "
         f"solid's metal, since level faces lie within such layers; these are off by {100.0 * found.share:.2f} %"
     )
     fitting = config.changed(layers={"layer_height_mm": found.height_mm})
-    return ChosenHeight(fitting, PreflightCheck(NAME, "pass", text, found.share, limit, "of the part"), True)
+    return ChosenHeight(fitting, Check.preflight(NAME, "pass", text, found.share, limit, "of the part"), True)
 
 
 def share_off(part: Part, config: Config) -> float:
@@ -129,7 +129,7 @@ def _uniform(part: Part, height_mm: float) -> tuple[Floats, Floats]:
 
 
 def _kept(config: Config, text: str) -> ChosenHeight:
-    check = PreflightCheck(NAME, "pass", text, config.layer_height_mm, None, "mm")
+    check = Check.preflight(NAME, "pass", text, config.layer_height_mm, None, "mm")
     return ChosenHeight(config, check, False)
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.findings import SEVERITIES
 from ebamcheck.json_values import (
     json_text,
     plain,
@@ -31,6 +30,7 @@ from ebamcheck.record.run_folder import (
 )
 from ebamcheck.record.signing import SIGNATURES, signature_files
 from ebamcheck.record.toolchain import software
+from ebamcheck.result import SEVERITIES
 from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"

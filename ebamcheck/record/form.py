@@ -22,8 +22,8 @@ from pydantic import (
 )
 
 from ebamcheck.errors import InputError
-from ebamcheck.findings import CODES, Severity
 from ebamcheck.printable import printable
+from ebamcheck.result import CODES, Severity
 
 PRINTED = 60
 """Characters of a name or value that a message quotes."""

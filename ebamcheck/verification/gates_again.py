@@ -31,7 +31,6 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.curves.columns import table_of
-from ebamcheck.findings import Finding, from_record, has_fault
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import plain, sha256_of_json
 from ebamcheck.layers.files import LayerFile
@@ -43,7 +42,6 @@ from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.entry_program import checked_again
 from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
-from ebamcheck.pipeline.gates import Gate
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.loose_limits import loose_limits
@@ -53,8 +51,9 @@ from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, verify_program
+from ebamcheck.program import verify_program
 from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.result import Check, finding_of_record, has_fault
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
@@ -111,10 +110,10 @@ class Again:
 
     witness: str
     """Slicer that cut the part anew."""
-    gates: tuple[Gate, ...]
+    gates: tuple[Check, ...]
     agrees: bool
     """The slicers agree, the one that cut anew among them."""
-    findings: tuple[Finding, ...]
+    findings: tuple[Check, ...]
     """Findings of part and settings, which follow from these alone."""
     checks: tuple[Check, ...] = ()
     """Checks of the program; none for a run without one."""
@@ -219,7 +218,7 @@ def exchanged_layers(
 
 def _agreement(
     run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, witness: str
-) -> tuple[Gate, Comparison]:
+) -> tuple[Check, Comparison]:
     """Compare the recorded layers of every slicer with layers cut anew; bounds are what the slicers declare now."""
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
@@ -256,7 +255,7 @@ def _fitted(
     return judged(curves, layers, part, config)
 
 
-def _coverage(checks: Sequence[Check], planned: Gate) -> Gate:
+def _coverage(checks: Sequence[Check], planned: Check) -> Check:
     """Coverage by the plan, and shut, too, where the text leaves something bare or cannot be read."""
     found = next((check for check in checks if check.name == "coverage"), None)
     if found is None:
@@ -335,7 +334,7 @@ def _differing(recorded: Any, found: Any, at: str = "") -> list[str]:
     return [] if (_same(recorded, found) if numbers else recorded == found) else [at]
 
 
-def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:
+def _gate_check(gate: Check, recorded: Mapping[str, Any] | None) -> Check:
     """A gate as it was found again; shut, too, where the record tells another verdict."""
     text, where, passed = gate.text, "", gate.passed
     if recorded is None:
@@ -348,15 +347,15 @@ def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:
             False,
         )
     elif gate.name != PROGRAM and not (
-        _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.figure))
+        _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.value))
     ):
         said = f"{recorded['figure']} of {recorded['limit']}"
         text, where, passed = (
-            f"recorded as {said}, found {gate.figure:g} of {gate.limit:g}: {gate.text}",
+            f"recorded as {said}, found {gate.value:g} of {gate.limit:g}: {gate.text}",
             "run.json",
             False,
         )
-    return Check(f"gate {gate.name}", passed, gate.figure, gate.limit, gate.unit, where, text)
+    return Check(f"gate {gate.name}", passed, gate.value, gate.limit, gate.unit, where, text)
 
 
 def _figures(again: Again, record: Mapping[str, Any]) -> Check:
@@ -394,7 +393,7 @@ def _verdict(again: Again, manifest: Mapping[str, Any]) -> Check:
     """Whether the program is called validated exactly where every gate is open and no finding is a fault."""
     said = bool(manifest["program"]["validated"])
     found = all(gate.passed for gate in again.gates) and not has_fault(
-        from_record(f) for f in manifest["findings"]
+        finding_of_record(f) for f in manifest["findings"]
     )
     text = f"recorded as {'validated' if said else 'not validated'}, found {'validated' if found else 'not validated'}"
     return Check("verdict", said == found, float(said != found), 0.0, "faults", "run.json", text)
