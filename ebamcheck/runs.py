@@ -9,8 +9,8 @@ from typing import Any
 from ebamcheck.curves import Curves
 from ebamcheck.errors import ExitCode, InputError
 from ebamcheck.layers.stack import Layers
-from ebamcheck.pipeline.job import check_job, run_job
-from ebamcheck.pipeline.work import Observer
+from ebamcheck.pipeline.job import Observer
+from ebamcheck.pipeline.run import check_job, run_job
 from ebamcheck.program import NCProgram, read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.result import Check, check_of_record, finding_of_record, gate_of_record

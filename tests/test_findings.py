@@ -23,8 +23,8 @@ from ebamcheck.json_values import (
     plain,
     write_json,
 )
-from ebamcheck.pipeline import noticed, noticed_in_program, run_job
-from ebamcheck.pipeline.noticed_in_program import METAL, of_checks
+from ebamcheck.pipeline import findings, run_job
+from ebamcheck.pipeline.findings import METAL, failed_checks
 from ebamcheck.record.certificate import (
     APPROVAL,
     CODES_OF_THE_MAKER,
@@ -46,7 +46,7 @@ FAST = {"backends": ("planecut", "manifold")}
 
 figures = st.none() | st.floats(allow_nan=False)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
-findings = st.builds(
+any_finding = st.builds(
     Check.finding, st.sampled_from(SEVERITIES), st.sampled_from(sorted(CODES)), texts, texts, figures, figures, texts, texts
 )  # fmt: skip
 
@@ -54,13 +54,13 @@ findings = st.builds(
 # -- the list ----------------------------------------------------------------------------------------
 
 
-@given(st.lists(findings))
+@given(st.lists(any_finding))
 def test_findings_come_back_from_json(found):
     stored = json.loads(json.dumps(plain(finding_records(found)), allow_nan=False))
     assert repr([finding_of_record(record) for record in stored]) == repr(ordered(found))
 
 
-@given(st.lists(findings))
+@given(st.lists(any_finding))
 def test_the_gravest_come_first_and_none_comes_twice(found):
     keys = [(SEVERITIES.index(f.severity), f.code) for f in ordered(found)]
     assert keys == sorted(keys)
@@ -200,7 +200,7 @@ def test_a_failed_check_is_a_finding_with_its_remedy():
     check = Check(
         "overhang", False, 80.0, 74.0, "deg", "MAIN_L0003.SPF:9", "too far", place="layer 3", remedy="turn it"
     )
-    (found,) = of_checks(
+    (found,) = failed_checks(
         [
             check,
             Check("overhang", True, 1.0, 74.0, "deg", "", "fine"),
@@ -287,7 +287,7 @@ def test_a_run_of_a_version_without_findings_is_shown_and_its_certificate_holds(
 
 def test_nothing_with_a_fault_is_validated(tmp_path, monkeypatch):
     """A fault shuts a run whose gates all pass."""
-    monkeypatch.setattr(noticed, "of_profile", lambda _: [PLANTED[2]])
+    monkeypatch.setattr(findings, "profile_findings", lambda _: [PLANTED[2]])
     path = write_stl(frame(), tmp_path / "frame.stl")
     config = Config().changed(layers={"layer_height_mm": 6.0}, slicing=FAST, process=WIDE)
     result = run_job(path, tmp_path / "a.run", config)
@@ -314,5 +314,5 @@ def test_sections_off_an_open_mesh_are_no_mistake_of_the_program():
 def test_a_steep_overhang_is_warned_of_where_no_angle_is_set(value_deg, passed, set_deg, told):
     check = Check("overhang", passed, value_deg, 74.0, "deg", "MAIN.MPF:7", "layers reach out")
     config = Config().changed(process={"largest_overhang_deg": set_deg})
-    found = list(noticed_in_program.of_overhang([check, replace(check, name="support")], config))
+    found = list(findings.overhang_findings([check, replace(check, name="support")], config))
     assert [(one.severity, one.code) for one in found] == [("warning", "steep-overhang")] * told

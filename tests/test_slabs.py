@@ -28,7 +28,7 @@ from ebamcheck.mesh.slab_file import read_once
 from ebamcheck.mesh.slab_inspection import SlabInspection
 from ebamcheck.mesh.slabs import divided
 from ebamcheck.pipeline import check_job
-from ebamcheck.pipeline.slab_check import check_in_slabs
+from ebamcheck.pipeline.slabs import check_in_slabs
 from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck_embree import Embree

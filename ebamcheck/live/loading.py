@@ -14,8 +14,8 @@ from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.settings.config import Config, validated
@@ -94,7 +94,7 @@ def finished_run(
     if direction is not None:
         config = config.changed(part={"direction": direction})
     file = part or part_of_run(run, manifest)
-    placed, _, _ = placed_part(file, config)
+    placed, _ = read_part(file, config.part)
     if placed.source_sha256 != manifest["part"]["sha256"]:
         raise SettingsError(f"{file}: is not the part that {folder} was made of: its hash differs")
     return FinishedRun(run, manifest, config, placed, file)

@@ -24,7 +24,6 @@ from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.marked import marked_validated
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.text_heat import scans_of
-from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -34,19 +33,19 @@ from ebamcheck.live.layer_feed import aimed_lower, at_layer_feed, with_feed_alon
 from ebamcheck.live.metal_so_far import MetalSoFar, mesh_and_metal
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.metal import Surface
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
-from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
+from ebamcheck.pipeline.fit import fitted
 from ebamcheck.pipeline.part_file import file_check
-from ebamcheck.pipeline.placement import as_placed
-from ebamcheck.pipeline.planned_power import power_by_wire
 from ebamcheck.pipeline.stages import (
     judged_program,
     laid_out,
+    power_by_wire,
     smooth_layers,
     smooth_sections,
     written,
@@ -61,6 +60,7 @@ from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.slicing import PartSettings
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 
@@ -169,7 +169,7 @@ class LayerMaker:
         self.sound = gates.input_gate(inspect(part))
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
-        self._of_part = as_placed(part, config.part)
+        self._of_part = _as_placed(part, config.part)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None
@@ -271,7 +271,7 @@ class LayerMaker:
         # What only judges goes on beside what makes the program.
         comparing = self._aside.submit(self._agreement, cuts, clock)
         with clock.stage("fit"):
-            verdict = self._fitted(contours, config)
+            verdict, _ = fitted(contours, self.part, config, self._bounds[self.primary][0])
             smooth = smooth_layers(verdict.curves)
         stands = None if metal is None else metal.measured()
         surface = None if stands is None else stands.surface
@@ -320,12 +320,6 @@ class LayerMaker:
             raise SettingsError(f"layer {wanted.layer + 1}: the part has no section at {cut_mm:g} mm")
         return cuts
 
-    def _fitted(self, contours: Layers, config: Config) -> FitVerdict:
-        """Curves of the contours, and what the mesh says of them."""
-        bound_mm, _ = self._bounds[self.primary]
-        curves = fit_for_program(contours, config.curves, self.part, error_bound_mm=bound_mm)
-        return judged(curves, contours, self.part, config)[0]
-
     def _agreement(self, cuts: dict[str, Layers], clock: Clock) -> Check:
         """Whether both methods agree on the layer."""
         with clock.stage("compare"):
@@ -363,6 +357,13 @@ class LayerMaker:
         plan = replace(stack_plans([in_order(done)], config, order, seed), under=under, stands=surface)
         wait_s = 0.0 if last is None or last is heat.last else last.wait_s
         return plan, replace(heat, part=part, last=last), wait_s
+
+
+def _as_placed(part: Part, settings: PartSettings) -> PartSettings:
+    """The settings with the direction that a part has been turned by; those of a plate are of the parts which name none."""
+    return (
+        settings if isinstance(part, PlatePart) else settings.model_copy(update={"direction": part.direction})
+    )
 
 
 def program_settings_sha256(config: Config) -> str:

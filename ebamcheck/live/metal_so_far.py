@@ -19,6 +19,7 @@ from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.checks.metal_below import MetalBelow
 from ebamcheck.checks.verification import read_checked
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.height_map import MapFigures
 from ebamcheck.mesh.part import Part
@@ -27,7 +28,6 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
-from ebamcheck.pipeline.placement import cut_heights
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

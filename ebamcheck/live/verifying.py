@@ -29,8 +29,8 @@ from ebamcheck.live.publishing import (
     write_synced,
 )
 from ebamcheck.live.released_layer import current_off, ended_early
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.pipeline.mesh_sections import layer_check
-from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.program import Check
 from ebamcheck.record.certificate_checks import part_hash
 from ebamcheck.settings.config import Config, load_config
@@ -153,7 +153,7 @@ class _Together:
         warm, self._heat = ("", None) if text is None else heated(self._heat, text)
         wrong = None
         if self._knows_metal:
-            self._metal = self._metal or MetalAgain(placed_part(self._part, config)[0], config)
+            self._metal = self._metal or MetalAgain(read_part(self._part, config.part)[0], config)
             wrong = self._metal.with_layer(place / PROGRAM, paper, config)
         self._knows_metal = wrong is not None
         return "; ".join(said for said in (wrong, warm) if said)
@@ -203,7 +203,7 @@ def _verified(
 
 def _height(file: Path, config: Config) -> Check:
     """Whether the one layer of a program is cut where it comes to lie; of the lowest one the settings alone do not ask for it."""
-    part = placed_part(file, config)[0]
+    part = read_part(file, config.part)[0]
     heights = config.layers.heights_mm
     return layer_check(
         part, heights[0] if len(heights) == 1 else math.nan, config.base_mm, config.layer_height_mm
@@ -264,7 +264,7 @@ def _ended_early(folder: Path, name: str, file: Path) -> str:
     if not ends:
         return ""
     config = load_config(folder / LAYERS / name / SETTINGS)
-    why = ended_early(float(placed_part(file, config)[0].size[2]), float(ends[-1]["height_mm"]), config)
+    why = ended_early(float(read_part(file, config.part)[0].size[2]), float(ends[-1]["height_mm"]), config)
     return f"{JOURNAL}: {why}" if why else ""
 
 

@@ -18,13 +18,14 @@ from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
+from ebamcheck.pipeline.cross_check import evidence_records
 from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
-from ebamcheck.pipeline.fitted import FitResult
-from ebamcheck.pipeline.independence import evidence_records
+from ebamcheck.pipeline.fit import FitResult
+from ebamcheck.pipeline.job import Job
 from ebamcheck.pipeline.live_program import FOLDER as LIVE
 from ebamcheck.pipeline.plate_record import plate_record
 from ebamcheck.pipeline.programming import ProgramResult
-from ebamcheck.pipeline.work import Job
+from ebamcheck.pipeline.tables import sums_of
 from ebamcheck.plugins import registry
 from ebamcheck.record.form import FORMAT_VERSION, PLATE
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST
@@ -34,6 +35,19 @@ from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
 from ebamcheck.writing.inputs import deposition_heights
 
+TOTALS = (
+    "motions",
+    "contour_mm",
+    "hatch_mm",
+    "travel_mm",
+    "deposit_s",
+    "travel_s",
+    "pause_s",
+    "wire_mm",
+    "wire_kg",
+)
+"""Columns of the program's summary that add up over the layers."""
+
 
 def manifest(
     job: Job,
@@ -42,6 +56,7 @@ def manifest(
     primary: str,
     program: ProgramResult | None,
     gates: Sequence[Check],
+    findings: Sequence[Check],
     code: ExitCode,
 ) -> dict[str, Any]:
     """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
@@ -83,7 +98,7 @@ def manifest(
         **_plate(job, program),
         **(_program_records(program, job.config) if program else {}),
         "gates": [gate_record(gate) for gate in gates],
-        "findings": finding_records(job.findings),
+        "findings": finding_records(findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
         "timings": _timings(job, outcomes),
@@ -137,11 +152,12 @@ def _plate(job: Job, program: ProgramResult | None) -> dict[str, Any]:
 def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
     """What came of every stage from the fit to the verified program."""
     reference = made.fit.verdict.reference
-    proof, files = made.proof, made.files
+    proof, files, sums = made.proof, made.files, sums_of(made.tables)
+    scan = {name: value for name, value in sums["scan"].items() if name != "layer"}
     program = {
         "checks": [check_record(check) for check in proof.checks],
         "witness": proof.witness,
-        "totals": dict(proof.totals),
+        "totals": {name: sums["program.totals"][name] for name in TOTALS},
         "validated": files.validated,
         "files": [
             {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
@@ -151,14 +167,15 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
     return {
         "fit": _fit_record(made.fit),
         **({"reference": reference} if reference is not None else {}),
-        "kinematics": proof.kinematics.to_dict(orient="index"),
+        "kinematics": sums["kinematics"],
         "heat": {"limit_k": entry_limit_k(config), "build_s": proof.build_s},
         "program": {**program, **{name: other for name, other in others.items() if other is not None}},
         "scan": {
             "order": config.scan.order,
             "seed": config.scan.seed,
             "islands": len(made.plan.islands),
-            **made.event_totals,
+            **scan,
+            "time_s": scan["deposit_s"] + scan["travel_s"] + scan["wait_s"],
         },
     }
 

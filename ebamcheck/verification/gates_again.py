@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from ebamcheck.checks.bead_wire import NAME as WIRE_OF_BEADS
 from ebamcheck.checks.deposit import deposit
@@ -24,50 +23,47 @@ from ebamcheck.checks.entry_check import NAME as ENTRY
 from ebamcheck.checks.hatch_form import CROSSINGS, LINES
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
+from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal_field import FIELD_FILE
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.verification import read_checked
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.curves import Curves, fit_for_program
-from ebamcheck.curves.columns import table_of
+from ebamcheck.curves import Curves
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import plain, sha256_of_json
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline import gates, noticed
+from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.entry_program import checked_again
-from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
+from ebamcheck.pipeline.findings import metal_findings, narrow_findings, part_findings, profile_findings
+from ebamcheck.pipeline.fit import FitVerdict, fitted
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
-from ebamcheck.pipeline.loose_limits import loose_limits
-from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
-from ebamcheck.pipeline.placement import cut_heights
-from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
+from ebamcheck.pipeline.tables import (
+    Table,
+    sums_of,
+    tables_of_comparison,
+    tables_of_metal,
+    tables_of_plan,
+    tables_of_program,
+)
 from ebamcheck.plugins import registry
 from ebamcheck.program import verify_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.result import Check, finding_of_record, has_fault
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import outside_window, unusual_layers
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import slice_part
-from ebamcheck.verification.tables_again import (
-    order_of,
-    sums_of,
-    tables_check,
-    tables_of_comparison,
-    tables_of_metal,
-    tables_of_plan,
-    tables_of_program,
-)
+from ebamcheck.verification.tables_again import order_of, tables_check
 from ebamcheck.version import __version__
 from ebamcheck.writing.bead_ends import planned_path
 from ebamcheck.writing.inputs import deposition_heights
@@ -145,16 +141,15 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agrees = comparison.passed
     tables, why_not = _tables(manifest, comparison)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
-    off = volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
+    off = gates.volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
     made = [gates.input_gate(sound, off), agreement]
-    told = [*noticed.of_part(sound, config), *loose_limits(config)]
-    told += [*outside_window(config, "warning"), *unusual_layers(config)]
+    told = [*part_findings(sound, config)]
     record = manifest.get("program")
     if record is None:
         of_run = tables_check(run, manifest, tables, why_not)
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
     verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
-    tables["curves.parquet"] = table_of(verdict.curves)
+    tables["curves.parquet"] = verdict.curves
     smooth = smooth_sections(verdict.curves, config)
     checks, plan, of_text, narrow = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
@@ -165,8 +160,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
     checks += live_checked_again(run.path, record, config, float(part.size[2]))
-    told += [*noticed.of_profile(config), *of_metal(of_deposit(checks))]
-    told += of_narrow(narrow, fresh.heights, config)
+    told += [*profile_findings(config), *metal_findings(of_deposit(checks))]
+    told += narrow_findings(narrow, fresh.heights, config)
     tables |= of_text
     if record["witness"] != witness:
         other = f"the run used sections by {record['witness']}, these are by {witness}"
@@ -180,12 +175,10 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run, figures)
 
 
-def _tables(
-    manifest: Mapping[str, Any], comparison: Comparison
-) -> tuple[dict[str, pd.DataFrame | pa.Table], dict[str, str]]:
+def _tables(manifest: Mapping[str, Any], comparison: Comparison) -> tuple[dict[str, Table], dict[str, str]]:
     """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
     done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
-    found: dict[str, pd.DataFrame | pa.Table] = {**tables_of_comparison(comparison)}
+    found: dict[str, Table] = {**tables_of_comparison(comparison)}
     if done == set(comparison.stacks):
         return found, {}
     return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")
@@ -251,8 +244,7 @@ def _fitted(
     settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
     bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
     layers = run.read_layers(primary)
-    curves = fit_for_program(layers, config.curves, part, error_bound_mm=bound_mm)
-    return judged(curves, layers, part, config)
+    return fitted(layers, part, config, bound_mm)
 
 
 def _coverage(checks: Sequence[Check], planned: Check) -> Check:
@@ -404,7 +396,7 @@ class TextAgain(NamedTuple):
 
     checks: list[Check]
     plan: ScanPlan
-    tables: dict[str, pd.DataFrame | pa.Table]
+    tables: dict[str, Table]
     """Tables of plan and text; of the plan alone where the text cannot be read."""
     narrow: tuple[NarrowFeature, ...] = ()
     """Features of the part that are narrower than beads can build."""
@@ -431,7 +423,7 @@ def text_again(
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     beads = Curves.from_parquet(run.path / "beads.parquet")
     path = planned_path(beads, plan, config)
-    tables: dict[str, pd.DataFrame | pa.Table] = {**tables_of_plan(path, plan, config)}
+    tables: dict[str, Table] = {**tables_of_plan(path, plan, config)}
     nc, readable = read_checked(run.program_folder / record["files"][0]["name"], config)
     if nc is None:
         return TextAgain([readable], plan, tables)
@@ -452,7 +444,7 @@ def text_again(
         sha256={file["name"]: file["sha256"] for file in record["files"]},
         truth=truth_of(manifest),
     )
-    tables |= tables_of_program(nc, path, run.read_layers(str(manifest["primary"])), config)
+    tables |= tables_of_program(matched(nc, path)[0], run.read_layers(str(manifest["primary"])), config)
     tables |= tables_of_metal(laid, z_of, config.base_mm)
     return TextAgain([readable, *with_solid(checks, part, fresh, config)], plan, tables, laid.narrow)
 

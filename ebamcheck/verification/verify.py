@@ -14,15 +14,16 @@ from ebamcheck.checks.header_checks import Truth
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.mesh.plates import PlatePart
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
-from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import plate_checks
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import smooth_sections
@@ -198,7 +199,7 @@ def _verify(
         checks.append(hash_check("part unchanged", part_hash(path), manifest["part"]["sha256"], path.name))
         if not (untouched and checks[-1].passed):
             return checks
-        return checks + compared_again(run, manifest, config, placed_part(path, config)[0])
+        return checks + compared_again(run, manifest, config, read_part(path, config.part)[0])
     if part is not None:
         checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
     checks += [*_recorded_gates(manifest), *_own_witness(manifest)]
@@ -312,7 +313,7 @@ def verify_against_part(
     """
     if not program.exists():
         raise InputError(f"{program}: there is no such program")
-    part, _, _ = placed_part(part_path, config)
+    part, _ = read_part(part_path, config.part)
     found = inspect(part)
     said = f"{found.verdict}: {found.why}"
     sound = Check("part sound", found.passed, float(not found.passed), 0.0, "faults", part_path.name, said)
@@ -367,7 +368,7 @@ def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Confi
     if said is None:
         return []
     upright = config.changed(part={"direction": said.direction, "on_table": None})
-    before = placed_part(path, upright)[0]
+    before = read_part(path, upright.part)[0]
     with suppress(
         EbamcheckError
     ):  # a program that cannot be read, or a part of another file, has a failed check of its own

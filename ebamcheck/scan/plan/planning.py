@@ -93,7 +93,7 @@ def plan_stack(
     config, order, seed
         As for :func:`plan_scan`.
     power_of
-        Gives the power along beads by the wire that they get, see :func:`ebamcheck.pipeline.planned_power.power_by_wire`;
+        Gives the power along beads by the wire that they get, see :func:`ebamcheck.pipeline.stages.power_by_wire`;
         None: the heat is worked out as if each bead had the power of its layer.
     """
     config = config or Config()
