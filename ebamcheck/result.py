@@ -187,6 +187,11 @@ class Check:
         )
 
     @classmethod
+    def fault(cls, name: str, where: str, text: str) -> Self:
+        """One fault, or a check that could not be made."""
+        return cls(name, False, 1.0, 0.0, "faults", where, text)
+
+    @classmethod
     def gate(cls, name: str, passed: bool, figure: float, limit: float, unit: str, text: str) -> Self:
         """Verdict over a group of checks."""
         return cls(name, passed, figure, limit, unit, "", text)

@@ -69,20 +69,10 @@ def compared_layers(
     progress: Callable[[int], None] | None = None,
     borders: NDArray[np.int64] | None = None,
 ) -> Comparison:
-    """Compare what slicers made of a part, by what the registry says of each.
+    """Compare what slicers made of a part, by what the registry says of each; `bounds` are error and height bound, mm, that each declares.
 
-    Parameters
-    ----------
-    stacks
-        Layers by slicer.
-    bounds
-        Error bound and height bound that each declares, mm.
-    count_evidence
-        Count an agreement as evidence only as ``comparison.evidence_share`` has it.
-    progress
-        Told how many layers are done.
-    borders
-        Edges of the blocks of layers that are compared at a time.
+    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of
+    layers that are compared at a time.
     """
     slicers = {name: registry.slicer(name) for name in stacks}
     return compare_all(

@@ -55,13 +55,7 @@ class Entry:
 
 
 def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -> Entry:
-    """Write the program that begins at `layer`, beside the whole one that is not yet marked, and check it.
-
-    Raises
-    ------
-    SettingsError
-        If the program has no such layer.
-    """
+    """Write the program that begins at `layer`, beside the whole one that is not yet marked, and check it."""
     folder = files.folder.parent / FOLDER
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(files.folder, folder)
@@ -86,7 +80,7 @@ def checked_again(
         nc = read_program(whole, config)
         check = _checked(nc, folder / names[0], int(entry["layer"]), z_of, config, validated)
     except InputError as error:
-        check = Check(NAME, False, 1.0, 0.0, "faults", FOLDER, str(error))
+        check = Check.fault(NAME, FOLDER, str(error))
     if bool(entry["validated"]) != validated:
         text = f"is recorded as {_status(not validated)}, the whole program is {_status(validated)}"
         check = replace(check, passed=False, where=f"{names[0]}:1", text=text)
@@ -115,13 +109,6 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
     """Check a program that begins at a layer against the whole one, a program or that of a run folder.
 
     The layer is the one at whose Z the text lays its first metal, whatever its comments say.
-
-    Raises
-    ------
-    InputError
-        If either cannot be read.
-    SettingsError
-        If the run has no program.
     """
     said_validated = False
     if own_file(whole / MANIFEST):
@@ -137,19 +124,13 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
     tops = np.unique(np.round(complete.end[complete.deposit, 2], 3))
     z_mm = _first_mm(entry)
     if not tops.size or not np.isfinite(z_mm):
-        return Check(NAME, False, 1.0, 0.0, "faults", program.name, "one of the two programs lays no metal")
+        return Check.fault(NAME, program.name, "one of the two programs lays no metal")
     layer = int(np.abs(tops - z_mm).argmin())
     return entry_check(complete, entry, layer + 1, float(tops[layer]), config, said_validated)
 
 
 def begins_later(program: Path, z_of: Floats, config: Config) -> list[Check]:
-    """A failed check where a program lays its first metal over the first layer of the part, and how it is verified; else none.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of the layers of the part, mm.
-    """
+    """A failed check where a program lays its first metal over the first layer of the part, whose Z are `z_of` (L,) mm; else none."""
     try:
         nc = read_program(program, config)
     except EbamcheckError:  # A check of its own tells that.

@@ -129,12 +129,8 @@ def part_findings(found: Inspection, config: Config) -> Iterator[Check]:
 def slicer_findings(
     started: Mapping[str, Outcome], outcomes: Mapping[str, Outcome], comparison: Comparison, config: Config
 ) -> Iterator[Check]:
-    """Slicers that were lost, cannot run here or prove nothing, and agreement that rests on something else than their sections.
-
-    Parameters
-    ----------
-    started, outcomes
-        Slicers that were started, and these with those that could not be.
+    """Of the slicers that were started, those that were lost or prove nothing; of all `outcomes`, those that this machine cannot run; and
+    agreement that rests on something else than sections.
     """
     for outcome in started.values():
         if outcome.failure:
@@ -316,10 +312,7 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
     """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them.
 
-    Parameters
-    ----------
-    heights
-        (L,) heights of the cuts, mm.
+    `heights` are (L,) mm of the cuts, here and below.
     """
     process = config.process
     for feature in features[:MOST_NARROW]:
@@ -531,13 +524,6 @@ def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator
     What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
     may be off; by more, layers are missing or too many, which is a fault: listed heights (`layers.heights_mm`) have it, and a part of
     less than half a layer.
-
-    Parameters
-    ----------
-    part_mm
-        Height of the part.
-    heights
-        (L,) heights of the cuts, mm.
     """
     if not len(heights) or config.base_mm > 0.0:
         return

@@ -39,16 +39,9 @@ def finish(
     fine: Part | None = None,
     slabs: SlabRecord | None = None,
 ) -> RunResult:
-    """All stages from the gates of the cross-check to the finished folder.
+    """All stages from the gates of the cross-check to the finished folder; `fine` is a finer tessellation, which the curves are held against.
 
-    Parameters
-    ----------
-    begun
-        What was made ready; None for a part that is taken in slabs, whose mesh is never there as a whole.
-    fine
-        A finer tessellation, against which the curves are held.
-    slabs
-        Of a part that was taken in slabs.
+    A part that was taken in `slabs` was not made ready (`begun`), and its mesh is never there as a whole.
     """
     config, comparison = job.config, checked.comparison
     primary = primary_of(checked, config)

@@ -78,13 +78,7 @@ class Job:
     """Set where the run has ended by an error or an interrupt while work goes on beside it."""
 
     def go_on(self) -> None:
-        """Leave work beside the stages where the run has ended meanwhile; to be called between its steps.
-
-        Raises
-        ------
-        CancelledError
-            Where it has: nobody asks for the result any more.
-        """
+        """Raise CancelledError where the run has ended meanwhile; to be called between the steps of work beside the stages."""
         if self.ended.is_set():
             raise CancelledError
 
@@ -109,10 +103,7 @@ class Job:
 def one_beside(ended: Event | None = None) -> Iterator[Executor]:
     """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped.
 
-    Parameters
-    ----------
-    ended
-        Set then, so that what has begun can stop.
+    `ended` is set then, so that what has begun can stop.
     """
     with worker_threads(1) as pool:
         try:
@@ -156,14 +147,8 @@ def carried_out(
 ) -> RunResult:
     """Carry a job out in its run folder; a finished run of the same is returned where `resume` asks for it.
 
-    Parameters
-    ----------
-    what, sha256, backends, inputs
-        What makes it another job than others, beside settings, heights and version.
-    work
-        All of its stages.
-    keep_layers
-        Whether layers that a killed run left can be gone on with.
+    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed
+    run left are gone on with unless `keep_layers` is off.
     """
     target, observer = Path(target), job.observer
     job.fingerprint = sha256_of_json(

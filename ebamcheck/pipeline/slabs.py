@@ -60,34 +60,10 @@ def check_in_slabs(
     yes: bool = False,
     force: bool = False,
 ) -> RunResult:
-    """Slice a binary STL file with every backend and compare them, slab by slab.
+    """Slice a binary STL file with every backend and compare them, slab by slab; errors as of :func:`~ebamcheck.pipeline.run.check_job`.
 
-    Verdicts, areas, counts of rings and points, inspection and gates are those of
-    :func:`~ebamcheck.pipeline.run.check_job` of the whole part; the layers are not kept. A backend that is lost in one
-    slab is lost from there on.
-
-    Parameters
-    ----------
-    part_path
-        Binary STL file, read as it stands: no turn, no place, no mended facets.
-    target
-        Run folder to make; it appears when it is whole.
-    config, yes, force
-        As in :func:`~ebamcheck.pipeline.run.run_job`.
-    slabs
-        How many; no more than there are layers.
-    resume
-        Return a finished run of the same part and settings. What a killed one has left is begun anew.
-    observer
-        Told of stages and progress.
-
-    Raises
-    ------
-    InputError, SettingsError
-        If the file cannot be read in slabs, settings make no sense, ask for another place of the part or for more work
-        than is allowed, or a finished run stands at `target`.
-    BackendMissing
-        If a required or named backend is unknown, or a required one is not available.
+    Verdicts, areas, counts of rings and points, inspection and gates are those of the whole part; the file is read as it stands, and the
+    layers are not kept. A backend that is lost in one slab is lost from there on; what a killed run left is begun anew.
     """
     observer = observer or Silent()
     _as_it_stands(config)

@@ -66,14 +66,7 @@ def power_by_wire(
 ) -> PowerOf | None:
     """Power along beads by their wire, layer by layer from below; None where every layer has the full power.
 
-    Parameters
-    ----------
-    sections
-        (L,) of all layers.
-    stands
-        What the lowest of them lies on; None: the plate.
-    first_layer
-        Index in the build of the lowest of them.
+    `stands` is what the lowest of them lies on (None: the plate), and `first_layer` its index in the build.
     """
     process = config.process
     if isinstance(process.power_schedule, str) and process.interpass in ("off", "dwell"):
@@ -163,10 +156,7 @@ class _OneLayer:
 def bead_paths(layers: Layers, plan: ScanPlan, config: Config, first_layer: int = 0) -> Curves:
     """Curves along the centre lines of the contour beads, in the direction in which they are driven.
 
-    Parameters
-    ----------
-    first_layer
-        Index in the build of the lowest of the layers.
+    `first_layer` is the index in the build of the lowest of the layers.
     """
     lines = from_polygons(
         layers.heights,

@@ -26,8 +26,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import read_json, write_json
 from ebamcheck.printable import printable
-from ebamcheck.program import Check
 from ebamcheck.regular_file import regular_file
+from ebamcheck.result import Check
 
 SIGNATURES = "signatures"
 """Folder of the signatures, beside the certificate."""
@@ -205,7 +205,7 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
     others = sorted({*(certificate.parent / SIGNATURES).glob("*")} - {*signature_files(certificate)})
     text += f"; ignored: {', '.join(printable(path.name) for path in others)}" if others else ""
     if trusted is not None and not any(s.state == TRUSTED for s in found):
-        return Check("signature", False, 1.0, 0.0, "faults", where, f"no trusted key has signed: {text}")
+        return Check.fault("signature", where, f"no trusted key has signed: {text}")
     return Check("signature", True, 0.0, 0.0, "faults", where, text)
 
 

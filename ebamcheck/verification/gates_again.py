@@ -122,17 +122,7 @@ class Again:
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
-    """Work every gate of a run out again.
-
-    Parameters
-    ----------
-    run, manifest
-        The run folder and its record, of which only names of files and backends are used.
-    config
-        Settings of the run.
-    part
-        The part as placed.
-    """
+    """Work every gate of a run out again; of its record only names of files and backends are used."""
     heights = cut_heights(part, config)
     witness = witness_backend(str(manifest["primary"]))
     fresh = slice_part(part, heights, witness)
@@ -263,18 +253,8 @@ def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
     recorded = {g["name"]: g for g in manifest["gates"]}
     checks = [_gate_check(gate, recorded.get(gate.name)) for gate in again.gates]
     unknown = sorted(set(recorded) - {gate.name for gate in again.gates})
-    checks += [
-        Check(
-            f"gate {name}",
-            False,
-            1.0,
-            0.0,
-            "faults",
-            "run.json",
-            "the record has a gate that this version does not know",
-        )
-        for name in unknown
-    ]
+    why = "the record has a gate that this version does not know"
+    checks += [Check.fault(f"gate {name}", "run.json", why) for name in unknown]
     record = manifest.get("program")
     if record is not None:
         checks += [_figures(again, record), _verdict(again, manifest)]
@@ -328,26 +308,23 @@ def _differing(recorded: Any, found: Any, at: str = "") -> list[str]:
 
 def _gate_check(gate: Check, recorded: Mapping[str, Any] | None) -> Check:
     """A gate as it was found again; shut, too, where the record tells another verdict."""
-    text, where, passed = gate.text, "", gate.passed
+    told = ""
     if recorded is None:
-        text, where, passed = f"the record lacks this gate; found: {gate.text}", "run.json", False
+        told = f"the record lacks this gate; found: {gate.text}"
     elif bool(recorded["passed"]) != gate.passed:
         said = "passed" if recorded["passed"] else "shut"
-        text, where, passed = (
-            f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}",
-            "run.json",
-            False,
-        )
+        told = f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}"
     elif gate.name != PROGRAM and not (
         _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.value))
     ):
         said = f"{recorded['figure']} of {recorded['limit']}"
-        text, where, passed = (
-            f"recorded as {said}, found {gate.value:g} of {gate.limit:g}: {gate.text}",
-            "run.json",
-            False,
-        )
-    return Check(f"gate {gate.name}", passed, gate.value, gate.limit, gate.unit, where, text)
+        told = f"recorded as {said}, found {gate.value:g} of {gate.limit:g}: {gate.text}"
+    name = f"gate {gate.name}"
+    return (
+        replace(gate, name=name, passed=False, where="run.json", text=told)
+        if told
+        else replace(gate, name=name)
+    )
 
 
 def _figures(again: Again, record: Mapping[str, Any]) -> Check:
@@ -410,14 +387,9 @@ def text_again(
     fresh: Layers,
     smooth: Layers | None,
 ) -> TextAgain:
-    """Read, lay and check the text of a run's program.
+    """Read, lay and check the text of a run's program over sections of the part that were cut anew.
 
-    Parameters
-    ----------
-    fresh
-        Sections of the part, cut anew.
-    smooth
-        The contours that the run fitted, with their curves, fitted anew; None where the method of the fit makes none.
+    `smooth` are the fitted contours with their curves, fitted anew; None where the method of the fit makes none.
     """
     record = manifest["program"]
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")

@@ -49,12 +49,7 @@ def tables_check(
 ) -> Check:
     """Compare tables and reports of a run with those that follow, and name the files of which only hashes are known.
 
-    Parameters
-    ----------
-    tables
-        Tables that were worked out, by name of the file. Reports that follow from the record alone are made here.
-    why_not
-        Files that could be worked out, and were not, each with the reason.
+    Reports that follow from the record alone are made here; `why_not` says of files that could be worked out why they were not.
     """
     named = {
         name: numbered(table) if isinstance(table, pd.DataFrame) and name not in INDEXED else table
