@@ -37,7 +37,16 @@ from ebamcheck.record.certificate import (
 )
 from ebamcheck.record.certificate_checks import run_certificate_checks
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.result import CODES, SEVERITIES, Check, finding_of_record, finding_records, has_fault, ordered
+from ebamcheck.result import (
+    CODES,
+    SEVERITIES,
+    Check,
+    Place,
+    finding_of_record,
+    finding_records,
+    has_fault,
+    ordered,
+)
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import html, junit, summary
 
@@ -73,6 +82,17 @@ def test_a_code_or_severity_that_stands_in_no_table_is_refused():
         Check.finding("note", "no-such-code", "?")
     with pytest.raises(ValueError, match="severity 'grave'"):
         Check.finding("grave", "metal-excess", "?")
+
+
+@given(st.text("ABC_09.:", min_size=1), st.integers(1, 10**9))
+def test_a_line_of_a_file_is_read_back_as_it_is_told(file, line):
+    place = Place.of_line(str(Place(file, line)))
+    assert (place.file, place.line, place.layer, place.is_point) == (file, line, None, False)
+
+
+@pytest.mark.parametrize("where", ["", "run.json", "MAIN.MPF:", "machine.travel_max_mm Z", "C:x"])
+def test_what_names_no_line_is_told_as_it_was_given(where):
+    assert (str(Place.of_line(where)), Place.of_line(where).line) == (where, 0)
 
 
 def test_every_code_is_kebab_case_explained_and_used():
