@@ -55,16 +55,9 @@ class ChosenHeight(NamedTuple):
 
 
 def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
-    """Settings of a run with a layer height that fits the part, where they leave it open.
+    """Settings of a run with a layer height that fits the part, where they leave it open: layer height, listed heights or a base are kept.
 
-    Parameters
-    ----------
-    part
-        As placed.
-    sound
-        Whether the mesh encloses a volume; of another, nothing is known.
-    config
-        Settings; a layer height, listed heights or a base that they name are kept.
+    Of a mesh that is not `sound`, and so encloses no volume, nothing is known.
     """
     bead_mm, limit = config.layer_height_mm, config.process.mass_tolerance
     if config.layers.layer_height_mm is not None or config.layers.heights_mm or config.base_mm > 0.0:

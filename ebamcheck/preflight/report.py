@@ -52,13 +52,7 @@ class Preflight:
         }
 
     def stop(self, job: str) -> None:
-        """Refuse a job that cannot come to a good end.
-
-        Raises
-        ------
-        SettingsError
-            That tells the first fault that stops such a job, how many more there are, and what to do.
-        """
+        """Refuse a job that cannot come to a good end: the SettingsError tells the first fault that stops it, how many more there are, and what to do."""
         faults = [check for check in self.checks if check.level == "fault" and job in check.stops]
         if not faults:
             return
@@ -102,21 +96,7 @@ class Ready:
 def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -> Ready:
     """Read and place a part, and look at all that can be known before it is sliced.
 
-    Parameters
-    ----------
-    path
-        Mesh file, or ``plate.toml``.
-    config
-        Settings.
-    job
-        ``run``, or ``check`` for a job without a program.
-    yes
-        More work than the settings allow is a warning, not a fault.
-
-    Raises
-    ------
-    InputError, SettingsError
-        If the part cannot be read, or the heights of the settings are outside of it.
+    `path` is a mesh file or ``plate.toml``, `job` is ``run`` or ``check``; with `yes` more work than the settings allow is a warning.
     """
     part, turned = read_part(path, config.part)
     found = inspect(part)

@@ -165,13 +165,7 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
 
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
-    """Refuse to slice a part with one slicer where that is more work than the settings allow.
-
-    Raises
-    ------
-    SettingsError
-        That names the figure, its limit and the setting.
-    """
+    """Refuse to slice a part with one slicer where that is more work than the settings allow; the message names figure, limit and setting."""
     one = config.model_copy(
         update={"slicing": config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})}
     )

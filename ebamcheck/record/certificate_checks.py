@@ -64,15 +64,7 @@ def run_certificate_checks(
 
 
 def refuse_unfit(run: RunFolder) -> None:
-    """Refuse to sign a run whose record or files are not those that its certificate is of.
-
-    Raises
-    ------
-    SettingsError
-        If the run has no certificate.
-    InputError
-        If one of the two cannot be read, or something does not fit; the message names the first fault.
-    """
+    """Refuse to sign a run whose record or files are not those that its certificate is of; the message names the first fault."""
     manifest = run.manifest()
     if not own_file(run.path / CERTIFICATE):
         raise SettingsError(f"{run.path}: has no {CERTIFICATE}: sign a run, not a check")
@@ -107,13 +99,7 @@ def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str
 def certificate_checks(
     path: Path, program: Path, part: Path, config: Config, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
-    """Check part, settings, profile and every program by the hashes of a certificate.
-
-    Raises
-    ------
-    InputError
-        If the certificate cannot be read or has not the form of one.
-    """
+    """Check part, settings, profile and every program by the hashes of a certificate."""
     found = read_certificate(path)
     folder = program if program.is_dir() else program.parent
     profile = profile_sha256(plain(config.model_dump()))

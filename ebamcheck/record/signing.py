@@ -64,10 +64,7 @@ class Signature:
 def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
     """Make a pair of keys: ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; returns both paths.
 
-    Raises
-    ------
-    SettingsError
-        If one of the files is there already, since a key that is overwritten is lost, or they cannot be written.
+    A file that is there already is refused, since a key that is overwritten is lost.
     """
     stem = Path(path)
     private_path, public_path = (
@@ -125,13 +122,7 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
 
 
 def trusted_keys(places: Sequence[str | Path]) -> dict[bytes, str]:
-    """Public keys of files, and of all ``*.pub`` of folders: raw bytes, and the name of the file.
-
-    Raises
-    ------
-    InputError
-        If a place is missing, holds no key, or a file in it is none.
-    """
+    """Public keys of files, and of all ``*.pub`` of folders: raw bytes, and the name of the file; raises InputError for what is none."""
     found: dict[bytes, str] = {}
     for place in map(Path, places):
         files = sorted(place.glob(f"*{PUBLIC_SUFFIX}")) if place.is_dir() else [place]
