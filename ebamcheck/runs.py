@@ -6,16 +6,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.checks.checks import check_of_record
 from ebamcheck.curves import Curves
 from ebamcheck.errors import ExitCode, InputError
-from ebamcheck.findings import Finding
 from ebamcheck.layers.stack import Layers
-from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.job import check_job, run_job
-from ebamcheck.pipeline.work import Observer
-from ebamcheck.program import Check, NCProgram, read_program
+from ebamcheck.pipeline.job import Observer
+from ebamcheck.pipeline.run import check_job, run_job
+from ebamcheck.program import NCProgram, read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
+from ebamcheck.result import Check, check_of_record, finding_of_record, gate_of_record
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.selection import for_this_machine
@@ -76,14 +74,14 @@ class Run:
         return word if self.passed else f"NOT {word}"
 
     @cached_property
-    def gates(self) -> tuple[Gate, ...]:
+    def gates(self) -> tuple[Check, ...]:
         """Gates in the order in which the run came to them."""
-        return tuple(Gate(**gate) for gate in self.record["gates"])
+        return tuple(gate_of_record(gate) for gate in self.record["gates"])
 
     @cached_property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[Check, ...]:
         """What a person has to know beside the gates, the gravest first."""
-        return tuple(Finding(**found) for found in self.record.get("findings", []))
+        return tuple(finding_of_record(found) for found in self.record.get("findings", []))
 
     @cached_property
     def checks(self) -> tuple[Check, ...]:

@@ -13,8 +13,7 @@ from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.curves import fit
 from ebamcheck.layers.stack import Layers, from_polygons
-from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.stages import bead_paths, smooth_layers
+from ebamcheck.pipeline.stages import bead_paths, plan_program, smooth_layers
 from ebamcheck.program import verify_file
 from ebamcheck.settings.config import Config
 

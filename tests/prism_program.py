@@ -7,8 +7,7 @@ from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.curves import Curves
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.stages import bead_paths
+from ebamcheck.pipeline.stages import bead_paths, plan_program
 from ebamcheck.program import read_program, write_program
 from ebamcheck.settings.config import Config
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 
+from ebamcheck.pipeline.reports import reports_again
 from ebamcheck.record.certificate import (
     CERTIFICATE,
     certificate,
@@ -13,7 +14,6 @@ from ebamcheck.record.certificate import (
 )
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.record.signing import make_key, read_private_key, trusted_keys
-from ebamcheck.verification.tables_again import reports_again
 from ebamcheck.verification.verify import verify_run
 
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from ebamcheck.pipeline import cross_check, slab_slicing
+from ebamcheck.pipeline import cross_check, slabs
 from ebamcheck.slicers import worker_pool
 from ebamcheck.slicers.here import cut_here
 from ebamcheck.slicers.isolation import DEFAULT_LIMITS
@@ -25,28 +25,23 @@ def cut_all_here(
     target,
     limits=DEFAULT_LIMITS,
     progress=None,
-    finished=None,
     borders=None,
     *_,
     **__,
 ):
     """What :func:`slice_all` gives, of backends that do not crash."""
     blocks = np.array([0, len(heights)]) if borders is None else borders
-    found = {n: cut_here(part, heights, n, chosen, target, limits, blocks) for n, chosen in backends.items()}
-    for outcome in found.values():
-        if finished is not None:
-            finished(outcome)
-    return found
+    return {n: cut_here(part, heights, n, chosen, target, limits, blocks) for n, chosen in backends.items()}
 
 
 @contextmanager
 def slicers_here() -> Iterator[None]:
     """Have the runs of this process cut here while the block runs."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (cross_check, slab_slicing):
+        for module in (cross_check, slabs):
             patch.setattr(module, "slice_all", cut_all_here)
         # A command starts them ahead.
-        for module in (worker_pool, slab_slicing):
+        for module in (worker_pool, slabs):
             patch.setattr(module, "WorkerPool", lambda _ahead=(): WorkerPool())
         yield
 

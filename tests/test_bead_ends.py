@@ -10,7 +10,7 @@ from nc_stack import make_curves, make_plan, stack
 from planned_roles import as_planned
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.pipeline import noticed
+from ebamcheck.pipeline import findings
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.cuts import segment_lengths, segment_parts
@@ -259,8 +259,8 @@ def test_splines_that_are_cut_need_polynomials():
 
 def test_wire_that_is_drawn_back_is_left_to_the_feeder():
     config = Config().changed(process={"wire_retract_mm": 50.0})
-    found = [f for f in noticed.of_profile(config) if f.code == "wire-drawn-back"]
+    found = [f for f in findings.profile_findings(config) if f.code == "wire-drawn-back"]
     wire_mm3 = 50.0 * np.pi * 0.25 * config.process.wire_diameter_mm**2
     bead_mm2 = config.process.bead_width_mm * config.layer_height_mm
     assert [f.figure for f in found] == [pytest.approx(wire_mm3 / bead_mm2)]
-    assert not [f for f in noticed.of_profile(Config()) if f.code == "wire-drawn-back"]
+    assert not [f for f in findings.profile_findings(Config()) if f.code == "wire-drawn-back"]

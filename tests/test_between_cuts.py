@@ -10,7 +10,7 @@ from parts import box, join, sphere, tilted, torus
 
 from ebamcheck.checks.mesh_checks import between_check
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.pipeline.noticed_in_program import of_metal
+from ebamcheck.pipeline.findings import metal_findings
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
@@ -43,7 +43,7 @@ def found(part: Part, **process: float) -> tuple:
     config = Config().changed(layers={"layer_height_mm": 1.5}, process=process)
     cuts = np.arange(part.bounds[0, 2] + 0.75, part.bounds[1, 2], 1.5)
     check = between_check(part, slice_part(part, cuts), config)
-    return check, list(of_metal([check]))
+    return check, list(metal_findings([check]))
 
 
 def test_a_bore_that_lies_between_two_cuts_is_told_and_refused_where_holes_are_wider_by_the_settings():

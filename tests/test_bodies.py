@@ -15,7 +15,7 @@ from ebamcheck.mesh.bodies import bodies_of
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.pipeline import gates
-from ebamcheck.pipeline.section_volume import volume_off
+from ebamcheck.pipeline.gates import volume_off
 from ebamcheck.preflight.report import ready
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

@@ -17,7 +17,7 @@ from ebamcheck.live import before
 from ebamcheck.live.building import Building
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.verifying import verify_build
-from ebamcheck.pipeline.noticed_in_program import of_consumables
+from ebamcheck.pipeline.findings import consumable_findings
 from ebamcheck.preflight.report import ready
 from ebamcheck.program import program_summary, read_program
 from ebamcheck.settings.config import Config
@@ -66,7 +66,7 @@ def test_stops_let_a_new_spool_be_put_on(control, tmp_path):
     assert "it ends in layer 2" in without.failed_by_text()[SPOOL].text
     stopping = ProgramText(control, tmp_path / "r", {"spool_kg": holds, "optional_stop": True})
     assert SPOOL not in stopping.failed_by_text()
-    (found,) = of_consumables(read_program(stopping.files.main, stopping.config), stopping.config)
+    (found,) = consumable_findings(read_program(stopping.files.main, stopping.config), stopping.config)
     assert (found.severity, found.code) == ("warning", "consumable-change")
     assert "a new one before layer 2" in found.text
     least = ProgramText(control, tmp_path / "s", {"spool_kg": 0.9 * amount[0], "optional_stop": True})

@@ -21,7 +21,8 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
+from ebamcheck.pipeline.findings import fit_findings
+from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.pipeline.gates import fit_gate
 from ebamcheck.settings.curves import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
@@ -299,7 +300,7 @@ def test_what_fell_back_is_told_with_place_cause_and_remedy() -> None:
         method=np.array([0, POLYLINE], np.uint8),
         at=np.array([[np.nan, np.nan], [3.0, 4.0]]),
     )
-    (told,) = findings(FitVerdict(curves, fallen, None, None))
+    (told,) = fit_findings(FitVerdict(curves, fallen, None, None))
     assert told.code == "curve-fell-back"
     assert told.place == "layer 2, z = 10.000 mm, (3.000, 4.000)"
     assert told.remedy
@@ -336,7 +337,7 @@ def test_contours_that_are_not_on_edges_say_so() -> None:
     curves = fit(off)
     assert curves.evidence is not None
     assert not curves.evidence.known
-    (told,) = findings(FitVerdict(curves, curves.evidence, None, None))
+    (told,) = fit_findings(FitVerdict(curves, curves.evidence, None, None))
     assert told.code == "curves-not-lifted"
     with pytest.raises(SettingsError, match="on the edges of the part"):
         fit(off, "surface")

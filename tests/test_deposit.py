@@ -19,8 +19,8 @@ from ebamcheck.checks.narrow_features import narrow_bead
 from ebamcheck.checks.value_checks import wire_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.control import control as control_named
+from ebamcheck.pipeline.findings import metal_findings
 from ebamcheck.pipeline.gates import deposit_gate
-from ebamcheck.pipeline.noticed_in_program import of_metal
 from ebamcheck.program import Check, program_summary, read_program
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, nominal_wire_speed_mm_s
@@ -185,7 +185,7 @@ def test_a_hole_that_closes_is_found(square):
     checks = square.checks(layers)
     assert "narrower than the bead" in checks["reach of metal"].text
     assert checks["holes"].value == len(layers)
-    found = {finding.code: finding for finding in of_metal(checks.values())}
+    found = {finding.code: finding for finding in metal_findings(checks.values())}
     assert {"hole-closed", "bead-out-of-section"} <= set(found)
     assert found["hole-closed"].severity == "fault"
     assert "(20.0, 30.0)" in found["hole-closed"].text
@@ -215,7 +215,7 @@ def test_findings_tell_too_much_metal_from_too_little(square, factor, code):
             lines[i] = re.sub(r"H3=([\d.]+)", lambda m: f"H3={factor * float(m[1]):.6f}", line)
 
     square.edit(LAYER, change)
-    assert code in {finding.code for finding in of_metal(square.checks().values())}
+    assert code in {finding.code for finding in metal_findings(square.checks().values())}
 
 
 @pytest.mark.parametrize(("factor", "code"), [(1.03, "metal-excess"), (0.97, "metal-missing")])
@@ -234,7 +234,7 @@ def test_the_mass_of_a_small_part_tells_too_much_from_too_little(tmp_path, facto
     assert not whole.passed
     laid, wanted = (float(kg) for kg in re.findall(r"([\d.]+) kg", whole.text))
     assert abs(laid / wanted - 1.0) == pytest.approx(whole.value, abs=1e-3)
-    assert [finding.code for finding in of_metal([whole])] == [code]
+    assert [finding.code for finding in metal_findings([whole])] == [code]
 
 
 @pytest.mark.parametrize(
@@ -256,7 +256,7 @@ def test_the_mass_of_a_small_part_tells_too_much_from_too_little(tmp_path, facto
 )
 def test_findings_of_the_whole_metal_go_by_its_sign(name, text, code):
     check = Check(name, False, 0.05, 0.02, "of the part", "", text)
-    assert [finding.code for finding in of_metal([check])] == [code]
+    assert [finding.code for finding in metal_findings([check])] == [code]
 
 
 def test_metal_where_the_part_has_none_is_outside(square):

@@ -7,7 +7,7 @@ import shapely
 from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.pipeline.noticed import of_doubt
+from ebamcheck.pipeline.findings import doubt_findings
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.slicing import ComparisonSettings
 from ebamcheck.testing.solids import box
@@ -42,7 +42,7 @@ def test_a_declared_place_agrees_and_is_counted_and_told():
     ((_, _, layers, depth_mm, added_mm),) = doubted_layers(found.pairs)
     assert (layers, added_mm) == ([1], 0.007)
     assert depth_mm == pytest.approx(0.006, rel=0.02)
-    (told,) = of_doubt(found.pairs, Config())
+    (told,) = doubt_findings(found.pairs, Config())
     assert told.severity == "warning"
     assert "0.006 mm apart" in told.text
 

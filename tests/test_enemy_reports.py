@@ -11,7 +11,7 @@ from enemy_text import TESTS
 from fake_distribution import environment, install
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.pipeline.report_writers import write_reports
+from ebamcheck.pipeline.reports import write_reports
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import run_limited
 

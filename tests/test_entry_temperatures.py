@@ -11,8 +11,7 @@ from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.pipeline.planned_power import power_by_wire
-from ebamcheck.pipeline.stages import bead_paths
+from ebamcheck.pipeline.stages import bead_paths, power_by_wire
 from ebamcheck.program import read_program
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers

@@ -20,7 +20,7 @@ from ebamcheck.checks.deposit import deposit
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.pipeline import noticed_in_program
+from ebamcheck.pipeline import findings
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.scan import plan_stack
@@ -200,7 +200,7 @@ def outcome(config: Config, folder, part=PART):
             beads=True, heat=True, laid=found,
         )  # fmt: skip
         yield [(c.name, c.passed, c.value, c.limit, c.text) for c in checks]
-        yield list(noticed_in_program.of_heat(plan, config))
+        yield list(findings.heat_findings(plan, config))
     except EbamcheckError as error:
         yield str(error)
 

@@ -12,6 +12,7 @@ from ebamcheck.checks.rules import REMEDIES, layer_of, names_of, with_remedies
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
 from ebamcheck.plugins.model import models
+from ebamcheck.result import Place
 from ebamcheck.testing.accuracy import reference_models
 from ebamcheck.testing.checks import CHECKS
 from ebamcheck.testing.sections import sections, winding_rule
@@ -50,7 +51,7 @@ def test_both_failed_checks_are_named_with_layer_heights_and_remedy():
 
 
 def test_layers_of_places():
-    assert [layer_of(NC, w) for w in ("MAIN_L0001.SPF:1", "MAIN_L0002.SPF:99", "MAIN.MPF:9", "X:1", "")] == [
+    assert [layer_of(NC, Place.of_line(w)) for w in ("MAIN_L0001.SPF:1", "MAIN_L0002.SPF:99", "MAIN.MPF:9", "X:1", "")] == [
         0, 1, None, None, None,
     ]  # fmt: skip
 

@@ -15,9 +15,9 @@ from ebamcheck.checks.rules import with_remedies
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.live.loading import finished_run
+from ebamcheck.pipeline.findings import _at
 from ebamcheck.pipeline.gates import agreement_gate
 from ebamcheck.pipeline.manifest import _disagreements
-from ebamcheck.pipeline.noticed_in_program import _at
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 

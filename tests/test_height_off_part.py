@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ebamcheck.pipeline import noticed_in_program
+from ebamcheck.pipeline import findings
 from ebamcheck.settings.config import Config
 
 LAYER = Config().layer_height_mm
 
 
 def told(part_mm, heights, config=None):
-    return list(noticed_in_program.of_height(part_mm, np.array(heights), config or Config()))
+    return list(findings.height_findings(part_mm, np.array(heights), config or Config()))
 
 
 def test_a_plate_thinner_than_its_only_layer_is_warned_of():

@@ -15,8 +15,8 @@ from ebamcheck.comparison import compare_all
 from ebamcheck.comparison.consensus import agreement
 from ebamcheck.comparison.independence import EvidenceRule, best_pair
 from ebamcheck.layers.stack import from_rings
+from ebamcheck.pipeline.cross_check import evidence_records, evidence_rule, resting
 from ebamcheck.pipeline.gates import agreement_gate
-from ebamcheck.pipeline.independence import evidence_records, evidence_rule, resting
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 

@@ -31,8 +31,7 @@ from ebamcheck.heat.melting import (
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.inputs import interpass_of
 from ebamcheck.pipeline.gates import heat_gate
-from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.stages import bead_paths
+from ebamcheck.pipeline.stages import bead_paths, plan_program
 from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.heat import interpass

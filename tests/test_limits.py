@@ -67,18 +67,18 @@ NO_LIMITS = {
         deposit_checks.SMALL_KG header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
         metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
         matching.APART_MM certificate_form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
-        noticed_in_program.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT report_writers.TIME_S
-        report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES form.FORMAT_VERSION form.PRINTED
+        findings.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT reports.TIME_S
+        reports.MEMORY_MB reports.LARGEST_REPORT_BYTES reports.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
         toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
-        tolerances.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
+        tolerances.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
         turned.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
     "what a warning or a text tells, and no check": """
-        loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM noticed_in_program.MOST_NARROW
+        loose_limits.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",
 }
 """Constants of rooms of checks that need no two cases, by the reason."""

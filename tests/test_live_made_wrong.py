@@ -19,7 +19,7 @@ from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.publishing import ended_early
 from ebamcheck.live.verifying import verify_build
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.pipeline.placement import placed_part
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(process={"interpass_limit_k": 420.0, "interpass": "dwell"})
@@ -47,7 +47,7 @@ def part(tmp_path_factory):
 def built(part, folder):
     """Answers of a build whose layers grow a little higher than planned."""
     answers = []
-    with LayerMaker(placed_part(part, CONFIG)[0], CONFIG) as maker:
+    with LayerMaker(read_part(part, CONFIG.part)[0], CONFIG) as maker:
         build = Building(maker, folder)
         answer = build.start()
         while answer["answer"] == "published":
@@ -169,7 +169,7 @@ def test_a_build_may_end_where_no_layer_fits():
 
 
 def test_a_layer_on_what_stands_is_cut_at_its_middle(part):
-    mesh = placed_part(part, CONFIG)[0]
+    mesh = read_part(part, CONFIG.part)[0]
     assert layer_check(mesh, LOW_MM + 2.0, 1.2, 1.6).passed
     assert not layer_check(mesh, LOW_MM + 2.3, 1.2, 1.6).passed
     assert not layer_check(mesh, LOW_MM + 6.0, 5.2, 1.6).passed

@@ -11,7 +11,7 @@ from parts import box
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import SUBJECTS
 from ebamcheck.checks.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
-from ebamcheck.pipeline import noticed, run_job
+from ebamcheck.pipeline import findings, run_job
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 from ebamcheck.verification.verify import verify_run
@@ -85,10 +85,10 @@ def test_data_of_a_known_material_that_are_not_its_own_are_told():
 def test_a_table_that_the_program_does_not_command_is_told():
     axis = {"name": "A", "axis": (1.0, 0.0, 0.0), "point_mm": (0.0, 0.0, -50.0)}
     turned = Config().changed(machine={"rotary": (axis,)})
-    (found,) = (f for f in noticed.of_profile(turned) if f.code == "table-as-it-stands")
+    (found,) = (f for f in findings.profile_findings(turned) if f.code == "table-as-it-stands")
     assert (found.severity, found.place) == ("warning", "machine.rotary")
     assert "does not command A:" in found.text
-    assert not [f for f in noticed.of_profile(Config()) if f.code == "table-as-it-stands"]
+    assert not [f for f in findings.profile_findings(Config()) if f.code == "table-as-it-stands"]
 
 
 def test_a_run_tells_it_and_a_record_that_leaves_it_out_is_found(tmp_path):

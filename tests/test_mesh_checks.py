@@ -19,8 +19,7 @@ from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
-from ebamcheck.mesh.part_source import Placing
-from ebamcheck.pipeline.placement import placed_part
+from ebamcheck.mesh.part_source import Placing, read_part
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.units import UNITS_MM
@@ -147,7 +146,7 @@ def read(folder, settings, form="binary"):
         every = (chr(10).join(lines).format(*facet.ravel()) for facet in part.triangles)
         # A name that ends in a word of the format.
         path.write_text(chr(10).join(["solid one_vertex", *every, "endsolid one_vertex", ""]))
-    return placed_part(path, config)[0], config
+    return read_part(path, config.part)[0], config
 
 
 @pytest.mark.parametrize("form", ["binary", "trailing", "padded", "ascii"])
@@ -172,7 +171,7 @@ def test_a_text_file_has_the_numbers_of_a_binary_one(tmp_path):
     text = "facet normal 0 0 0 outer loop vertex {} {} {} vertex {} {} {} vertex {} {} {} endloop endfacet"
     every = (text.format(*(x for corner in facet for x in corner)) for facet in corners)
     path.write_text("\n".join(["solid far", *every, "endsolid far", ""]))
-    assert file_check(placed_part(path, config)[0], config).passed
+    assert file_check(read_part(path, config.part)[0], config).passed
 
 
 def test_a_wrong_unit_is_found(monkeypatch, tmp_path):
@@ -257,16 +256,16 @@ def test_a_part_of_another_format_stands_where_the_settings_say(suffix, monkeypa
         lines += [f"f {a} {b} {c}" for a, b, c in (CORNERED.faces + 1).tolist()]
         path.write_text("\n".join(lines) + "\n")
     config = Config().changed(part={"units": "cm", "direction": [0.0, -1.0, 0.0], **PLACED})
-    assert file_check(placed_part(path, config)[0], config).passed
+    assert file_check(read_part(path, config.part)[0], config).passed
     monkeypatch.setattr(Placing, "moved", turned_back)
-    assert not file_check(placed_part(path, config)[0], config).passed
+    assert not file_check(read_part(path, config.part)[0], config).passed
 
 
 def test_facets_that_are_turned_over_as_the_settings_ask_stand_where_they_stood(tmp_path):
     path = tmp_path / "inside_out.stl"
     save(CORNERED.reversed(), path)
     config = Config().changed(part={"fix_orientation": True, **PLACED})
-    part, turned, _ = placed_part(path, config)
+    part, turned = read_part(path, config.part)
     assert turned
     assert file_check(part, config).passed
     assert not file_check(part, config.changed(part={"fix_orientation": False})).passed
@@ -294,7 +293,7 @@ def test_every_part_of_a_plate_stands_where_the_plate_says(wrong, monkeypatch, t
     config = Config().changed(part={"units": "cm"})
     if wrong is not None:
         monkeypatch.setattr(Placing, "moved", wrong)
-    assert file_check(placed_part(tmp_path / "plate.toml", config)[0], config).passed is (wrong is None)
+    assert file_check(read_part(tmp_path / "plate.toml", config.part)[0], config).passed is (wrong is None)
 
 
 def test_a_plate_along_a_direction_of_the_settings_can_be_made_layer_by_layer(tmp_path):
@@ -302,9 +301,9 @@ def test_a_plate_along_a_direction_of_the_settings_can_be_made_layer_by_layer(tm
     save(CORNERED, tmp_path / "a.stl")
     (tmp_path / "plate.toml").write_text('[[parts]]\nfile = "a.stl"\nplace_mm = [0, 0]\n')
     config = Config().changed(part={"direction": [1.0, 0.0, 0.0]})
-    with LayerMaker(placed_part(tmp_path / "plate.toml", config)[0], config) as maker:
+    with LayerMaker(read_part(tmp_path / "plate.toml", config.part)[0], config) as maker:
         own = maker.config_of(Wanted(0, 0.0, 1.6, "MAIN_K0001R1"))
-    part = placed_part(tmp_path / "plate.toml", own)[0]
+    part = read_part(tmp_path / "plate.toml", own.part)[0]
     assert file_check(part, own).passed
     assert (part.vertices == maker.part.vertices).all()
 
@@ -313,7 +312,7 @@ def test_copies_on_a_plate_are_read_once(tmp_path, monkeypatch):
     save(CORNERED, tmp_path / "a.stl")
     (tmp_path / "plate.toml").write_text(PLATE)
     config = Config().changed(part={"units": "cm"})
-    part, read, right = placed_part(tmp_path / "plate.toml", config)[0], [], part_file._facets_of
+    part, read, right = read_part(tmp_path / "plate.toml", config.part)[0], [], part_file._facets_of
     monkeypatch.setattr(part_file, "_facets_of", lambda path: (read.append(path), right(path))[1])
     assert file_check(part, config).passed
     assert len(read) == 2  # in inches, and in centimetres

@@ -11,7 +11,7 @@ from shapely import affinity
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.deposit_checks import NARROW, deposit_checks
 from ebamcheck.checks.narrow_features import narrow_features, narrow_places
-from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
+from ebamcheck.pipeline.findings import metal_findings, narrow_findings
 from ebamcheck.settings.config import Config
 
 PLATE = shapely.box(0, 0, 90, 50)
@@ -149,7 +149,7 @@ def test_one_feature_through_many_layers_is_one_finding():
     assert (leaning.first, leaning.last) == (0, 29)
     assert (upper.first, upper.last) == (11, 29)
     heights = np.arange(30) * 2.0 + 1.0
-    told = list(of_narrow([leaning, upper], heights, Config()))
+    told = list(narrow_findings([leaning, upper], heights, Config()))
     assert [(one.severity, one.code) for one in told] == [("warning", "opening-under-bead")] * 2
     assert (
         "a hole 2.5 mm wide on 30 layers, z = 1.000 to 59.000 mm, is narrower than a bead (6 mm)"
@@ -163,7 +163,7 @@ def test_only_some_of_many_are_told_one_by_one():
     holes = shapely.union_all([disc(5 + 8 * (k % 10), 10 + 10 * (k // 10), 1 + 0.1 * k) for k in range(20)])
     found = narrow_features([PLATE.difference(holes)], Config())
     assert len(found) == 20
-    *_, last = told = list(of_narrow(found, np.array([1.0]), Config()))
+    *_, last = told = list(narrow_findings(found, np.array([1.0]), Config()))
     assert len(told) == 9
     assert last.text.startswith("12 more features")
 
@@ -188,8 +188,8 @@ def test_a_setting_says_what_may_not_be_built(tmp_path, process, severities):
     laid = deposit(nc, made.layers, made.z, config)
     checks = deposit_checks(nc, laid, config)
     told = [
-        *of_narrow(laid.narrow, made.layers.heights, config),
-        *of_metal([c for c in checks if c.name == NARROW]),
+        *narrow_findings(laid.narrow, made.layers.heights, config),
+        *metal_findings([c for c in checks if c.name == NARROW]),
     ]
     assert [one.severity for one in told] == severities
     (check,) = [c for c in checks if c.name == NARROW]

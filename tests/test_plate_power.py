@@ -8,8 +8,7 @@ import shapely
 
 from ebamcheck.controls.gcode.writing import write_plain_gcode
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.stages import bead_paths
+from ebamcheck.pipeline.stages import bead_paths, plan_program
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.settings.config import Config
 

@@ -26,7 +26,7 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import SlabInspection, divided, read_once
 from ebamcheck.pipeline import check_job
-from ebamcheck.pipeline.slab_check import check_in_slabs
+from ebamcheck.pipeline.slabs import check_in_slabs
 from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck_embree import Embree

@@ -86,7 +86,7 @@ def test_slice_loads_what_it_needs(part, tmp_path):
 
 
 def test_the_slicers_of_a_run_do_not_wait_for_the_stages_after_them():
-    told = "import sys, ebamcheck.pipeline.job; print(*sys.modules)"
+    told = "import sys, ebamcheck.pipeline.run; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True)
     found = set(done.stdout.split())
     assert "ebamcheck.pipeline.cross_check" in found

@@ -11,7 +11,7 @@ import ebamcheck
 from ebamcheck.errors import BackendFailed
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.mesh.welding import weld
-from ebamcheck.pipeline.noticed import of_set_aside
+from ebamcheck.pipeline.findings import set_aside_findings
 from ebamcheck.testing.solids import mapped, prism, turn
 
 EXACT = ("planecut", "manifold")
@@ -138,6 +138,6 @@ def test_the_comparison_says_how_many_rings_it_sets_aside(limit_mm, agrees, asid
     table = ebamcheck.compare(exact, closed, tolerance_mm=limit_mm, check_part=False)
     assert table["topology_agrees"].tolist() == [agrees] * 3
     assert table["set_aside"].tolist() == [aside] * 3
-    told = list(of_set_aside(table.assign(a="planecut", b="embree")))
+    told = list(set_aside_findings(table.assign(a="planecut", b="embree")))
     assert len(told) == int(agrees)
     assert all("on 3 layers they agree once up to 1 rings" in finding.text for finding in told)

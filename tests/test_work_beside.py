@@ -7,7 +7,7 @@ from concurrent.futures import Future
 import pytest
 
 from ebamcheck.errors import InputError
-from ebamcheck.pipeline.work import one_beside
+from ebamcheck.pipeline.job import one_beside
 
 
 def ended(error: BaseException, works: list[Future]) -> None:

@@ -19,10 +19,10 @@ from ebamcheck.json_values import (
     sha256_of_json,
     write_json,
 )
+from ebamcheck.pipeline.reports import reports_again
 from ebamcheck.program import Check
 from ebamcheck.record.certificate import write_certificate
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.verification.tables_again import reports_again
 from ebamcheck.verification.verify import verify_against_part, verify_run
 
 NEAR_LINES = 3

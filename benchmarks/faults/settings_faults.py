@@ -152,7 +152,7 @@ def judged_setting(fault: SettingFault, workshop: Workshop, folder: Path) -> Res
 def _run(sound: Finished, folder: Path, config: Config) -> list[Check]:
     """Checks of a run by other settings: its gates, and its verification."""
     result = run_job(sound.part, folder, config, force=True)
-    gates = [Check(f"gate {g.name}", g.passed, g.figure, g.limit, g.unit, "", g.text) for g in result.gates]
+    gates = [Check(f"gate {g.name}", g.passed, g.value, g.limit, g.unit, "", g.text) for g in result.gates]
     return gates + verify_run(result.folder.path, sound.part)
 
 

@@ -1,10 +1,8 @@
-"""The result of one check of a program, and how the worst place of many becomes one."""
+"""How checks of a program are made together, and how the worst place of many becomes one check."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,44 +10,7 @@ from numpy.typing import ArrayLike
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck.numeric.rings import Bools, Ints
-
-
-@dataclass(frozen=True)
-class Check:
-    """One check: what was measured, against which limit, and where it is worst.
-
-    Examples
-    --------
-    >>> slow = Check("rapids", False, 3.0, 0.0, "moves", "MAIN.MPF:12", "3 rapids are slow", remedy="write G0")
-    >>> slow.in_words()
-    'rapids at MAIN.MPF:12: 3 rapids are slow; write G0'
-    """
-
-    name: str
-    passed: bool
-    value: float
-    limit: float
-    unit: str
-    where: str
-    """``FILE:line`` of the worst or first place; empty where the whole program is meant."""
-    text: str
-    layer: int | None = None
-    """Layer of the worst place, from 0, where there is one."""
-    x_mm: float | None = None
-    """Where the worst place is, to draw it."""
-    y_mm: float | None = None
-    place: str = ""
-    """Of a check that fails: its layer as the program names it, and that height in part and program."""
-    remedy: str = ""
-    """Of a check that fails: what to do, without a full stop."""
-
-    def in_words(self) -> str:
-        """Name, place, what was found and what to do, as a failed check is told."""
-        where = ", ".join(text for text in (self.where, self.place) if text)
-        return f"{self.name}{f' at {where}' if where else ''}: {self.text}" + (
-            f"; {self.remedy}" if self.remedy else ""
-        )
-
+from ebamcheck.result import Check as Check
 
 CheckGroup = Callable[[], Sequence[Check]]
 """Checks that are made together."""
@@ -63,24 +24,6 @@ def checks_of(groups: Sequence[CheckGroup]) -> list[Check]:
     last = len(groups) - 1
     found = list(run_in_order(lambda k, _: groups[last - k](), range(len(groups) + 1)))
     return [check for group in reversed(found) for check in group]
-
-
-def check_record(check: Check) -> dict[str, Any]:
-    """Return a check as records and answers in JSON hold it: its layer is a number from 1.
-
-    Examples
-    --------
-    >>> steep = Check("overhang", False, 80.0, 74.0, "deg", "MAIN_L0003.SPF:9", "too far", layer=2)
-    >>> check_record(steep)["layer"], check_of_record(check_record(steep)) == steep
-    (3, True)
-    """
-    return {**asdict(check), "layer": None if check.layer is None else check.layer + 1}
-
-
-def check_of_record(record: Mapping[str, Any]) -> Check:
-    """Take back :func:`check_record`."""
-    layer = record.get("layer")
-    return Check(**{**record, "layer": None if layer is None else layer - 1})
 
 
 def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from ebamcheck.findings import Finding
 from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.material import MaterialSettings
 from ebamcheck.settings.materials import preset
@@ -61,7 +61,7 @@ TOLD = 4
 """Settings that are told by name."""
 
 
-def loose_limits(config: Config) -> Iterator[Finding]:
+def loose_limits(config: Config) -> Iterator[Check]:
     """Tell which limits are wider than the default ones, each with both values, and which data of a known material are others.
 
     Nothing where neither is.
@@ -71,7 +71,7 @@ def loose_limits(config: Config) -> Iterator[Finding]:
     if not found:
         return
     more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
-    yield Finding(
+    yield Check.finding(
         "warning",
         "limit-widened",
         f"gates are judged by limits wider than the default ones: {', '.join(found[:TOLD])}{more}",
@@ -122,7 +122,7 @@ def _wider_than_derived(config: Config) -> Iterator[str]:
         yield f"machine.{name} {getattr(config.machine, name):g} (the power may be {100.0 * slack:.3g} % off for it)"
 
 
-def _other_material(config: Config) -> Iterator[Finding]:
+def _other_material(config: Config) -> Iterator[Check]:
     """Data beside the name of a known material that are not those of that material: heat and melting are judged by them."""
     material = config.material
     if preset(material.name) is None:
@@ -135,7 +135,7 @@ def _other_material(config: Config) -> Iterator[Finding]:
         return
     told = [f"material.{name}{_both(getattr(material, name), getattr(usual, name))}" for name in others]
     more = f" and {len(told) - TOLD} more" if len(told) > TOLD else ""
-    yield Finding(
+    yield Check.finding(
         "warning",
         "material-data",
         f"heat and melting are judged by data that are not those of {material.name}: {', '.join(told[:TOLD])}{more}",

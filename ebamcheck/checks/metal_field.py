@@ -40,15 +40,14 @@ class LayerField:
     over_mm: Floats
 
 
-def write_field(path: Path, field: LayerField, layer: int, thickness_mm: float) -> None:
-    """Write the field of a layer, one row a cell, in single precision."""
+def write_field(table: pa.Table, path: Path) -> None:
+    """Write the table of a field."""
     # Many cells are alike, and a field is looked at, not computed with.
-    table = field_table(field, layer, thickness_mm)
     write_table(table, path, use_dictionary=True, write_statistics=True, write_page_checksum=False)
 
 
 def field_table(field: LayerField, layer: int, thickness_mm: float) -> pa.Table:
-    """Table of the field of a layer, as it is written."""
+    """Table of the field of a layer, one row a cell, in single precision."""
     header = {
         "format": FORMAT,
         "layer": layer,

@@ -36,11 +36,11 @@ from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.text_checks import text_checks, words_check
 from ebamcheck.checks.tilt_checks import tilt_checks
 from ebamcheck.checks.value_checks import window_check, wire_check
-from ebamcheck.findings import at_layer
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
+from ebamcheck.result import Place
 
 
 @dataclass(frozen=True)
@@ -223,23 +223,22 @@ def with_remedies(
         if check.passed:
             found.append(check)
             continue
-        layer = check.layer if check.layer is not None else layer_of(nc, check.where)
+        layer = check.layer if check.layer is not None else layer_of(nc, check.at)
         place = ""
         if layer is not None and layer < len(cut_mm):
-            place = at_layer(layer, float(cut_mm[layer]), program_z_mm=float(deposit_mm[layer]))
+            place = str(Place(layer=layer, cut_mm=float(cut_mm[layer]), z_mm=float(deposit_mm[layer])))
         remedy = check.remedy or REMEDIES.get(check.name, do.OTHERWISE)
         found.append(replace(check, layer=layer, place=place, remedy=remedy))
     return found
 
 
-def layer_of(nc: NCProgram, where: str) -> int | None:
-    """Layer of a place ``FILE:line``, from 0; None where it lies in none."""
-    name, _, line = where.rpartition(":")
-    numbers = [k for k, file in enumerate(nc.files) if file.name == name]
-    if not numbers or not line.isdecimal():
+def layer_of(nc: NCProgram, place: Place) -> int | None:
+    """Layer of a line of a program, from 0; None where it lies in none."""
+    numbers = [k for k, file in enumerate(nc.files) if file.name == place.file]
+    if not numbers or not place.line:
         return None
     rows = np.flatnonzero((nc.file == numbers[0]) & (nc.layer >= 0))
     if not rows.size:
         return None
-    after = rows[nc.line[rows] >= int(line)]
+    after = rows[nc.line[rows] >= place.line]
     return int(nc.layer[after[0] if after.size else rows[-1]])

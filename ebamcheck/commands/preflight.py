@@ -26,8 +26,9 @@ from ebamcheck.commands.options import (
 )
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.preflight.checks import EVERY, RUN, PreflightCheck
 from ebamcheck.preflight.report import Preflight, ready
+from ebamcheck.preflight.workload import EVERY, RUN
+from ebamcheck.result import Check, known
 
 SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}
 """Levels as the table has them."""
@@ -81,8 +82,8 @@ def preflight_text(found: Preflight) -> str:
     return "\n\n".join(block for block in blocks if block)
 
 
-def _row(check: PreflightCheck) -> Sequence[str]:
-    figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, check.limit)]
+def _row(check: Check) -> Sequence[str]:
+    figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
     return [SHOWN[check.level], check.name, *figures, check.unit, check.text]
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from ebamcheck.backend import Slicer
 from ebamcheck.drawing.tables import text_table
-from ebamcheck.findings import at_layer, in_words
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import BrokenPlugin
 from ebamcheck.plugins.stranger import StrangerSlicer
 from ebamcheck.plugins.trial import cube
+from ebamcheck.result import Place, in_words
 
 
 def backend_record(name: str) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def _excess(finding: Mapping[str, Any]) -> float:
 def _disagreement(f: Mapping[str, Any]) -> str:
     """A disagreement of ``run.json`` in words."""
     cause = f.get("cause_text") or f["cause"]
-    place = at_layer(f["layer"] - 1, f["height_mm"], program_z_mm=float(f.get("program_z_mm", math.nan)))
+    place = Place(layer=f["layer"] - 1, cut_mm=f["height_mm"], z_mm=float(f.get("program_z_mm", math.nan)))
     size = f"{float(f['value']):.4g} over {float(f['limit']):.4g}"
     where = f"({float(f['x_mm']):.3f}, {float(f['y_mm']):.3f}) of {place}"
     remedy = f"; {f['remedy']}" if f.get("remedy") else ""

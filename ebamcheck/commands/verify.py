@@ -47,11 +47,11 @@ def verify(
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
-    from ebamcheck.checks.checks import check_record
     from ebamcheck.drawing.tables import text_table
     from ebamcheck.live.verifying import holds_layers
     from ebamcheck.record.certificate import find_record
     from ebamcheck.record.run_folder import MANIFEST
+    from ebamcheck.result import check_record
     from ebamcheck.verification import verify as verification
 
     if holds_layers(target):

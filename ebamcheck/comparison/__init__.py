@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ebamcheck.comparison.consensus import Comparison, compare_all
-from ebamcheck.comparison.findings import Finding
+from ebamcheck.comparison.disagreement import Disagreement
 from ebamcheck.comparison.pairwise import FACE_ON_PLANE, GENERIC, VERTEX_ON_PLANE, compare, layer_classes
 
 __all__ = [
@@ -11,7 +11,7 @@ __all__ = [
     "GENERIC",
     "VERTEX_ON_PLANE",
     "Comparison",
-    "Finding",
+    "Disagreement",
     "compare",
     "compare_all",
     "layer_classes",

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ebamcheck.comparison.disagreement import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Disagreement
 from ebamcheck.comparison.doubt import allow_doubt
-from ebamcheck.comparison.findings import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Finding
 from ebamcheck.comparison.independence import EvidenceRule, best_pair
 from ebamcheck.comparison.naming import named_findings
 from ebamcheck.comparison.pairwise import (
@@ -44,7 +44,7 @@ class Comparison:
     ``rests_on`` (the two names of the consensus that agree within the narrowest limit)."""
     stacks: Mapping[str, pd.DataFrame]
     """By backend, one row per layer: ``area_mm2``, ``rings``, ``outer_rings``, ``open_paths``, ``points``."""
-    findings: list[Finding]
+    findings: list[Disagreement]
     passed: bool
     """Whether at least one layer was compared, and none has an outlier, is undecided, or is empty although the part is not."""
     compared_layers: int

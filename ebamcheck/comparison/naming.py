@@ -15,7 +15,7 @@ from ebamcheck.comparison.causes import MeshFlaws, Place, declared_doubt, likely
 from ebamcheck.comparison.diagnosis import Cause, Differing, cause_of, diagnose
 from ebamcheck.comparison.diagnosis import cause as systematic
 from ebamcheck.comparison.diagnosis.sheets import Reader
-from ebamcheck.comparison.findings import EMPTY, OUTLIER, UNDECIDED, Finding
+from ebamcheck.comparison.disagreement import EMPTY, OUTLIER, UNDECIDED, Disagreement
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.sources import LayerSource
@@ -25,7 +25,7 @@ from ebamcheck.numeric.rings import Floats
 Columns = Mapping[str, NDArray[Any]]
 
 
-class Disagreement:
+class PairDisagreements:
     """All layers on which one slicer disagrees with another."""
 
     def __init__(
@@ -69,7 +69,7 @@ def named_findings(
     heights: Floats,
     consensus: list[tuple[int, ...]],
     verdicts: list[str],
-) -> Iterator[Finding]:
+) -> Iterator[Disagreement]:
     """Every disagreement on the layers on which not all slicers agree, in the order of layers.
 
     Parameters
@@ -84,10 +84,10 @@ def named_findings(
     flaws, names = MeshFlaws(part), list(stacks)
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
     told = list(_disagreeing(names, columns, consensus, verdicts))
-    pairs: dict[tuple[str, str], Disagreement] = {}
+    pairs: dict[tuple[str, str], PairDisagreements] = {}
     for layer, backend, against, column, swapped in told:
         key = (backend, against)
-        pairs.setdefault(key, Disagreement(backend, against, column, swapped, [])).layers.append(layer)
+        pairs.setdefault(key, PairDisagreements(backend, against, column, swapped, [])).layers.append(layer)
     x, y, _ = part.bounds.mean(axis=0).tolist()
     causes = {key: pair.diagnosed(stacks, heights, flaws, (x, y)) for key, pair in pairs.items()}
     namer = _Namer(flaws, stacks)
@@ -134,7 +134,7 @@ class _Namer:
 
     def named(
         self, backend: str, against: str, layer: int, column: Columns, causes: tuple[Cause, ...]
-    ) -> Finding:
+    ) -> Disagreement:
         """Name one disagreement of a pair."""
         row = {name: values[layer] for name, values in column.items()}
         depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
@@ -153,14 +153,14 @@ class _Namer:
         )  # fmt: skip
         cause = cause_of(causes, layer)
         if cause is not None and not (place.known and declared_doubt(place, declared)):
-            return Finding(
+            return Disagreement(
                 *finding, cause.kind, cause.in_words(), cause.size, cause.unit, cause.share,
                 remedy(cause.kind, backend, against),
             )  # fmt: skip
         likely = likely_cause(
             self._flaws, place, declared, lambda: [self._segments(name, layer) for name in (backend, against)]
         )
-        return Finding(*finding, likely, likely, remedy=remedy(likely, backend, against))
+        return Disagreement(*finding, likely, likely, remedy=remedy(likely, backend, against))
 
     def _segments(self, name: str, layer: int) -> Floats:
         return outline(self._readers[name].layer(layer), 0, (0.0, 0.0)).segments
@@ -168,7 +168,7 @@ class _Namer:
 
 def _empty_finding(
     flaws: MeshFlaws, names: list[str], layer: int, height_mm: float, columns: list[dict[str, NDArray[Any]]]
-) -> Finding:
+) -> Disagreement:
     """Name a layer that is empty in all stacks although facets of the part cross it; the value is the area."""
     x, y = flaws.place(height_mm)
     column = columns[0]
@@ -177,7 +177,7 @@ def _empty_finding(
     place = Place(x, y, height_mm, extent, 0.0, str(column["class"][layer]), open_paths)
     cause = likely_cause(flaws, place)
     backends = ",".join(names)
-    return Finding(
+    return Disagreement(
         layer, height_mm, backends, "part", "empty", 0.0, 0.0, x, y, cause, cause,
         remedy=remedy(cause, backends, "part"),
     )  # fmt: skip

@@ -18,12 +18,13 @@ from ebamcheck.checks.heat_again import BeadHeat, FollowedHeat, highest_entry_k,
 from ebamcheck.checks.interpass_checks import within_range
 from ebamcheck.checks.text_heat import sections_of_text, text_beads
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.roles import by_height, by_shape
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.program.verification import read_checked
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
@@ -116,7 +117,7 @@ class FollowedMetal:
         text, _ = read_checked(program, config)
         if text is None or "height_map" in paper:
             return None
-        part = self._placed = self._placed or placed_part(self._file, config)[0]
+        part = self._placed = self._placed or read_part(self._file, config.part)[0]
         try:
             section = slice_part(part, cut_heights(part, config), witness_backend(str(paper["primary"])))
             told = paper["metal_so_far"]

@@ -15,9 +15,9 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.live.before import Before
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers
@@ -114,7 +114,7 @@ def finished_run(
     if direction is not None:
         config = config.changed(part={"direction": direction})
     file = part or part_of_run(run, manifest)
-    placed, _, _ = placed_part(file, config)
+    placed, _ = read_part(file, config.part)
     if placed.source_sha256 != manifest["part"]["sha256"]:
         raise SettingsError(f"{file}: is not the part that {folder} was made of: its hash differs")
     return FinishedRun(run, manifest, config, placed, file)

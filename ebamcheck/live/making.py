@@ -22,7 +22,6 @@ from ebamcheck.checks.matching import matched
 from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.text_heat import scans_of
-from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.heat.melting import entry_limit_k
@@ -31,31 +30,32 @@ from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.live.heights import at_layer_feed
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
-from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
-from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.placement import as_placed
-from ebamcheck.pipeline.planned_power import power_by_wire
+from ebamcheck.pipeline.fit import fitted
 from ebamcheck.pipeline.stages import (
     judged_program,
     laid_out,
+    power_by_wire,
     smooth_layers,
     smooth_sections,
     written,
 )
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
-from ebamcheck.program import Check, ProgramFiles, verify_program
+from ebamcheck.program import ProgramFiles, verify_program
+from ebamcheck.result import Check
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.slicing import PartSettings
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 
@@ -104,7 +104,7 @@ class MadeLayer:
     wanted: Wanted
     config: Config
     files: ProgramFiles
-    gates: tuple[Gate, ...]
+    gates: tuple[Check, ...]
     checks: tuple[Check, ...]
     after: Before
     wait_s: float
@@ -152,7 +152,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         self.sound = gates.input_gate(inspect(part))
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
-        self._of_part = as_placed(part, config.part)
+        self._of_part = _as_placed(part, config.part)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None
@@ -234,7 +234,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         # What only judges goes on beside what makes the program.
         comparing = self._aside.submit(self._agreement, cuts, seconds)
         with timed(seconds, "fit"):
-            verdict = self._fitted(contours, config)
+            verdict, _ = fitted(contours, self.part, config, self._bounds[self.primary][0])
             smooth = smooth_layers(verdict.curves)
         with timed(seconds, "plan"):
             plan, after, wait_s = self._planned(smooth, wanted, stands, aimed_lower(config, cooler_k))
@@ -290,13 +290,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             raise SettingsError(f"layer {wanted.layer + 1}: the part has no section at {cut_mm:g} mm")
         return cuts
 
-    def _fitted(self, contours: Layers, config: Config) -> FitVerdict:
-        """Curves of the contours, and what the mesh says of them."""
-        bound_mm, _ = self._bounds[self.primary]
-        curves = fit_for_program(contours, config.curves, self.part, error_bound_mm=bound_mm)
-        return judged(curves, contours, self.part, config)[0]
-
-    def _agreement(self, cuts: dict[str, Layers], seconds: dict[str, float]) -> Gate:
+    def _agreement(self, cuts: dict[str, Layers], seconds: dict[str, float]) -> Check:
         """Whether both methods agree on the layer."""
         with timed(seconds, "compare"):
             found = compared_layers(cuts, self.part, self._bounds, self.config, count_evidence=False)
@@ -345,12 +339,12 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         return plan, replace(before, part=part, last=last), wait_s
 
 
-def too_warm_k(gates: Sequence[Gate]) -> float:
+def too_warm_k(gates: Sequence[Check]) -> float:
     """How far a layer is over the limit of the heat, of which that is all that is wrong; else 0."""
     shut = [gate for gate in gates if not gate.passed]
     if len(shut) != 1 or shut[0].name != "heat":
         return 0.0
-    over_k = shut[0].figure - shut[0].limit
+    over_k = shut[0].value - shut[0].limit
     return over_k if 0.0 < over_k <= MOST_K else 0.0
 
 
@@ -361,6 +355,13 @@ def aimed_lower(config: Config, by_k: float) -> Config:
     limit_k = entry_limit_k(config) - by_k - ROOM_K
     return config.model_copy(
         update={"process": config.process.model_copy(update={"interpass_limit_k": limit_k})}
+    )
+
+
+def _as_placed(part: Part, settings: PartSettings) -> PartSettings:
+    """The settings with the direction that a part has been turned by; those of a plate are of the parts which name none."""
+    return (
+        settings if isinstance(part, PlatePart) else settings.model_copy(update={"direction": part.direction})
     )
 
 

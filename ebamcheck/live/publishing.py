@@ -20,6 +20,7 @@ from ebamcheck.json_values import json_text, plain, sha256_of_file, sha256_of_js
 from ebamcheck.live.making import LayerMaker, MadeLayer
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import LONGEST_NAME
+from ebamcheck.result import gate_record
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
 from ebamcheck.settings.text import values_as_toml
@@ -93,7 +94,7 @@ def certificate_of(
         "wait_s": made.wait_s,
         "layer_s": made.deposit_s,
         "leave_k": after.surface_k,
-        "gates": [asdict(gate) for gate in made.gates],
+        "gates": [gate_record(gate) for gate in made.gates],
         "checks": len(made.checks),
         # The subprogram, or the one file of a control without subprograms.
         "called": files.names[1] if suffix and len(files.names) > 1 else files.names[0],

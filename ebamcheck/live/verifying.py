@@ -29,7 +29,7 @@ from ebamcheck.live.publishing import (
     read_current,
     write_synced,
 )
-from ebamcheck.pipeline.placement import placed_part
+from ebamcheck.mesh.part_source import read_part
 from ebamcheck.record.certificate_checks import part_hash
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.verification.verify import verify
@@ -148,7 +148,7 @@ def _verified(
             return VerifiedLayer(name, 0, why, files), spent
         checks = verify(place / PROGRAM, part, config)
         # Of the lowest layer the settings alone do not ask that it is cut where it comes to lie.
-        placed, heights = placed_part(part, config)[0], config.layers.heights_mm
+        placed, heights = read_part(part, config.part)[0], config.layers.heights_mm
         cut_mm = heights[0] if len(heights) == 1 else math.nan
         checks.append(layer_check(placed, cut_mm, config.base_mm, config.layer_height_mm))
     except EbamcheckError as error:
@@ -209,7 +209,7 @@ def _ended_early(folder: Path, name: str, file: Path) -> str:
     if not ends:
         return ""
     config = load_config(folder / LAYERS / name / SETTINGS)
-    why = ended_early(float(placed_part(file, config)[0].size[2]), float(ends[-1]["height_mm"]), config)
+    why = ended_early(float(read_part(file, config.part)[0].size[2]), float(ends[-1]["height_mm"]), config)
     return f"{JOURNAL}: {why}" if why else ""
 
 

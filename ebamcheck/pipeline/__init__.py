@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING
 from ebamcheck.names_on_demand import on_demand
 
 if TYPE_CHECKING:
-    from ebamcheck.pipeline.finishing import RunResult as RunResult
-    from ebamcheck.pipeline.gates import Gate as Gate
-    from ebamcheck.pipeline.job import check_job as check_job
-    from ebamcheck.pipeline.job import run_job as run_job
-    from ebamcheck.pipeline.work import Observer as Observer
+    from ebamcheck.pipeline.job import Observer as Observer
+    from ebamcheck.pipeline.job import RunResult as RunResult
+    from ebamcheck.pipeline.run import check_job as check_job
+    from ebamcheck.pipeline.run import run_job as run_job
 
-__all__ = ["Gate", "Observer", "RunResult", "check_job", "run_job"]
+__all__ = ["Observer", "RunResult", "check_job", "run_job"]
 
-_HOMES = {"Gate": "gates", "Observer": "work", "RunResult": "finishing", "check_job": "job", "run_job": "job"}
+_HOMES = {"Observer": "job", "RunResult": "job", "check_job": "run", "run_job": "run"}
 """Names and where they live; they load when first used: who opens a run folder, a stranger's report writer in a process of
 its own, waits for no planning and no program."""
 

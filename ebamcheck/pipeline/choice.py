@@ -17,12 +17,7 @@ ALL = "all"
 def chosen_backends(config: Config) -> dict[str, BackendSettings]:
     """Settings of the backends to run, by name: those asked for or all that are available, and the witnesses.
 
-    Raises
-    ------
-    SettingsError
-        If the choice contradicts itself or a setting is wrong.
-    BackendMissing
-        If a name is unknown, a required backend is not available, or none is.
+    Raises SettingsError for a choice that contradicts itself, BackendMissing for a name that is unknown or not available.
     """
     chosen = config.slicing
     for name in chosen.required:
@@ -92,14 +87,9 @@ def _reason(probe: Probe) -> str:
 
 
 def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:
-    """Exact backend of the highest priority that did not make a program; `maker` if there is no other.
+    """Exact backend of the highest priority that did not make a program; `maker`, or the default one, if there is no other.
 
-    Parameters
-    ----------
-    maker
-        Backend that made the program; the default one if not known.
-    among
-        Backends to choose from; those of the house that are available if None.
+    It is one of `among`, else of those of the house that are available.
     """
     maker = maker or registry.default_backend()
     known = registry.house_slicers() if among is None else among

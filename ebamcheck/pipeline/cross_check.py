@@ -1,30 +1,29 @@
-"""Slice with every backend and compare all of them, block of layers by block of layers."""
+"""Slice with every backend and compare all of them, block of layers by block of layers; which agreements are evidence."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.consensus import EVERY_AGREEMENT
+from ebamcheck.comparison.independence import EvidenceRule
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.blocks import count_kept, kept_blocks
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.choice import primary_backend
-from ebamcheck.pipeline.independence import evidence_rule, no_evidence
-from ebamcheck.pipeline.noticed import lost
-from ebamcheck.pipeline.work import Job
+from ebamcheck.pipeline.job import Job
 from ebamcheck.plugins import registry
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
@@ -50,7 +49,7 @@ def cross_check(
     resume: bool,
     meanwhile: Callable[[], None] | None = None,
 ) -> CrossCheck:
-    """Slice and compare; layers, pairs and figures of every layer are on disk afterwards.
+    """Slice and compare; the layers are on disk afterwards.
 
     `meanwhile` is called once the first slicers are at work. No more than one block of layers of every backend is in memory
     at a time (``slicing.block_points``), and two while they are compared: the next one is read meanwhile.
@@ -70,20 +69,10 @@ def compared_layers(
     progress: Callable[[int], None] | None = None,
     borders: NDArray[np.int64] | None = None,
 ) -> Comparison:
-    """Compare what slicers made of a part, by what the registry says of each.
+    """Compare what slicers made of a part, by what the registry says of each; `bounds` are error and height bound, mm, that each declares.
 
-    Parameters
-    ----------
-    stacks
-        Layers by slicer.
-    bounds
-        Error bound and height bound that each declares, mm.
-    count_evidence
-        Count an agreement as evidence only as ``comparison.evidence_share`` has it.
-    progress
-        Told how many layers are done.
-    borders
-        Edges of the blocks of layers that are compared at a time.
+    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of
+    layers that are compared at a time.
     """
     slicers = {name: registry.slicer(name) for name in stacks}
     return compare_all(
@@ -111,10 +100,6 @@ def _slice(
     limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
     kept = _kept(job, backends) if resume else {}
 
-    def finished(outcome: Outcome) -> None:
-        if outcome.file is None:
-            job.add_finding(lost(outcome))
-
     waiting = {n: s for n, s in backends.items() if n not in kept}
     for name in waiting:
         if blocks := count_kept(job.folder.layers_file(name)):
@@ -129,9 +114,8 @@ def _slice(
             job.folder.layers_folder,
             limits,
             lambda _, done: job.observer.advance(done),
-            finished,
-            borders,
-            job.workers,
+            borders=borders,
+            pool=job.workers,
             keep_blocks=True,
             meanwhile=meanwhile,
         )
@@ -161,7 +145,7 @@ def _kept(job: Job, backends: Mapping[str, BackendSettings]) -> dict[str, Outcom
 def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int64]) -> Comparison:
     done = {name: outcome for name, outcome in outcomes.items() if outcome.file is not None}
     with job.stage("compare", len(job.heights)), ExitStack() as opened:
-        comparison = compared_layers(
+        return compared_layers(
             {n: opened.enter_context(LayerFile(job.folder.layers_file(n), edges=False)) for n in done},
             job.part,
             bounds_of(done),
@@ -169,31 +153,59 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
             progress=job.observer.advance,
             borders=borders,
         )
-        write_comparison(job, comparison)
-    return comparison
 
 
-def write_comparison(job: Job, comparison: Comparison) -> None:
-    """Write the tables of a comparison into the run, and tell which slicers prove nothing."""
-    pairs = job.folder.path / "compare.parquet"
-    table = numbered(comparison.pairs)
-    table.to_parquet(pairs, index=False, compression=COMPRESSION)
-    table.to_csv(job.folder.path / "compare.csv", index=False)
-    numbered(layer_table(comparison)).to_csv(job.folder.path / "layers.csv", index=False)
-    job.add_finding(*no_evidence(comparison))
-
-
-def layer_table(comparison: Comparison) -> pd.DataFrame:
-    """One row a layer: class, verdict, and area, rings and open paths of every backend."""
-    table = comparison.layers.copy()
-    for name, figures in comparison.stacks.items():
-        table[f"area_mm2_{name}"] = figures["area_mm2"]
-        table[f"rings_{name}"] = figures["rings"]
-        table[f"open_paths_{name}"] = figures["open_paths"]
-    return table
-
-
-def primary_of(job: Job, checked: CrossCheck) -> str:
+def primary_of(checked: CrossCheck, config: Config) -> str:
     """Backend whose contours go on; none where it has found no contour."""
-    name = primary_backend(job.config, checked.done)
+    name = primary_backend(config, checked.done)
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
+
+
+# -- evidence ----------------------------------------------------------------------------------------
+
+
+def evidence_rule(config: Config, names: Iterable[str]) -> EvidenceRule:
+    """Which agreements of these slicers count: see ``comparison.evidence_share``."""
+    share = config.comparison.evidence_share
+    kin = [pair for pair in combinations(names, 2) if registry.one_method(*pair)]
+    return EvidenceRule(
+        share * config.process.bead_width_mm, share * config.layer_height_mm, frozenset(map(frozenset, kin))
+    )
+
+
+def not_counted(comparison: Comparison) -> list[str]:
+    """Slicers and pairs whose agreement counts for nothing, and why, in short."""
+    said = [f"{name} is no evidence: {why}" for name, why in comparison.without_weight.items()]
+    if len(comparison.pairs):
+        one = comparison.pairs[~comparison.pairs["evidence"]][["a", "b"]].drop_duplicates()
+        said += [
+            f"{a} and {b} are one method"
+            for a, b in one.itertuples(index=False)
+            if not {a, b} & set(comparison.without_weight)
+        ]
+    return said
+
+
+def evidence_records(comparison: Comparison) -> list[dict[str, Any]]:
+    """Runs of layers that rest on the same two slicers: their names, first and last layer; none where there are none."""
+    found: list[dict[str, Any]] = []
+    for layer, names in enumerate(comparison.layers["rests_on"]):
+        methods = names.split(",") if names else []
+        if found and found[-1]["methods"] == methods:
+            found[-1]["last_layer"] = layer
+        else:
+            found.append({"methods": methods, "first_layer": layer, "last_layer": layer})
+    return found
+
+
+def resting(comparison: Comparison) -> str:
+    """On which two slicers the layers rest, in short."""
+    counts = Counter(str(names) for names in comparison.layers["rests_on"] if names)
+    if len(counts) == 1 and counts.total() == len(comparison.layers):
+        return f"every one rests on {_named(*counts)}"
+    parts = [f"{_named(names)} ({count})" for names, count in counts.most_common()]
+    return f"evidence of {', '.join(parts)}" if parts else ""
+
+
+def _named(pair: str) -> str:
+    return " and ".join(pair.split(","))

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.checks.checks import check_record
 from ebamcheck.checks.entry_check import entry_check
 from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.tolerances import PLACE_MM
@@ -25,6 +24,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import Check, read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
+from ebamcheck.result import check_record
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.writing.entry import begin_at_layer
 
@@ -56,13 +56,7 @@ class Entry:
 
 
 def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -> Entry:
-    """Write the program that begins at `layer`, beside the whole one that is not yet marked, and check it.
-
-    Raises
-    ------
-    SettingsError
-        If the program has no such layer.
-    """
+    """Write the program that begins at `layer`, beside the whole one that is not yet marked, and check it."""
     folder = files.folder.parent / FOLDER
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(files.folder, folder)
@@ -87,7 +81,7 @@ def checked_again(
         nc = read_program(whole, config)
         check = _checked(nc, folder / names[0], int(entry["layer"]), z_of, config, validated)
     except InputError as error:
-        check = Check("entry", False, 1.0, 0.0, "faults", FOLDER, str(error))
+        check = Check.fault("entry", FOLDER, str(error))
     if bool(entry["validated"]) != validated:
         text = f"is recorded as {_status(not validated)}, the whole program is {_status(validated)}"
         check = replace(check, passed=False, where=f"{names[0]}:1", text=text)
@@ -116,13 +110,6 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
     """Check a program that begins at a layer against the whole one, a program or that of a run folder.
 
     The layer is the one at whose Z the text lays its first metal, whatever its comments say.
-
-    Raises
-    ------
-    InputError
-        If either cannot be read.
-    SettingsError
-        If the run has no program.
     """
     said_validated = False
     if own_file(whole / MANIFEST):
@@ -138,21 +125,13 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
     tops = np.unique(np.round(complete.end[complete.deposit, 2], 3))
     z_mm = _first_mm(entry)
     if not tops.size or not np.isfinite(z_mm):
-        return Check(
-            "entry", False, 1.0, 0.0, "faults", program.name, "one of the two programs lays no metal"
-        )
+        return Check.fault("entry", program.name, "one of the two programs lays no metal")
     layer = int(np.abs(tops - z_mm).argmin())
     return entry_check(complete, entry, layer + 1, float(tops[layer]), config, said_validated)
 
 
 def begins_later(program: Path, z_of: Floats, config: Config) -> list[Check]:
-    """A failed check where a program lays its first metal over the first layer of the part, and how it is verified; else none.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of the layers of the part, mm.
-    """
+    """A failed check where a program lays its first metal over the first layer of the part, whose Z are `z_of` (L,) mm; else none."""
     try:
         nc = read_program(program, config)
     except EbamcheckError:  # A check of its own tells that.

@@ -2,48 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
-from ebamcheck.findings import has_fault
-from ebamcheck.pipeline import gates, noticed
+from ebamcheck.mesh.part import Part
+from ebamcheck.pipeline import findings, gates
 from ebamcheck.pipeline.choice import unavailable_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, primary_of
-from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.job import Job, RunResult
 from ebamcheck.pipeline.manifest import manifest as make_manifest
-from ebamcheck.pipeline.report_writers import write_reports
-from ebamcheck.pipeline.section_volume import volume_off
-from ebamcheck.pipeline.work import Job
+from ebamcheck.pipeline.programming import make_program
+from ebamcheck.pipeline.reports import write_reports
+from ebamcheck.pipeline.tables import tables_of_comparison, write_tables
+from ebamcheck.preflight.report import Ready
 from ebamcheck.record.certificate import write_certificate
 from ebamcheck.record.run_folder import FINGERPRINT, RunFolder
-
-if TYPE_CHECKING:
-    from ebamcheck.pipeline.programming import ProgramResult
-
-ProgramStage: TypeAlias = "Callable[[Job, CrossCheck, bool], ProgramResult]"
-"""Makes a program from agreed contours; its last argument tells whether all gates so far are passed."""
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """What a run came to."""
-
-    folder: RunFolder
-    gates: tuple[Gate, ...]
-    exit_code: ExitCode
-    manifest: Mapping[str, Any] = field(repr=False)
-
-
-def finished_result(run: RunFolder) -> RunResult:
-    """What a finished run came to, by its record."""
-    manifest = run.manifest()
-    found = tuple(Gate(**gate) for gate in manifest["gates"])
-    return RunResult(run, found, ExitCode(manifest["exit_code"]), manifest)
+from ebamcheck.result import has_fault
 
 
 class SlabRecord(NamedTuple):
@@ -55,44 +33,49 @@ class SlabRecord(NamedTuple):
 
 
 def finish(
-    job: Job, checked: CrossCheck, program: ProgramStage | None, slabs: SlabRecord | None = None
+    job: Job,
+    checked: CrossCheck,
+    begun: Ready | None = None,
+    fine: Part | None = None,
+    slabs: SlabRecord | None = None,
 ) -> RunResult:
-    """All stages from the gates of the cross-check to the finished folder.
+    """All stages from the gates of the cross-check to the finished folder; `fine` is a finer tessellation, which the curves are held against.
 
-    Parameters
-    ----------
-    program
-        Makes the program; None where none is wanted.
-    slabs
-        Of a part that was taken in slabs, whose mesh is never there as a whole.
+    A part that was taken in `slabs` was not made ready (`begun`), and its mesh is never there as a whole.
     """
-    primary = primary_of(job, checked)
-    outcomes = {**checked.outcomes, **unavailable_backends(job.config)}
+    config, comparison = job.config, checked.comparison
+    primary = primary_of(checked, config)
+    outcomes = {**checked.outcomes, **unavailable_backends(config)}
+    off = _volume_off(job, comparison, primary) if slabs is None else ""
     judged = [
-        gates.input_gate(job.found, _volume_off(job, checked.comparison, primary) if slabs is None else ""),
-        gates.agreement_gate(
-            checked.comparison, outcomes, len(job.heights), job.config.layer_height_mm, job.config.base_mm
-        ),
+        gates.input_gate(job.found, off),
+        gates.agreement_gate(comparison, outcomes, len(job.heights), config.layer_height_mm, config.base_mm),
     ]
-    job.add_finding(*noticed.of_doubt(checked.comparison.pairs, job.config))
-    job.add_finding(*noticed.of_set_aside(checked.comparison.pairs))
-    job.add_finding(*(noticed.unavailable(o) for o in outcomes.values() if o.failure == "unavailable"))
-    made = None
-    if program is not None and primary:
-        job.add_finding(*noticed.of_profile(job.config))
-        made = program(job, checked, all(gate.passed for gate in judged))
+    told = [
+        *(findings.begun_findings(begun) if begun is not None else ()),
+        *findings.part_findings(job.found, config),
+        *findings.slicer_findings(checked.outcomes, outcomes, comparison, config),
+    ]
+    made, tables = None, tables_of_comparison(comparison)
+    if job.kind == "run" and primary:
+        told += findings.profile_findings(config)
+        sound = all(gate.passed for gate in judged) and not has_fault(told)
+        made = make_program(job, primary, checked, fine, sound)
         judged += made.gates
-    code = gates.exit_code(judged, checked.comparison.compared_layers, outcomes)
-    if code is ExitCode.PASS and has_fault(job.findings):
+        told += made.findings
+        tables |= made.tables
+    write_tables(job.folder.path, tables)
+    code = gates.exit_code(judged, comparison.compared_layers, outcomes)
+    if code is ExitCode.PASS and has_fault(told):
         code = ExitCode.OUT_OF_TOLERANCE
-    manifest = make_manifest(job, outcomes, checked.comparison, primary, made, judged, code)
+    manifest = make_manifest(job, outcomes, comparison, primary, made, judged, told, code)
     if slabs is not None:
         for name, settings in slabs.settings.items():
             manifest["backends"][name]["settings"] = settings
         manifest["slabs"] = slabs.figures
     job.folder.write_manifest(manifest)
     write_reports(job.folder.path, job.observer.note)
-    if program is not None:
+    if job.kind == "run":
         # Last of all: it lists every file, and so finds any byte that is changed after it.
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
@@ -104,4 +87,4 @@ def _volume_off(job: Job, comparison: Comparison, primary: str) -> str:
     if primary not in comparison.stacks or not job.found.passed:
         return ""
     areas = comparison.stacks[primary]["area_mm2"].to_numpy(np.float64)
-    return volume_off(job.part, np.asarray(job.heights), areas, job.config)
+    return gates.volume_off(job.part, np.asarray(job.heights), areas, job.config)

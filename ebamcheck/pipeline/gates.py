@@ -4,26 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
 from ebamcheck.checks.heat_again import highest_entry_k
 from ebamcheck.checks.interpass_checks import AGAIN, COLD, INTERPASS, within_range
+from ebamcheck.checks.mesh_checks import layer_borders
 from ebamcheck.checks.rules import of_gate
 from ebamcheck.checks.value_checks import MELTING
-from ebamcheck.comparison import Comparison
-from ebamcheck.comparison import Finding as Disagreement
+from ebamcheck.comparison import Comparison, Disagreement
+from ebamcheck.comparison.disagreement import worst_of
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.comparison.findings import worst_of
 from ebamcheck.errors import ExitCode
-from ebamcheck.findings import at_layer
+from ebamcheck.layers.layer_rule import section_areas
+from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
 from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.pipeline.fit_evidence import FitVerdict, gate_text
-from ebamcheck.pipeline.independence import not_counted, resting
-from ebamcheck.program import Check
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.cross_check import not_counted, resting
+from ebamcheck.pipeline.fit import FitVerdict, gate_text
+from ebamcheck.result import Check, Place
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 
@@ -31,23 +33,64 @@ NO_AGREEMENT = "layers without agreement"
 """Unit of the gate `agreement`."""
 
 
-@dataclass(frozen=True)
-class Gate:
-    """One gate: what was measured, against which limit, and what it says."""
-
-    name: str
-    passed: bool
-    figure: float
-    limit: float
-    unit: str
-    text: str
-
-
-def input_gate(inspection: Inspection, volume_off: str = "") -> Gate:
+def input_gate(inspection: Inspection, volume_off: str = "") -> Check:
     """The part is closed, consistently oriented and the right way out, and its volume is that of its sections."""
     told = [f"{inspection.verdict}: {inspection.why}", *([volume_off] if volume_off else [])]
     faults = (not inspection.passed) + bool(volume_off)
-    return Gate("input", not faults, float(faults), 0.0, "faults", "; ".join(told))
+    return Check.gate("input", not faults, float(faults), 0.0, "faults", "; ".join(told))
+
+
+def volume_off(part: Part, cuts: Floats, areas: Floats, config: Config) -> str:
+    """Say how far the volume of the part is off that of its sections; empty where they agree, or the layers are not all of the part.
+
+    Parameters
+    ----------
+    part
+        The part as placed, closed and the right way out.
+    cuts, areas
+        Heights (L,), mm, of the layers from below, and areas (L,), mm2, of their sections by one slicer.
+    config
+        Its `process.mass_tolerance` is the share by which a mass may be off.
+
+    Notes
+    -----
+    The volume comes from facets and from the union of bodies by manifold3d; the sections come from slicers, which unite bodies layer by
+    layer. Sections of the mesh itself are known in closed form, with every body counted, so that what the slicers' lack of them is
+    the metal that would count twice. Only that is summed over layers, and only its surface bounds the error of the sum.
+
+    Between two heights a section of the metal that counts twice changes by no more than its surface seen from above, P. Cut at the
+    middles of layers of height h, it is summed to within h P / 2.
+    """
+    if len(cuts) < 2 or config.layers.heights_mm or config.base_mm > 0.0:
+        return ""
+    found = bodies_of(part)
+    heights = np.diff(layer_borders(part, cuts, config))
+    twice = section_areas(part, cuts) - areas
+    of_sections = found.signed_mm3 - float((heights * twice).sum())
+    bound = 0.5 * float(heights.max()) * _seen_from_above(part)
+    allowed = bound + config.process.mass_tolerance * found.volume_mm3
+    off = abs(of_sections - found.volume_mm3)
+    if off <= allowed:
+        return ""
+    return (
+        f"its sections times heights of layers are {of_sections:.6g} mm3, its volume is {found.volume_mm3:.6g} mm3: {off:.4g} mm3 apart, "
+        f"over {allowed:.4g} mm3; facets of one body cut each other, or bodies do in a way that was not found: unite them in the model"
+    )
+
+
+def _seen_from_above(part: Part) -> float:
+    """Area seen from above, up and down, of the facets where bodies lie in each other or overlap, mm2."""
+    relations = bodies_of(part).relations
+    if not relations:
+        return 0.0
+    corners: Floats = part.triangles
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    near = np.full(len(corners), len(relations) > MOST_LISTED)
+    for relation in relations[:MOST_LISTED]:
+        near |= ((low <= relation.upper_mm) & (high >= relation.lower_mm)).all(axis=1)
+    a, b, c = np.moveaxis(corners[near, :, :2], 1, 0)
+    u, v = b - a, c - a
+    return 0.5 * float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum())
 
 
 def agreement_gate(
@@ -56,7 +99,7 @@ def agreement_gate(
     layers: int,
     first_layer_mm: float = 1.0,
     base_mm: float = 0.0,
-) -> Gate:
+) -> Check:
     """At least two methods agree on every layer, and no method that was asked for failed.
 
     Heights of the program are told by `first_layer_mm`, the height of an only layer, and `base_mm`, Z of what it lies on.
@@ -74,7 +117,7 @@ def agreement_gate(
         if methods > 1:
             text = f"{methods} methods left, no two of which are independent evidence"
         text += f": {'; '.join([*failed, *idle])}" if failed or idle else ""
-        return Gate("agreement", False, float(layers), 0.0, NO_AGREEMENT, text)
+        return Check.gate("agreement", False, float(layers), 0.0, NO_AGREEMENT, text)
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
     if bad:
@@ -89,7 +132,7 @@ def agreement_gate(
         text += f"; lost: {'; '.join(failed)}"
     text += "".join(f"; {part}" for part in [*idle, resting(comparison)] if part)
     passed = comparison.passed and good == layers
-    return Gate("agreement", passed, float(bad + skipped), 0.0, NO_AGREEMENT, text)
+    return Check.gate("agreement", passed, float(bad + skipped), 0.0, NO_AGREEMENT, text)
 
 
 def _worst(comparison: Comparison, first_layer_mm: float, base_mm: float) -> str:
@@ -106,7 +149,7 @@ def disagreement_in_words(
     """A disagreement: who, where in part and program, by how much, why, and what to do."""
     heights = comparison.layers["height_mm"].to_numpy(np.float64)
     z_mm = float(deposition_heights(heights, first_layer_mm, base_mm)[f.layer])
-    place = at_layer(f.layer, f.height_mm, program_z_mm=z_mm)
+    place = Place(layer=f.layer, cut_mm=f.height_mm, z_mm=z_mm)
     cause = f.cause_text or f.cause
     if f.metric == "empty":
         return f"{place}, is empty for every slicer although facets cross it: {cause}; {f.remedy}"
@@ -126,32 +169,32 @@ def _doubted(comparison: Comparison) -> str:
     )
 
 
-def fit_gate(verdict: FitVerdict) -> Gate:
+def fit_gate(verdict: FitVerdict) -> Check:
     """The mesh, the other layers and the reference speak for every ring of the fitted curves."""
     if not verdict.evidence.cause.size:
-        return Gate("fit", False, float("nan"), 0.0, "faults", "there is no contour to fit")
-    return Gate("fit", verdict.faults == 0, float(verdict.faults), 0.0, "faults", gate_text(verdict))
+        return Check.gate("fit", False, float("nan"), 0.0, "faults", "there is no contour to fit")
+    return Check.gate("fit", verdict.faults == 0, float(verdict.faults), 0.0, "faults", gate_text(verdict))
 
 
-def coverage_gate(metrics: pd.DataFrame, config: Config) -> Gate:
+def coverage_gate(metrics: pd.DataFrame, config: Config) -> Check:
     """The beads cover the section."""
     limit = config.scan.least_coverage
     solid = metrics[metrics["area_mm2"] > 0]
     if not len(solid):
-        return Gate("coverage", False, 0.0, limit, "of the area", "there is no area to cover")
+        return Check.gate("coverage", False, 0.0, limit, "of the area", "there is no area to cover")
     covered = solid["covered_fraction"].to_numpy()
     k = int(np.argmin(covered))
     mean = float(np.average(covered, weights=solid["area_mm2"]))
     text = f"beads cover {100 * mean:.2f} % of the part's area, least {100 * covered[k]:.2f} % at layer {solid.index[k] + 1}"
-    return Gate("coverage", bool(covered[k] >= limit), float(covered[k]), limit, "of the area", text)
+    return Check.gate("coverage", bool(covered[k] >= limit), float(covered[k]), limit, "of the area", text)
 
 
-def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
+def deposit_gate(checks: Iterable[Check], config: Config) -> Check:
     """The metal of the program is that of the part, lies where the part is, and is flat; the first check that fails speaks."""
     limit = config.process.mass_tolerance
     made = of_gate(checks, "deposit")
     if not made:
-        return Gate(
+        return Check.gate(
             "deposit",
             False,
             float("nan"),
@@ -165,10 +208,10 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Gate:
         f" (and {len(failed) - 1} more: {', '.join(c.name for c in failed[1:])})" if len(failed) > 1 else ""
     )
     text = said.text if failed else "; ".join(check.text for check in made[:3])
-    return Gate("deposit", not failed, said.value, said.limit, said.unit, text + more)
+    return Check.gate("deposit", not failed, said.value, said.limit, said.unit, text + more)
 
 
-def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Gate:
+def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) -> Check:
     """No bead is entered above the limit, by the plan and by the balance of the text, or too cold after a wait; and its wire melts."""
     limit_k, ambient_k = highest_entry_k(config), config.process.ambient_temperature_k
     by_name = {check.name: check for check in of_gate(checks, "heat")}
@@ -177,7 +220,7 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
         why = "no program was written: there is no contour"
         if config.base_mm > 0.0:
             why = "the temperature of what stands under the program (layers.base_mm) is not known: its heat cannot be judged"
-        return Gate("heat", False, float("nan"), limit_k, "K", why)
+        return Check.gate("heat", False, float("nan"), limit_k, "K", why)
     text, melting = by_name[INTERPASS], by_name[MELTING]
     at_bead = config.process.interpass_at == "bead"
     planned = metrics["entry_max_k"] + ambient_k if at_bead else metrics["enter_k"]
@@ -200,25 +243,25 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
         said = f"the plan has no temperature for layer {int(unknown[0]) + 1}, which has beads; {said}"
     if not melting.passed:
         said = f"{melting.text}; {said}"
-    return Gate("heat", passed, figure_k, limit_k, "K", said)
+    return Check.gate("heat", passed, figure_k, limit_k, "K", said)
 
 
-def program_gate(checks: Iterable[Check]) -> Gate:
+def program_gate(checks: Iterable[Check]) -> Check:
     """Every check of the program that was read back passed; what other gates are about is theirs."""
     made = of_gate(checks, "program")
     failed = [c for c in made if not c.passed]
     if not made:
-        return Gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")
+        return Check.gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")
     text = f"{len(made)} checks passed"
     if failed:
         text = f"{len(failed)} of {len(made)} checks failed: {failed_in_words(failed)}"
-    return Gate("program", not failed, float(len(failed)), 0.0, "faults", text)
+    return Check.gate("program", not failed, float(len(failed)), 0.0, "faults", text)
 
 
-def entry_gate(check: Check) -> Gate:
+def entry_gate(check: Check) -> Check:
     """The program that begins at a layer commands what the whole one does from there on, from a state of its own."""
     text = check.text if check.passed else check.in_words()
-    return Gate("entry", check.passed, check.value, check.limit, check.unit, text)
+    return Check.gate("entry", check.passed, check.value, check.limit, check.unit, text)
 
 
 TOLD = 2
@@ -231,7 +274,7 @@ def failed_in_words(failed: Sequence[Check]) -> str:
     return told + (f" | and {', '.join(check.name for check in failed[TOLD:])}" if failed[TOLD:] else "")
 
 
-def exit_code(gates: Iterable[Gate], compared_layers: int, outcomes: Mapping[str, Outcome]) -> ExitCode:
+def exit_code(gates: Iterable[Check], compared_layers: int, outcomes: Mapping[str, Outcome]) -> ExitCode:
     """Exit code of a run: 5 where nothing could be compared, 1 where a gate is shut, else 0.
 
     Too few methods because one was lost, and a part that did not pass the input gate, are 1, not 5: something was

@@ -1,197 +1,168 @@
-"""One job from part to report: the cross-check alone, or all the way to the program."""
+"""A job in its run folder: begun under a fingerprint, carried out, and what it came to; and the observers of its progress."""
 
 from __future__ import annotations
 
-from importlib import import_module
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError, Executor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from threading import Event
+from typing import Any, Protocol
 
-from ebamcheck.checks.loose_limits import loose_limits
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.json_values import sha256_of_json
-from ebamcheck.mesh.part_source import read_reference
-from ebamcheck.nc.control import control
-from ebamcheck.nc.templates import usable_templates
-from ebamcheck.pipeline import noticed
-from ebamcheck.pipeline.choice import chosen_backends
-from ebamcheck.pipeline.cross_check import CrossCheck, cross_check, primary_of
-from ebamcheck.pipeline.live_program import check_waits
-from ebamcheck.pipeline.work import Job, Observer, Silent
-from ebamcheck.preflight.report import Ready, ready
-from ebamcheck.preflight.slab_work import wanted_slabs
-from ebamcheck.record.run_folder import finished_run, start_run
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric import compiling
+from ebamcheck.numeric.kernels import worker_threads
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.record.run_folder import RunFolder, RunInProgress, finished_run, start_run
+from ebamcheck.result import Check, gate_of_record
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.version import __version__
-from ebamcheck.writing.entry import check_entry
-
-if TYPE_CHECKING:
-    from ebamcheck.pipeline.finishing import ProgramStage, RunResult
-    from ebamcheck.pipeline.programming import ProgramResult
-
-LATER_STAGES = "ebamcheck.pipeline.finishing"
-"""Module of what comes after the cross-check."""
 
 
-def run_job(
-    part_path: str | Path,
-    target: str | Path,
-    config: Config | None = None,
-    reference: str | Path | None = None,
-    resume: bool = False,
-    observer: Observer | None = None,
-    begun: Ready | None = None,
-    yes: bool = False,
-    force: bool = False,
-    from_layer: int = 1,
-    live: bool = False,
-    workers: WorkerPool | None = None,
-) -> RunResult:
-    """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
+class Observer(Protocol):
+    """Whoever watches a run."""
 
-    Parameters
-    ----------
-    part_path
-        Mesh file of the part, or ``plate.toml``.
-    target
-        Run folder to make; it appears when it is whole.
-    config
-        Settings; the defaults if None.
-    reference
-        A finer tessellation of the same part, against which the errors of contours and curves are measured.
-    resume
-        Go on with what a killed run of the same part and settings left behind; a finished one of them is returned.
-    observer
-        Told of stages and progress.
-    force
-        Make the run although a finished one stands at `target`, which is kept under a name with its date.
-    from_layer
-        Write a second program, too, that begins at this layer, from 1: to go on after a break.
-    live
-        Write a main program, too, that waits between layers until each is released.
-    workers
-        Workers for the slicers that were spawned early; None: they are when they are needed.
-    begun
-        What :func:`ebamcheck.preflight.report.ready` has made of the same part and settings; None: it is made here.
-    yes
-        Go on where the job is more work than the settings allow.
+    def stage(self, name: str, total: int) -> None:
+        """Tell that a stage of `total` steps begins."""
 
-    Raises
-    ------
-    InputError, SettingsError
-        If the part or the reference cannot be read, settings make no sense or are outside of the process window, a
-        finished run stands at `target`, or the preflight finds that the job cannot come to a good end.
-    BackendMissing
-        If a required or named backend is unknown, or a required one is not available.
+    def advance(self, steps: int) -> None:
+        """Tell that steps of the stage are done."""
+
+    def note(self, text: str) -> None:
+        """Tell how it goes, in a line; what a person has to know of the result is a finding."""
+
+
+class Silent:
+    """Watches without a word."""
+
+    def stage(self, name: str, total: int) -> None:
+        """Ignore it."""
+
+    def advance(self, steps: int) -> None:
+        """Ignore it."""
+
+    def note(self, text: str) -> None:
+        """Ignore it."""
+
+
+@dataclass
+class Job:
+    """A run in progress: its parts as they come to be."""
+
+    kind: str
+    """What is asked for: ``run``, or ``check`` without a program."""
+    config: Config
+    observer: Observer
+    part: Part
+    found: Inspection
+    heights: Floats
+    folder: RunInProgress = field(init=False)
+    fingerprint: str = field(init=False)
+    """Hash of part, settings and version: of what this is a run."""
+    compile_s: float = 0.0
+    """Time in which this process compiled kernels; it is in none of the stages."""
+    timings: dict[str, float] = field(default_factory=dict)
+    from_layer: int = 1
+    """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
+    workers: WorkerPool | None = None
+    """Workers for the slicers that were spawned early; None: they are when they are needed."""
+    live: bool = False
+    """Whether a main program that waits between layers is written, too."""
+    ended: Event = field(default_factory=Event)
+    """Set where the run has ended by an error or an interrupt while work goes on beside it."""
+
+    def go_on(self) -> None:
+        """Raise CancelledError where the run has ended meanwhile; to be called between the steps of work beside the stages."""
+        if self.ended.is_set():
+            raise CancelledError
+
+    @contextmanager
+    def stage(self, name: str, total: int) -> Iterator[None]:
+        """Time a stage and tell the observer of it."""
+        self.observer.stage(name, total)
+        compiled = compiling.seconds()
+        with self.beside(name):
+            yield
+        self.compile_s += compiling.seconds() - compiled
+
+    @contextmanager
+    def beside(self, name: str) -> Iterator[None]:
+        """Time what goes on beside a stage; kernels that are compiled meanwhile count for the stage alone."""
+        start, compiled = time.perf_counter(), compiling.seconds()
+        yield
+        self.timings[name] = time.perf_counter() - start - (compiling.seconds() - compiled)
+
+
+@contextmanager
+def one_beside(ended: Event | None = None) -> Iterator[Executor]:
+    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped.
+
+    `ended` is set then, so that what has begun can stop.
     """
-    config = config or Config()
-    if not control(config.machine.control).is_read:
-        raise SettingsError(
-            f"machine.control {config.machine.control!r} writes what is not read back, and so cannot be validated: "
-            f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
-        )
-    if live:
-        check_waits(config)
-    check_entry(from_layer, config)
-    checked_window(config)
-    usable_templates(config, config.machine.control)
-    part = begun or ready(part_path, config, "run", yes)
-    part.preflight.stop("run")
-    config = part.config
-    fine = read_reference(reference, part_path, config.part) if reference else None
-
-    def program(job: Job, checked: CrossCheck, sound: bool) -> ProgramResult:
-        from ebamcheck.pipeline.programming import make_program
-
-        return make_program(job, primary_of(job, checked), checked, fine, sound)
-
-    inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
-    return _job(
-        "run", part, target, config, inputs, resume, observer, program, force, from_layer, live, workers
-    )
+    with worker_threads(1) as pool:
+        try:
+            yield pool
+        except BaseException:
+            if ended is not None:
+                ended.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
-def check_job(
-    part_path: str | Path,
+@dataclass(frozen=True)
+class RunResult:
+    """What a run came to."""
+
+    folder: RunFolder
+    gates: tuple[Check, ...]
+    exit_code: ExitCode
+    manifest: Mapping[str, Any] = field(repr=False)
+
+    @classmethod
+    def of(cls, run: RunFolder) -> RunResult:
+        """What a finished run came to, by its record."""
+        manifest = run.manifest()
+        gates = tuple(gate_of_record(gate) for gate in manifest["gates"])
+        return cls(run, gates, ExitCode(manifest["exit_code"]), manifest)
+
+
+def carried_out(
+    job: Job,
+    what: str,
+    sha256: str,
+    backends: Iterable[str],
+    inputs: Sequence[Any],
     target: str | Path,
-    config: Config | None = None,
-    resume: bool = False,
-    observer: Observer | None = None,
-    begun: Ready | None = None,
-    yes: bool = False,
-    force: bool = False,
-    workers: WorkerPool | None = None,
-) -> RunResult:
-    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`.
-
-    A part that would not fit into memory, or of which ``slicing.slabs`` says so, is checked in slabs
-    (:func:`~ebamcheck.pipeline.slab_check.check_in_slabs`), unless it was made ready before.
-    """
-    config = config or Config()
-    if begun is None and (slabs := wanted_slabs(Path(part_path), config)) > 1:
-        from ebamcheck.pipeline.slab_check import check_in_slabs
-
-        return check_in_slabs(part_path, target, config, slabs, resume, observer, yes, force)
-    part = begun or ready(part_path, config, "check", yes)
-    part.preflight.stop("check")
-    return _job("check", part, target, config, [], resume, observer, None, force, workers=workers)
-
-
-# -- stages ------------------------------------------------------------------------------------------
-
-
-def _job(
-    kind: str,
-    begun: Ready,
-    target: str | Path,
-    config: Config,
-    inputs: list[str],
+    work: Callable[[Job], RunResult],
+    *,
     resume: bool,
-    observer: Observer | None,
-    program: ProgramStage | None,
     force: bool,
-    from_layer: int = 1,
-    live: bool = False,
-    workers: WorkerPool | None = None,
+    keep_layers: bool = True,
 ) -> RunResult:
-    """Cross-check a part in a run folder, and make the program where one is wanted."""
-    observer = observer or Silent()
-    part, found, heights = begun.part, begun.found, begun.heights
-    if not 1 <= from_layer <= len(heights):
-        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(heights)}")
-    backends = chosen_backends(config)
-    fingerprint = sha256_of_json(
-        [kind, part.sha256, config.model_dump(), heights, list(backends), __version__, *inputs]
+    """Carry a job out in its run folder; a finished run of the same is returned where `resume` asks for it.
+
+    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed
+    run left are gone on with unless `keep_layers` is off.
+    """
+    target, observer = Path(target), job.observer
+    job.fingerprint = sha256_of_json(
+        [what, sha256, job.config.model_dump(), job.heights, list(backends), __version__, *inputs]
     )
-    if resume and not force and (done := finished_run(Path(target), fingerprint)) is not None:
-        from ebamcheck.pipeline.finishing import finished_result
-
+    if resume and not force and (done := finished_run(target, job.fingerprint)) is not None:
         observer.note(f"{target}: is finished already")
-        return finished_result(done)
-    folder = start_run(Path(target), fingerprint, resume, force)
-    if folder.former is not None:
-        observer.note(f"{target}: the former run will be kept as {folder.former.name}")
-    job = Job(kind, config, observer, part, found, heights, folder, fingerprint)
-    job.from_layer, job.live, job.workers = from_layer, live, workers
-    if begun.turned:
-        job.add_finding(noticed.turned_over(begun.turned, len(part.faces)))
-    if begun.fitted:
-        job.add_finding(noticed.fitted_layers(begun.fitted))
-    job.add_finding(*noticed.of_part(found, config), *loose_limits(config))
-    # A job without a program may cut layers that no process can lay.
-    job.add_finding(*outside_window(config, "warning"), *unusual_layers(config))
+        return RunResult.of(done)
+    job.folder = start_run(target, job.fingerprint, resume and keep_layers, force)
+    if job.folder.former is not None:
+        observer.note(f"{target}: the former run will be kept as {job.folder.former.name}")
     try:
-        checked = cross_check(job, backends, resume, _load_later_stages)
-        from ebamcheck.pipeline.finishing import finish
-
-        return finish(job, checked, program)
+        return work(job)
     except OSError as error:
         raise SettingsError(f"{job.folder.path}: cannot be written: {error.strerror or error}") from error
     finally:
         job.folder.release()
-
-
-def _load_later_stages() -> None:
-    """Load what is needed when the layers are there: half a second, in which the slicers work."""
-    import_module(LATER_STAGES)

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ebamcheck.checks.checks import check_record
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED
-from ebamcheck.program import Check
+from ebamcheck.result import Check, check_record
 from ebamcheck.settings.config import Config
 
 FOLDER = "live"
@@ -62,12 +61,10 @@ def live_checked_again(run: Path, record: Mapping[str, Any], config: Config, top
     try:
         text = path.read_bytes().decode("ascii")
     except (OSError, UnicodeDecodeError) as error:
-        return [
-            Check(NAME, False, 1.0, 0.0, "faults", f"{FOLDER}/{live['name']}", f"cannot be read: {error}")
-        ]
+        return [Check.fault(NAME, f"{FOLDER}/{live['name']}", f"cannot be read: {error}")]
     check: Check = control(config.machine.control).load("handshake")(text, path.name, config, top_mm)
     said = f"\n{VALIDATED}\n" in text
     if check.passed and said and not record["validated"]:
         text = "says validated, the whole program does not"
-        check = Check(NAME, False, 1.0, 0.0, "faults", f"{path.name}:1", text)
+        check = Check.fault(NAME, f"{path.name}:1", text)
     return [check]

@@ -12,29 +12,41 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.checks import check_record
 from ebamcheck.checks.plate_record import plate_record
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
-from ebamcheck.findings import records
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.nc.inputs import deposition_heights
+from ebamcheck.pipeline.cross_check import evidence_records
 from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
-from ebamcheck.pipeline.fitted import FitResult
-from ebamcheck.pipeline.gates import Gate
-from ebamcheck.pipeline.independence import evidence_records
+from ebamcheck.pipeline.fit import FitResult
+from ebamcheck.pipeline.job import Job
 from ebamcheck.pipeline.live_program import FOLDER as LIVE
 from ebamcheck.pipeline.programming import ProgramResult
-from ebamcheck.pipeline.work import Job
+from ebamcheck.pipeline.tables import sums_of
 from ebamcheck.plugins import registry
 from ebamcheck.record.form import FORMAT_VERSION, PLATE
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST
+from ebamcheck.result import Check, check_record, finding_records, gate_record
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
+
+TOTALS = (
+    "motions",
+    "contour_mm",
+    "hatch_mm",
+    "travel_mm",
+    "deposit_s",
+    "travel_s",
+    "pause_s",
+    "wire_mm",
+    "wire_kg",
+)
+"""Columns of the program's summary that add up over the layers."""
 
 
 def manifest(
@@ -43,7 +55,8 @@ def manifest(
     comparison: Comparison,
     primary: str,
     program: ProgramResult | None,
-    gates: Sequence[Gate],
+    gates: Sequence[Check],
+    findings: Sequence[Check],
     code: ExitCode,
 ) -> dict[str, Any]:
     """Everything that is known of a run; only what stands under ``timings`` differs from one run to the next.
@@ -84,8 +97,8 @@ def manifest(
         "comparison": _comparison_record(comparison, job.config),
         **_plate(job, program),
         **(_program_records(program, job.config) if program else {}),
-        "gates": [asdict(gate) for gate in gates],
-        "findings": records(job.findings),
+        "gates": [gate_record(gate) for gate in gates],
+        "findings": finding_records(findings),
         "exit_code": int(code),
         "files": _file_hashes(job.folder.path),
         "timings": _timings(job, outcomes),
@@ -139,11 +152,12 @@ def _plate(job: Job, program: ProgramResult | None) -> dict[str, Any]:
 def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
     """What came of every stage from the fit to the verified program."""
     reference = made.fit.verdict.reference
-    proof, files = made.proof, made.files
+    proof, files, sums = made.proof, made.files, sums_of(made.tables)
+    scan = {name: value for name, value in sums["scan"].items() if name != "layer"}
     program = {
         "checks": [check_record(check) for check in proof.checks],
         "witness": proof.witness,
-        "totals": dict(proof.totals),
+        "totals": {name: sums["program.totals"][name] for name in TOTALS},
         "validated": files.validated,
         "files": [
             {"name": name, "sha256": files.sha256[name], "blocks": files.blocks[name]} for name in files.names
@@ -153,14 +167,15 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
     return {
         "fit": _fit_record(made.fit),
         **({"reference": reference} if reference is not None else {}),
-        "kinematics": proof.kinematics.to_dict(orient="index"),
+        "kinematics": sums["kinematics"],
         "heat": {"limit_k": entry_limit_k(config), "build_s": proof.build_s},
         "program": {**program, **{name: other for name, other in others.items() if other is not None}},
         "scan": {
             "order": config.scan.order,
             "seed": config.scan.seed,
             "islands": len(made.plan.islands),
-            **made.event_totals,
+            **scan,
+            "time_s": scan["deposit_s"] + scan["travel_s"] + scan["wait_s"],
         },
     }
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from ebamcheck.layers.layer_rule import nearest_fitting, share_off
 from ebamcheck.mesh.part import Part
-from ebamcheck.preflight.checks import PreflightCheck
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 NAME = "layer height"
@@ -21,22 +21,15 @@ class ChosenHeight(NamedTuple):
 
     config: Config
     """Settings with the layer height that was chosen."""
-    check: PreflightCheck
+    check: Check
     fitted: bool
     """Whether that is another height than a bead's."""
 
 
 def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
-    """Settings of a run with a layer height that fits the part, where they leave it open.
+    """Settings of a run with a layer height that fits the part, where they leave it open: layer height, listed heights or a base are kept.
 
-    Parameters
-    ----------
-    part
-        As placed.
-    sound
-        Whether the mesh encloses a volume; of another, nothing is known.
-    config
-        Settings; a layer height, listed heights or a base that they name are kept.
+    Of a mesh that is not `sound`, and so encloses no volume, nothing is known.
     """
     bead_mm, limit = config.layer_height_mm, config.process.mass_tolerance
     if config.layers.layer_height_mm is not None or config.layers.heights_mm or config.base_mm > 0.0:
@@ -46,7 +39,7 @@ def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
     share = share_off(part, config)
     if share <= limit:
         text = f"{bead_mm:g} mm, that of a bead: layers are off by {100.0 * share:.2f} % of the solid's metal"
-        return ChosenHeight(config, PreflightCheck(NAME, "pass", text, share, limit, "of the part"), False)
+        return ChosenHeight(config, Check.preflight(NAME, "pass", text, share, limit, "of the part"), False)
     found = nearest_fitting(part, config)
     if found is None:
         text = (
@@ -55,16 +48,16 @@ def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
         )
         remedy = "list the layers (layers.heights_mm), or move the faces"
         return ChosenHeight(
-            config, PreflightCheck(NAME, "warning", text, share, limit, "of the part", remedy), False
+            config, Check.preflight(NAME, "warning", text, share, limit, "of the part", remedy), False
         )
     text = (
         f"layers of {found.height_mm:g} mm in place of a bead's {bead_mm:g} mm, which would be off by {100.0 * share:.2f} % of the "
         f"solid's metal, since level faces lie within such layers; these are off by {100.0 * found.share:.2f} %"
     )
     fitting = config.changed(layers={"layer_height_mm": found.height_mm})
-    return ChosenHeight(fitting, PreflightCheck(NAME, "pass", text, found.share, limit, "of the part"), True)
+    return ChosenHeight(fitting, Check.preflight(NAME, "pass", text, found.share, limit, "of the part"), True)
 
 
 def _kept(config: Config, text: str) -> ChosenHeight:
-    check = PreflightCheck(NAME, "pass", text, config.layer_height_mm, None, "mm")
+    check = Check.preflight(NAME, "pass", text, config.layer_height_mm, None, "mm")
     return ChosenHeight(config, check, False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,12 @@ from ebamcheck.mesh.inspection import Inspection, inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.preflight.checks import RUN, PreflightCheck, of_finding
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.preflight.room import room_checks
 from ebamcheck.preflight.sense import sense_checks
 from ebamcheck.preflight.suspicions import of_bodies, sizes, suspicions
-from ebamcheck.preflight.workload import Workload, work_checks, workload
+from ebamcheck.preflight.workload import RUN, Workload, work_checks, workload
+from ebamcheck.result import Check, preflight_record
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 
@@ -30,7 +30,7 @@ SPOOL = "wire on the spool"
 class Preflight:
     """All checks of a preflight."""
 
-    checks: tuple[PreflightCheck, ...]
+    checks: tuple[Check, ...]
     work: Workload
 
     @property
@@ -47,18 +47,12 @@ class Preflight:
         """All checks and the estimate, for JSON."""
         return {
             "passed": self.passed,
-            "checks": [asdict(check) for check in self.checks],
+            "checks": [preflight_record(check) for check in self.checks],
             "work": asdict(self.work),
         }
 
     def stop(self, job: str) -> None:
-        """Refuse a job that cannot come to a good end.
-
-        Raises
-        ------
-        SettingsError
-            That tells the first fault that stops such a job, how many more there are, and what to do.
-        """
+        """Refuse a job that cannot come to a good end: the SettingsError tells the first fault that stops it, how many more there are, and what to do."""
         faults = [check for check in self.checks if check.level == "fault" and job in check.stops]
         if not faults:
             return
@@ -102,21 +96,7 @@ class Ready:
 def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -> Ready:
     """Read and place a part, and look at all that can be known before it is sliced.
 
-    Parameters
-    ----------
-    path
-        Mesh file, or ``plate.toml``.
-    config
-        Settings.
-    job
-        ``run``, or ``check`` for a job without a program.
-    yes
-        More work than the settings allow is a warning, not a fault.
-
-    Raises
-    ------
-    InputError, SettingsError
-        If the part cannot be read, or the heights of the settings are outside of it.
+    `path` is a mesh file or ``plate.toml``, `job` is ``run`` or ``check``; with `yes` more work than the settings allow is a warning.
     """
     part, turned = read_part(path, config.part)
     found = inspect(part)
@@ -136,10 +116,10 @@ def _checks(
     work: Workload,
     config: Config,
     yes: bool,
-    of_layers: Sequence[PreflightCheck],
-) -> Iterator[PreflightCheck]:
+    of_layers: Sequence[Check],
+) -> Iterator[Check]:
     yield _mesh(found)
-    yield from (of_finding("bodies", finding) for finding in of_bodies(found))
+    yield from (replace(finding, name="bodies") for finding in of_bodies(found))
     yield from _units(found, config)
     yield _thickness(found, config)
     if config.machine.spool_kg is not None and found.passed:
@@ -152,38 +132,38 @@ def _checks(
     yield from work_checks(work, config, yes)
 
 
-def _mesh(found: Inspection) -> PreflightCheck:
+def _mesh(found: Inspection) -> Check:
     """Closed, consistent, the right way out: a fault here shuts a gate, and slicing shows what comes of it."""
     bodies = counted(found.bodies, "body", "bodies")
     # What is to be done stands behind what was found, where the verdict knows more than that the mesh is to be mended.
     why, _, remedy = found.why.partition("; ")
     text = f"{counted(found.facets, 'facet')}, {bodies}: {found.verdict}, {why}"
     if found.passed:
-        return PreflightCheck("mesh", "pass", text, 0.0, 0.0, "faults")
-    return PreflightCheck("mesh", "fault", text, 1.0, 0.0, "faults", remedy or "mend the mesh")
+        return Check.preflight("mesh", "pass", text, 0.0, 0.0, "faults")
+    return Check.preflight("mesh", "fault", text, 1.0, 0.0, "faults", remedy or "mend the mesh")
 
 
-def _units(found: Inspection, config: Config) -> Iterator[PreflightCheck]:
-    told = [of_finding("units", finding) for finding in suspicions(found, config)]
+def _units(found: Inspection, config: Config) -> Iterator[Check]:
+    told = [replace(finding, name="units") for finding in suspicions(found, config)]
     size = f"{sizes(found.size_mm)} mm, read as {found.units} ({found.units_from})"
-    yield from told or [PreflightCheck("units", "pass", size, max(found.size_mm), None, "mm")]
+    yield from told or [Check.preflight("units", "pass", size, max(found.size_mm), None, "mm")]
 
 
-def _thickness(found: Inspection, config: Config) -> PreflightCheck:
+def _thickness(found: Inspection, config: Config) -> Check:
     """A part that is thinner than a bead across the plate cannot be laid."""
     thin, bead = min(found.size_mm[:2]), config.process.bead_width_mm
     text = f"{thin:.6g} mm across at its narrowest extent; a bead is {bead:g} mm wide"
     if thin >= bead:
-        return PreflightCheck("size against the bead", "pass", text, thin, bead, "mm")
+        return Check.preflight("size against the bead", "pass", text, thin, bead, "mm")
     remedy = "use a narrower bead, allow for machining, or check the unit (--units)"
-    return PreflightCheck("size against the bead", "warning", text, thin, bead, "mm", remedy)
+    return Check.preflight("size against the bead", "warning", text, thin, bead, "mm", remedy)
 
 
-def _wire(part: Part, spool_kg: float, config: Config) -> PreflightCheck:
+def _wire(part: Part, spool_kg: float, config: Config) -> Check:
     """What the part weighs is what its wire weighs: the program is held to the same, to the motion in which it ends."""
     part_kg = part.volume * 1e-9 * config.material.density_kg_m3
     text = f"the part weighs {part_kg:.4g} kg, the spool holds {spool_kg:g} kg"
     if part_kg <= spool_kg or config.machine.optional_stop:
-        return PreflightCheck(SPOOL, "pass", text, part_kg, spool_kg, "kg")
+        return Check.preflight(SPOOL, "pass", text, part_kg, spool_kg, "kg")
     remedy = "begin with a fuller spool (machine.spool_kg), or stop before layers to put on another (machine.optional_stop)"
-    return PreflightCheck(SPOOL, "warning", text, part_kg, spool_kg, "kg", remedy)
+    return Check.preflight(SPOOL, "warning", text, part_kg, spool_kg, "kg", remedy)

@@ -9,7 +9,8 @@ import numpy as np
 
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.preflight.checks import RUN, PreflightCheck
+from ebamcheck.preflight.workload import RUN
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
@@ -23,7 +24,7 @@ ROUNDING_MM = 1e-6
 """Placed boxes are rounded to about this."""
 
 
-def room_checks(part: Part, config: Config, layers_mm: float) -> Iterator[PreflightCheck]:
+def room_checks(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
     """Check travel, base plate and keep-outs; `layers_mm` is the height of all layers together."""
     yield from _travel(part, config, layers_mm)
     machine = config.machine
@@ -33,7 +34,7 @@ def room_checks(part: Part, config: Config, layers_mm: float) -> Iterator[Prefli
         yield _keep_out(part, zone)
 
 
-def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[PreflightCheck]:
+def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
     """The axes carry the tool along the middles of the contour beads, and over the top of the part at the end."""
     machine = config.machine
     inset = config.contour_offset_mm
@@ -52,12 +53,12 @@ def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[PreflightC
         over = max(below, above)
         span = f"{axis} needs {least:.6g} to {greatest:.6g} mm of {limit_low:g} to {limit_high:g} mm"
         if over <= ROUNDING_MM:
-            yield PreflightCheck(name, "pass", span, float(greatest), limit_high, "mm")
+            yield Check.preflight(name, "pass", span, float(greatest), limit_high, "mm")
             continue
         which, figure, limit = (
             ("travel_max_mm", greatest, limit_high) if above > below else ("travel_min_mm", least, limit_low)
         )
-        yield PreflightCheck(
+        yield Check.preflight(
             name,
             "fault",
             f"{span}: {over:.6g} mm beyond machine.{which}",
@@ -82,7 +83,7 @@ def _room_remedy(axis: str, needed_mm: float, there_mm: float, config: Config) -
     return "turn it (--rotate, --direction), or check the unit of the file (--units)"
 
 
-def _plate(part: Part, low: tuple[float, float], high: tuple[float, float]) -> PreflightCheck:
+def _plate(part: Part, low: tuple[float, float], high: tuple[float, float]) -> Check:
     """Check that the part's box lies on the base plate."""
     box = part.bounds[:, :2]
     over = float(max((np.array(low) - box[0]).max(), (box[1] - np.array(high)).max()))
@@ -91,14 +92,14 @@ def _plate(part: Part, low: tuple[float, float], high: tuple[float, float]) -> P
         f"has X {low[0]:g} to {high[0]:g}, Y {low[1]:g} to {high[1]:g} mm"
     )
     if over <= ROUNDING_MM:
-        return PreflightCheck("base plate", "pass", said, -over, 0.0, "mm")
+        return Check.preflight("base plate", "pass", said, -over, 0.0, "mm")
     middle = ",".join(f"{0.5 * (a + b):g}" for a, b in zip(low, high, strict=True))
     remedy = f"place it, such as in the middle: --place {middle}, or turn it (--rotate)"
     text = f"{said}: {over:.6g} mm beside it"
-    return PreflightCheck("base plate", "fault", text, over, 0.0, "mm", remedy, (RUN,))
+    return Check.preflight("base plate", "fault", text, over, 0.0, "mm", remedy, (RUN,))
 
 
-def _keep_out(part: Part, zone: KeepOut) -> PreflightCheck:
+def _keep_out(part: Part, zone: KeepOut) -> Check:
     """Check that the part keeps out of a zone: no facet of it there, and the zone not within the metal."""
     name = f"keep-out {zone.name}"
     import shapely
@@ -106,10 +107,10 @@ def _keep_out(part: Part, zone: KeepOut) -> PreflightCheck:
     outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
     away = float(shapely.distance(outline, shapely.box(*part.bounds[:, :2].ravel())))
     if away > 0.0:
-        return PreflightCheck(name, "pass", f"the part's box keeps {away:.4g} mm from it", away, 0.0, "mm")
+        return Check.preflight(name, "pass", f"the part's box keeps {away:.4g} mm from it", away, 0.0, "mm")
     if not enters(part, zone, outline):
-        return PreflightCheck(name, "pass", "the part keeps out of it", 0.0, 0.0, "mm")
-    return PreflightCheck(
+        return Check.preflight(name, "pass", "the part keeps out of it", 0.0, 0.0, "mm")
+    return Check.preflight(
         name,
         "fault",
         f"the part reaches into it (Z {zone.z_mm[0]:g} to {zone.z_mm[1]:g} mm)",

@@ -58,14 +58,7 @@ def slab_workload(
 ) -> Workload:
     """Estimate what a check in slabs makes and takes.
 
-    Parameters
-    ----------
-    facets, most_facets
-        Of the file, and of its largest slab.
-    layers, points
-        Layers, and points of one exact contour of all of them.
-    slabs
-        How many.
+    `facets` and `most_facets` are those of the file and of its largest slab, `points` those of one exact contour of all layers.
     """
     methods = _methods(config)
     at_once = min(points, config.slicing.block_points)

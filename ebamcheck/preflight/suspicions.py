@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ebamcheck.findings import Finding
 from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.units import UNITS_MM
 
@@ -29,14 +29,16 @@ ROUNDING = 2e-6
 """Of an extent: coordinates of single precision on both sides of it."""
 
 
-def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
+def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
     """What the size of the part and its file say of its unit."""
     for note in found.notes:
-        yield Finding("warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit")
+        yield Check.finding(
+            "warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit"
+        )
     largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
     size = sizes(found.size_mm)
     if largest < few_mm:
-        yield Finding(
+        yield Check.finding(
             "warning",
             "part-under-beads",
             f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads",
@@ -49,7 +51,7 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
     # Of a file in inches that is what one expects.
     if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
-        yield Finding(
+        yield Check.finding(
             "warning",
             "part-round-in-inches",
             f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres",
@@ -59,7 +61,7 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Finding]:
     yield from _beyond_travel(found, config)
 
 
-def of_bodies(found: Inspection) -> Iterator[Finding]:
+def of_bodies(found: Inspection) -> Iterator[Check]:
     """How the bodies of a part lie to each other, and what is made of them."""
     lost = [relation for relation in found.relations if relation.lost]
     for relation in lost[:MOST_BODIES]:
@@ -69,16 +71,16 @@ def of_bodies(found: Inspection) -> Iterator[Finding]:
             if relation.kind == "doubled"
             else "turn its facets over in the model if it is a cavity, else delete it"
         )
-        yield Finding("warning", code, relation.text, f"body {relation.body}", remedy=remedy)
+        yield Check.finding("warning", code, relation.text, f"body {relation.body}", remedy=remedy)
     if len(lost) > MOST_BODIES:
         more = f"{len(lost) - MOST_BODIES} or more further bodies lie in others of the same sense, or are doubled"
-        yield Finding("warning", "body-in-body", more, remedy="`ebamcheck inspect` lists them")
+        yield Check.finding("warning", "body-in-body", more, remedy="`ebamcheck inspect` lists them")
     rest = [relation.text for relation in found.relations if not relation.lost]
     if rest:
         more = f"; and {len(rest) - MOST_BODIES} more" if len(rest) > MOST_BODIES else ""
-        yield Finding("note", "bodies-related", "; ".join(rest[:MOST_BODIES]) + more)
+        yield Check.finding("note", "bodies-related", "; ".join(rest[:MOST_BODIES]) + more)
     if not found.union_known:
-        yield Finding(
+        yield Check.finding(
             "warning",
             "bodies-related",
             f"bodies may overlap, and the volume of {found.volume_mm3:.6g} mm3 is the sum of all of them",
@@ -116,13 +118,13 @@ def _in_other_units(found: Inspection, config: Config) -> str:
     return f": in {name} it would be {sizes(UNITS_MM[unit] * np.array(found.size_mm))} mm"
 
 
-def _beyond_travel(found: Inspection, config: Config) -> Iterator[Finding]:
+def _beyond_travel(found: Inspection, config: Config) -> Iterator[Check]:
     machine = config.machine
     for axis, extent, low, high in zip(
         "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
     ):
         if extent > high - low:
-            yield Finding(
+            yield Check.finding(
                 "warning",
                 "part-beyond-travel",
                 f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm",

@@ -17,8 +17,13 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.preflight.checks import CHECK, EVERY, RUN, PreflightCheck
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
+
+RUN, CHECK = "run", "check"
+"""Jobs: all the way to a program, or slicing and comparison alone."""
+
+EVERY = (RUN, CHECK)
 
 HOUSE_SLICERS = 4
 """Slicers of the house, which a job runs where the settings name none."""
@@ -128,7 +133,7 @@ def machine_memory_mb() -> float:
     return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
 
-def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[PreflightCheck]:
+def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
     """Hold the work against what the settings allow without a question; with `yes` it is told and goes on."""
     limits = config.work
     memory_mb = limits.most_memory_mb or machine_memory_mb()
@@ -144,10 +149,10 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Preflight
         if name == "islands" and not work.islands:
             continue
         if figure <= limit:
-            yield PreflightCheck(f"work: {name}", "pass", text, figure, limit, unit)
+            yield Check.preflight(f"work: {name}", "pass", text, figure, limit, unit)
             continue
         setting = {"memory": "most_memory_mb", "time": "most_time_s"}.get(name, f"most_{name}")
-        yield PreflightCheck(
+        yield Check.preflight(
             f"work: {name}",
             "warning" if yes else "fault",
             f"{text}, over {_amount(limit, unit)} (work.{setting})",
@@ -160,13 +165,7 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Preflight
 
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
-    """Refuse to slice a part with one slicer where that is more work than the settings allow.
-
-    Raises
-    ------
-    SettingsError
-        That names the figure, its limit and the setting.
-    """
+    """Refuse to slice a part with one slicer where that is more work than the settings allow; the message names figure, limit and setting."""
     one = config.model_copy(
         update={"slicing": config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})}
     )

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.findings import SEVERITIES
 from ebamcheck.json_values import (
     json_text,
     plain,
@@ -31,6 +30,7 @@ from ebamcheck.record.run_folder import (
 )
 from ebamcheck.record.signing import SIGNATURES, signature_files
 from ebamcheck.record.toolchain import software
+from ebamcheck.result import SEVERITIES
 from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"
@@ -66,12 +66,7 @@ NOT_PROVED = (
 def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """What the record of a run says of it, as its certificate holds it; without files, release and seal.
 
-    Parameters
-    ----------
-    manifest
-        Record of the run.
-    made
-        Software that made it, as an earlier certificate tells; None: that of this process.
+    `made` is the software that made it, as an earlier certificate tells; None: that of this process.
     """
     config = validated(manifest["settings"], "run.json: settings")
     program = manifest.get("program") or {"files": [], "validated": False, "checks": []}
@@ -123,12 +118,7 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
 def write_certificate(run: RunFolder, release: Mapping[str, Any] | None = None) -> Path:
     """Write the certificate of a run beside its record; every other file of the run must be there and final.
 
-    Parameters
-    ----------
-    run
-        The run folder.
-    release
-        Values in place of those of :data:`RELEASE`.
+    `release` has values in place of those of :data:`RELEASE`.
     """
     found = {
         **certificate(run.manifest()),
@@ -139,15 +129,7 @@ def write_certificate(run: RunFolder, release: Mapping[str, Any] | None = None) 
 
 
 def released(path: Path, release: Mapping[str, Any]) -> Path:
-    """Write what a person adds into a certificate, and seal it anew.
-
-    Raises
-    ------
-    SettingsError
-        If the certificate is signed already and something in it would change.
-    InputError
-        If it is no certificate, or its seal is broken.
-    """
+    """Write what a person adds into a certificate, and seal it anew; a broken seal, or a signature that would no longer hold, is refused."""
     found = read_certificate(path)
     if not is_sealed(path, found):
         raise InputError(

@@ -16,7 +16,6 @@ from ebamcheck.json_values import (
 )
 from ebamcheck.mesh.part_source import source_sha256
 from ebamcheck.printable import printable
-from ebamcheck.program import Check
 from ebamcheck.record.certificate import (
     CERTIFICATE,
     certificate,
@@ -27,6 +26,7 @@ from ebamcheck.record.certificate import (
 )
 from ebamcheck.record.run_folder import RunFolder, own_file
 from ebamcheck.record.signing import signature_check
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 HARMLESS = (".DS_Store", "Thumbs.db", ".directory")
@@ -64,15 +64,7 @@ def run_certificate_checks(
 
 
 def refuse_unfit(run: RunFolder) -> None:
-    """Refuse to sign a run whose record or files are not those that its certificate is of.
-
-    Raises
-    ------
-    SettingsError
-        If the run has no certificate.
-    InputError
-        If one of the two cannot be read, or something does not fit; the message names the first fault.
-    """
+    """Refuse to sign a run whose record or files are not those that its certificate is of; the message names the first fault."""
     manifest = run.manifest()
     if not own_file(run.path / CERTIFICATE):
         raise SettingsError(f"{run.path}: has no {CERTIFICATE}: sign a run, not a check")
@@ -100,23 +92,14 @@ def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str
         for name in set(listed) - set(recorded)
         if name.partition("/")[0] in OF_THE_RECORD
     }
-    checks += [
-        Check("file unchanged", False, 1.0, 0.0, "faults", printable(name), text)
-        for name, text in sorted(added.items())
-    ]
+    checks += [Check.fault("file unchanged", printable(name), text) for name, text in sorted(added.items())]
     return told_once(checks, ignored)
 
 
 def certificate_checks(
     path: Path, program: Path, part: Path, config: Config, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
-    """Check part, settings, profile and every program by the hashes of a certificate.
-
-    Raises
-    ------
-    InputError
-        If the certificate cannot be read or has not the form of one.
-    """
+    """Check part, settings, profile and every program by the hashes of a certificate."""
     found = read_certificate(path)
     folder = program if program.is_dir() else program.parent
     profile = profile_sha256(plain(config.model_dump()))
@@ -158,10 +141,10 @@ def file_check(path: Path, name: str, recorded: str) -> Check:
     # Unlike `Path.resolve`, `realpath` follows a link that leads to itself no further, and raises nothing.
     if not Path(realpath(path)).is_relative_to(realpath(folder)):
         text = "is a link that leads out of the run folder: it was not opened"
-        return Check("file unchanged", False, 1.0, 0.0, "faults", name, text)
+        return Check.fault("file unchanged", name, text)
     if not path.is_file():
         text = "is no regular file" if lexists(path) else "the file is missing"
-        return Check("file unchanged", False, 1.0, 0.0, "faults", name, text)
+        return Check.fault("file unchanged", name, text)
     return hash_check("file unchanged", file_hash(path), recorded, name)
 
 

@@ -22,8 +22,8 @@ from pydantic import (
 )
 
 from ebamcheck.errors import InputError
-from ebamcheck.findings import CODES, Severity
 from ebamcheck.printable import printable
+from ebamcheck.result import CODES, Severity
 
 PRINTED = 60
 """Characters of a name or value that a message quotes."""
@@ -407,13 +407,7 @@ _Form = TypeVar("_Form", bound=Form)
 
 
 def in_form(kind: type[_Form], found: Any, where: Path) -> dict[str, Any]:
-    """Return a table that has the form of its kind, as it was read.
-
-    Raises
-    ------
-    InputError
-        If a key is missing or unknown, or something else stands under it than a run writes; the message names the first.
-    """
+    """Return a table that has the form of its kind, as it was read; the InputError of another names the first key that is wrong."""
     try:
         kind.model_validate(found)
     except ValidationError as error:

@@ -62,13 +62,7 @@ class RunFolder:
         return layer_files.read_parquet(self.layers_file(backend))
 
     def manifest(self) -> dict[str, Any]:
-        """Read ``run.json``, and times and dates of the run as its ``timings``.
-
-        Raises
-        ------
-        InputError
-            If the record is missing, is no file of its own or has not the form of a record, or the file of the times cannot be read.
-        """
+        """Read ``run.json``, and times and dates of the run as its ``timings``; raises InputError where either is missing or not in its form."""
         path = self.path / MANIFEST
         if not own_file(path):
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
@@ -121,25 +115,11 @@ class RunInProgress(RunFolder):
 
 
 def start_run(target: Path, fingerprint: str, resume: bool, force: bool = False) -> RunInProgress:
-    """Begin a run that will end at `target`.
+    """Begin a run that will end at `target`, under the hash of part and settings.
 
-    Parameters
-    ----------
-    target
-        Folder to make.
-    fingerprint
-        Hash of part and settings. With `resume`, what a killed run of the same fingerprint left is kept.
-    resume
-        Go on with a killed run instead of starting over.
-    force
-        Make the run although a finished one stands at `target`: that one gets a name with its date when the new
-        one is whole.
-
-    Raises
-    ------
-    SettingsError
-        If a finished run stands at `target` and `force` is not given, or something that is no run folder; if it
-        cannot be written, or another run to the same place is under way.
+    With `resume`, what a killed run of the same fingerprint left is kept; with `force`, a finished run at `target` gets a name with its date
+    when the new one is whole. Raises SettingsError where a finished run stands there otherwise, or something that is no run folder; where it
+    cannot be written, or another run to the same place is under way.
     """
     target = Path(os.path.realpath(target))
     path = _unfinished(target)
@@ -165,13 +145,7 @@ def start_run(target: Path, fingerprint: str, resume: bool, force: bool = False)
 
 
 def settle(target: Path) -> None:
-    """Finish the move of a whole run that was killed on its way to `target`, or of the former one that made room.
-
-    Raises
-    ------
-    SettingsError
-        If another run to the same place is under way.
-    """
+    """Finish the move of a whole run that was killed on its way to `target`, or of the former one that made room."""
     target = Path(os.path.realpath(target))
     path = _unfinished(target)
     if not _is_whole(path):
@@ -197,13 +171,7 @@ def finished_run(target: Path, fingerprint: str) -> RunFolder | None:
 
 
 def own_file(path: Path) -> bool:
-    """Whether a file of a run's own stands at a path.
-
-    Raises
-    ------
-    InputError
-        If something else stands there: a link, which may lead anywhere, a folder or a pipe.
-    """
+    """Whether a file of a run's own stands at a path; raises InputError for a link, which may lead anywhere, a folder or a pipe."""
     if path.is_symlink():
         raise InputError(f"{path}: is a link, not a file: put the file itself in its place")
     return regular_file(path).is_file()
@@ -299,12 +267,7 @@ _DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 def finished_at(run: Path, record: str) -> str:
     """When a finished run came to its end, UTC, as ``2026-11-22T14:15:00``; by its own record where that can be read.
 
-    Parameters
-    ----------
-    run
-        The run folder.
-    record
-        Name of its record, whose date counts where it names no time.
+    `record` is the file whose date counts where it names no time.
     """
     for name in (TIMINGS, record):
         try:

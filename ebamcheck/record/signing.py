@@ -26,8 +26,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import read_json, write_json
 from ebamcheck.printable import printable
-from ebamcheck.program import Check
 from ebamcheck.regular_file import regular_file
+from ebamcheck.result import Check
 
 SIGNATURES = "signatures"
 """Folder of the signatures, beside the certificate."""
@@ -64,10 +64,7 @@ class Signature:
 def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
     """Make a pair of keys: ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; returns both paths.
 
-    Raises
-    ------
-    SettingsError
-        If one of the files is there already, since a key that is overwritten is lost, or they cannot be written.
+    A file that is there already is refused, since a key that is overwritten is lost.
     """
     stem = Path(path)
     private_path, public_path = (
@@ -125,13 +122,7 @@ def read_public_key(path: Path) -> Ed25519PublicKey:
 
 
 def trusted_keys(places: Sequence[str | Path]) -> dict[bytes, str]:
-    """Public keys of files, and of all ``*.pub`` of folders: raw bytes, and the name of the file.
-
-    Raises
-    ------
-    InputError
-        If a place is missing, holds no key, or a file in it is none.
-    """
+    """Public keys of files, and of all ``*.pub`` of folders: raw bytes, and the name of the file; raises InputError for what is none."""
     found: dict[bytes, str] = {}
     for place in map(Path, places):
         files = sorted(place.glob(f"*{PUBLIC_SUFFIX}")) if place.is_dir() else [place]
@@ -205,7 +196,7 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
     others = sorted({*(certificate.parent / SIGNATURES).glob("*")} - {*signature_files(certificate)})
     text += f"; ignored: {', '.join(printable(path.name) for path in others)}" if others else ""
     if trusted is not None and not any(s.state == TRUSTED for s in found):
-        return Check("signature", False, 1.0, 0.0, "faults", where, f"no trusted key has signed: {text}")
+        return Check.fault("signature", where, f"no trusted key has signed: {text}")
     return Check("signature", True, 0.0, 0.0, "faults", where, text)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.findings import Finding, Severity
+from ebamcheck.result import Check, Severity
 from ebamcheck.settings.config import Config
 
 USUAL_OVER_BEAD = (0.75, 1.25)
@@ -92,7 +92,7 @@ def layer_steps_mm(config: Config) -> list[tuple[str, float]]:
     return [(f"layers.heights_mm, layer {k}", b - a) for k, (a, b) in enumerate(pairwise(heights), 1)]
 
 
-def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Finding]:
+def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Check]:
     """Settings outside of the process window, each with its limit and what to do; none where the profile is kept."""
     for setting, layer_mm in layer_steps_mm(config):
         if layer_mm > 0.0:  # heights that do not rise have an error of their own
@@ -100,7 +100,7 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Fin
     yield from _single_values(config, severity)
     energy, limits = line_energy_j_mm(config), config.process.line_energy_j_mm
     if (limit := _broken(energy, limits)) is not None:
-        yield Finding(
+        yield Check.finding(
             severity,
             "process-limit",
             f"process.voltage_kv x current_ma / travel_speed_mm_s give {energy:.4g} J/mm, {_beyond(energy, limit)} {limit:g} J/mm "
@@ -113,7 +113,7 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Fin
         )
 
 
-def _single_values(config: Config, severity: Severity) -> Iterator[Finding]:
+def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
     """Voltage, current and travel speed outside of the windows of the profile, each by itself."""
     process = config.process
     for name, value, window, unit in (
@@ -123,7 +123,7 @@ def _single_values(config: Config, severity: Severity) -> Iterator[Finding]:
     ):
         if (limit := _broken(value, getattr(process, window))) is not None:
             text = f"process.{name} is {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
-            yield Finding(
+            yield Check.finding(
                 severity,
                 "process-limit",
                 text,
@@ -147,14 +147,14 @@ def checked_window(config: Config) -> None:
         raise SettingsError(f"{found.text}: {found.remedy}")
 
 
-def unusual_layers(config: Config) -> Iterator[Finding]:
+def unusual_layers(config: Config) -> Iterator[Check]:
     """Tell of layer heights within the window and far from that of one bead: the farthest of them."""
     bead = config.process.bead_height_mm
     setting, layer_mm = max(layer_steps_mm(config), key=lambda step: abs(step[1] - bead))
     ratio = layer_mm / bead
     limit = _broken(ratio, USUAL_OVER_BEAD)
     if limit is not None and _broken(ratio, config.process.layer_over_bead) is None:
-        yield Finding(
+        yield Check.finding(
             "note",
             "layer-over-bead",
             f"a layer of {layer_mm:.4g} mm is {ratio:.3g} of the height of one bead ({bead:.4g} mm)",
@@ -166,7 +166,7 @@ def unusual_layers(config: Config) -> Iterator[Finding]:
         )
 
 
-def _layer(config: Config, severity: Severity, setting: str, layer_mm: float) -> Iterator[Finding]:
+def _layer(config: Config, severity: Severity, setting: str, layer_mm: float) -> Iterator[Check]:
     """Layer height over the bead, and the wire speed that it asks for."""
     process = config.process
     ratio, wire = layer_mm / process.bead_height_mm, nominal_wire_speed_mm_s(config, layer_mm)
@@ -181,7 +181,7 @@ def _layer(config: Config, severity: Severity, setting: str, layer_mm: float) ->
             f"{setting}: {layer_mm:.6g} mm is {ratio:.3g} times the height of one bead ({process.bead_height_mm:.4g} mm), "
             f"{_beyond(ratio, limit)} {limit:g} (process.layer_over_bead)"
         )
-        yield Finding(severity, "process-limit", text, setting, ratio, limit, "of the bead", remedy)
+        yield Check.finding(severity, "process-limit", text, setting, ratio, limit, "of the bead", remedy)
         return
     least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     if (limit := _broken(wire, (least, greatest))) is not None:
@@ -190,7 +190,7 @@ def _layer(config: Config, severity: Severity, setting: str, layer_mm: float) ->
             f"{setting}: layers of {layer_mm:.6g} mm take {wire:.4g} mm/s of wire, {_beyond(wire, limit)} {limit:.4g} mm/s "
             f"(process.{name})"
         )
-        yield Finding(severity, "process-limit", text, setting, wire, limit, "mm/s", remedy)
+        yield Check.finding(severity, "process-limit", text, setting, wire, limit, "mm/s", remedy)
 
 
 def allowed_layers_mm(config: Config) -> tuple[float, float]:

@@ -113,7 +113,6 @@ def slice_all(
     target: Path,
     limits: Limits = DEFAULT_LIMITS,
     progress: Callable[[str, int], None] | None = None,
-    finished: Callable[[Outcome], None] | None = None,
     borders: NDArray[np.int64] | None = None,
     pool: WorkerPool | None = None,
     keep_blocks: bool = False,
@@ -134,8 +133,6 @@ def slice_all(
         Time and resident memory of each process, and how many run side by side.
     progress
         Called with a backend's name and the layers done since the last call.
-    finished
-        Called with each outcome as it comes in.
     borders
         Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) that a backend cuts and writes one after the
         other; all at once if None.
@@ -180,10 +177,7 @@ def slice_all(
                     _enforce(worker, limits)
                     if worker.has_ended():
                         running.remove(worker)
-                        outcome = _collect(worker, part, heights, limits)
-                        outcomes[worker.name] = outcome
-                        if finished is not None:
-                            finished(outcome)
+                        outcomes[worker.name] = _collect(worker, part, heights, limits)
         finally:
             for worker in running:
                 worker.end()

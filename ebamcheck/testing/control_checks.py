@@ -21,8 +21,7 @@ from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.control import Control, control
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.templates import process_values, usable_templates
-from ebamcheck.pipeline.planned_power import plan_program
-from ebamcheck.pipeline.stages import bead_paths, smooth_layers
+from ebamcheck.pipeline.stages import bead_paths, plan_program, smooth_layers
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config

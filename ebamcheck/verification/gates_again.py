@@ -14,58 +14,52 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
-from ebamcheck.checks.loose_limits import loose_limits
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal_field import FIELD_FILE
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.rules import RULES, of_gate
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.curves import Curves, fit_for_program
-from ebamcheck.curves.columns import table_of
-from ebamcheck.findings import Finding, from_record, has_fault
+from ebamcheck.curves import Curves
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import plain, sha256_of_json
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.pipeline import gates, noticed
+from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.pipeline.entry_program import checked_again
-from ebamcheck.pipeline.fit_evidence import FitVerdict, judged
-from ebamcheck.pipeline.gates import Gate
+from ebamcheck.pipeline.findings import metal_findings, narrow_findings, part_findings, profile_findings
+from ebamcheck.pipeline.fit import FitVerdict, fitted
 from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
 from ebamcheck.pipeline.live_program import live_checked_again
-from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
-from ebamcheck.pipeline.placement import cut_heights
-from ebamcheck.pipeline.section_volume import volume_off
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
-from ebamcheck.plugins import registry
-from ebamcheck.program import Check, verify_program
-from ebamcheck.program.verification import read_checked
-from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.scan import ScanPlan
-from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import outside_window, unusual_layers
-from ebamcheck.slicers.isolation import Outcome, declared_bounds
-from ebamcheck.slicers.slicing import slice_part
-from ebamcheck.verification.tables_again import (
-    order_of,
+from ebamcheck.pipeline.tables import (
+    Table,
     sums_of,
-    tables_check,
     tables_of_comparison,
     tables_of_metal,
     tables_of_plan,
     tables_of_program,
 )
+from ebamcheck.plugins import registry
+from ebamcheck.program import verify_program
+from ebamcheck.program.verification import read_checked
+from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.result import Check, finding_of_record, has_fault
+from ebamcheck.scan import ScanPlan
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Outcome, declared_bounds
+from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.verification.tables_again import order_of, tables_check
 from ebamcheck.version import __version__
 from ebamcheck.writing.bead_ends import planned_path
 
@@ -96,10 +90,10 @@ class Again:
 
     witness: str
     """Slicer that cut the part anew."""
-    gates: tuple[Gate, ...]
+    gates: tuple[Check, ...]
     agrees: bool
     """The slicers agree, the one that cut anew among them."""
-    findings: tuple[Finding, ...]
+    findings: tuple[Check, ...]
     """Findings of part and settings, which follow from these alone."""
     checks: tuple[Check, ...] = ()
     """Checks of the program; none for a run without one."""
@@ -112,17 +106,7 @@ class Again:
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
-    """Work every gate of a run out again.
-
-    Parameters
-    ----------
-    run, manifest
-        The run folder and its record, of which only names of files and backends are used.
-    config
-        Settings of the run.
-    part
-        The part as placed.
-    """
+    """Work every gate of a run out again; of its record only names of files and backends are used."""
     heights = cut_heights(part, config)
     witness = witness_backend(str(manifest["primary"]))
     fresh = slice_part(part, heights, witness)
@@ -131,16 +115,15 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     agrees = comparison.passed
     tables, why_not = _tables(manifest, comparison)
     exchanged = exchanged_layers(run, manifest, fresh, witness)
-    off = volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
+    off = gates.volume_off(part, np.asarray(heights), fresh.areas(), config) if sound.passed else ""
     made = [gates.input_gate(sound, off), agreement]
-    told = [*noticed.of_part(sound, config), *loose_limits(config)]
-    told += [*outside_window(config, "warning"), *unusual_layers(config)]
+    told = [*part_findings(sound, config)]
     record = manifest.get("program")
     if record is None:
         of_run = tables_check(run, manifest, tables, why_not)
         return Again(witness, tuple(made), agrees, tuple(told), exchanged=exchanged, tables=of_run)
     verdict, tables["fit.csv"] = _fitted(run, manifest, config, part)
-    tables["curves.parquet"] = table_of(verdict.curves)
+    tables["curves.parquet"] = verdict.curves
     smooth = smooth_sections(verdict.curves, config)
     checks, plan, of_text, narrow = text_again(run, manifest, config, part, fresh, smooth)
     z_of = deposition_heights(np.asarray(heights), config.layer_height_mm, config.base_mm)
@@ -151,8 +134,8 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     made += [gates.entry_gate(check) for check in entry]
     checks += entry
     checks += live_checked_again(run.path, record, config, float(part.size[2]))
-    told += [*noticed.of_profile(config), *of_metal(of_gate(checks, "deposit"))]
-    told += of_narrow(narrow, fresh.heights, config)
+    told += [*profile_findings(config), *metal_findings(of_gate(checks, "deposit"))]
+    told += narrow_findings(narrow, fresh.heights, config)
     tables |= of_text
     if record["witness"] != witness:
         other = f"the run used sections by {record['witness']}, these are by {witness}"
@@ -166,12 +149,10 @@ def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part
     return Again(witness, tuple(made), agrees, tuple(told), tuple(checks), exchanged, of_run, figures)
 
 
-def _tables(
-    manifest: Mapping[str, Any], comparison: Comparison
-) -> tuple[dict[str, pd.DataFrame | pa.Table], dict[str, str]]:
+def _tables(manifest: Mapping[str, Any], comparison: Comparison) -> tuple[dict[str, Table], dict[str, str]]:
     """Tables of the comparison, if the slicers are those of the run; else why not, by file."""
     done = {name for name, found in manifest["backends"].items() if found["status"] == "done"}
-    found: dict[str, pd.DataFrame | pa.Table] = {**tables_of_comparison(comparison)}
+    found: dict[str, Table] = {**tables_of_comparison(comparison)}
     if done == set(comparison.stacks):
         return found, {}
     return {}, dict.fromkeys(found, "not all slicers of the run are the ones that are here")
@@ -204,7 +185,7 @@ def exchanged_layers(
 
 def _agreement(
     run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, witness: str
-) -> tuple[Gate, Comparison]:
+) -> tuple[Check, Comparison]:
     """Compare the recorded layers of every slicer with layers cut anew; bounds are what the slicers declare now."""
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
@@ -237,11 +218,10 @@ def _fitted(
     settings = registry.slicer_settings(primary, config.slicing.settings.get(primary, {}))
     bound_mm, _ = declared_bounds(part, {primary: settings})[primary]
     layers = run.read_layers(primary)
-    curves = fit_for_program(layers, config.curves, part, error_bound_mm=bound_mm)
-    return judged(curves, layers, part, config)
+    return fitted(layers, part, config, bound_mm)
 
 
-def _coverage(checks: Sequence[Check], planned: Gate) -> Gate:
+def _coverage(checks: Sequence[Check], planned: Check) -> Check:
     """Coverage by the plan, and shut, too, where the text leaves something bare or cannot be read."""
     found = next((check for check in checks if check.name == "coverage"), None)
     if found is None:
@@ -257,18 +237,8 @@ def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
     recorded = {g["name"]: g for g in manifest["gates"]}
     checks = [_gate_check(gate, recorded.get(gate.name)) for gate in again.gates]
     unknown = sorted(set(recorded) - {gate.name for gate in again.gates})
-    checks += [
-        Check(
-            f"gate {name}",
-            False,
-            1.0,
-            0.0,
-            "faults",
-            "run.json",
-            "the record has a gate that this version does not know",
-        )
-        for name in unknown
-    ]
+    why = "the record has a gate that this version does not know"
+    checks += [Check.fault(f"gate {name}", "run.json", why) for name in unknown]
     record = manifest.get("program")
     if record is not None:
         checks += [_figures(again, record), _verdict(again, manifest)]
@@ -320,28 +290,25 @@ def _differing(recorded: Any, found: Any, at: str = "") -> list[str]:
     return [] if (_same(recorded, found) if numbers else recorded == found) else [at]
 
 
-def _gate_check(gate: Gate, recorded: Mapping[str, Any] | None) -> Check:
+def _gate_check(gate: Check, recorded: Mapping[str, Any] | None) -> Check:
     """A gate as it was found again; shut, too, where the record tells another verdict."""
-    text, where, passed = gate.text, "", gate.passed
+    told = ""
     if recorded is None:
-        text, where, passed = f"the record lacks this gate; found: {gate.text}", "run.json", False
+        told = f"the record lacks this gate; found: {gate.text}"
     elif bool(recorded["passed"]) != gate.passed:
         said = "passed" if recorded["passed"] else "shut"
-        text, where, passed = (
-            f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}",
-            "run.json",
-            False,
-        )
+        told = f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}"
     elif gate.name != PROGRAM and not (
-        _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.figure))
+        _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.value))
     ):
         said = f"{recorded['figure']} of {recorded['limit']}"
-        text, where, passed = (
-            f"recorded as {said}, found {gate.figure:g} of {gate.limit:g}: {gate.text}",
-            "run.json",
-            False,
-        )
-    return Check(f"gate {gate.name}", passed, gate.figure, gate.limit, gate.unit, where, text)
+        told = f"recorded as {said}, found {gate.value:g} of {gate.limit:g}: {gate.text}"
+    name = f"gate {gate.name}"
+    return (
+        replace(gate, name=name, passed=False, where="run.json", text=told)
+        if told
+        else replace(gate, name=name)
+    )
 
 
 def _figures(again: Again, record: Mapping[str, Any]) -> Check:
@@ -379,7 +346,7 @@ def _verdict(again: Again, manifest: Mapping[str, Any]) -> Check:
     """Whether the program is called validated exactly where every gate is open and no finding is a fault."""
     said = bool(manifest["program"]["validated"])
     found = all(gate.passed for gate in again.gates) and not has_fault(
-        from_record(f) for f in manifest["findings"]
+        finding_of_record(f) for f in manifest["findings"]
     )
     text = f"recorded as {'validated' if said else 'not validated'}, found {'validated' if found else 'not validated'}"
     return Check("verdict", said == found, float(said != found), 0.0, "faults", "run.json", text)
@@ -390,7 +357,7 @@ class TextAgain(NamedTuple):
 
     checks: list[Check]
     plan: ScanPlan
-    tables: dict[str, pd.DataFrame | pa.Table]
+    tables: dict[str, Table]
     """Tables of plan and text; of the plan alone where the text cannot be read."""
     narrow: tuple[NarrowFeature, ...] = ()
     """Features of the part that are narrower than beads can build."""
@@ -404,20 +371,15 @@ def text_again(
     fresh: Layers,
     smooth: Layers | None,
 ) -> TextAgain:
-    """Read, lay and check the text of a run's program.
+    """Read, lay and check the text of a run's program over sections of the part that were cut anew.
 
-    Parameters
-    ----------
-    fresh
-        Sections of the part, cut anew.
-    smooth
-        The contours that the run fitted, with their curves, fitted anew; None where the method of the fit makes none.
+    `smooth` are the fitted contours with their curves, fitted anew; None where the method of the fit makes none.
     """
     record = manifest["program"]
     plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     beads = Curves.from_parquet(run.path / "beads.parquet")
     path = planned_path(beads, plan, config)
-    tables: dict[str, pd.DataFrame | pa.Table] = {**tables_of_plan(path, plan, config)}
+    tables: dict[str, Table] = {**tables_of_plan(path, plan, config)}
     nc, readable = read_checked(run.program_folder / record["files"][0]["name"], config)
     if nc is None:
         return TextAgain([readable], plan, tables)

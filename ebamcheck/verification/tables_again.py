@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
-import tempfile
 from collections.abc import Iterable, Mapping
-from importlib import import_module
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -18,24 +15,15 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ebamcheck.checks.deposit import Deposit
-from ebamcheck.checks.metal_field import FIELD_FILE, field_table
-from ebamcheck.comparison import Comparison
-from ebamcheck.errors import EbamcheckError, InputError
-from ebamcheck.kinematics import side_by_side
+from ebamcheck.curves import Curves
+from ebamcheck.curves.columns import table_of
 from ebamcheck.layer_numbers import numbered
-from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.cross_check import layer_table
-from ebamcheck.plugins import registry
-from ebamcheck.plugins.points import is_house
-from ebamcheck.program import Check, NCProgram, program_summary
-from ebamcheck.record.run_folder import MANIFEST, TIMINGS, RunFolder
-from ebamcheck.scan import ScanPlan
-from ebamcheck.settings.config import Config
+from ebamcheck.pipeline.reports import reports_again
+from ebamcheck.pipeline.tables import INDEXED, Table
+from ebamcheck.program import Check
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.version import __version__
-from ebamcheck.writing.events import event_totals, process_events
-from ebamcheck.writing.tracks import Toolpath
 
 NAME = "tables"
 
@@ -56,23 +44,18 @@ SHOWN = 40
 def tables_check(
     run: RunFolder,
     manifest: Mapping[str, Any],
-    tables: Mapping[str, pd.DataFrame | pa.Table],
+    tables: Mapping[str, Table],
     why_not: Mapping[str, str],
 ) -> Check:
     """Compare tables and reports of a run with those that follow, and name the files of which only hashes are known.
 
-    Parameters
-    ----------
-    tables
-        Tables that were worked out, by name of the file. Reports that follow from the record alone are made here.
-    why_not
-        Files that could be worked out, and were not, each with the reason.
+    Reports that follow from the record alone are made here; `why_not` says of files that could be worked out why they were not.
     """
     named = {
         name: numbered(table) if isinstance(table, pd.DataFrame) and name not in INDEXED else table
         for name, table in tables.items()
     }
-    found: dict[str, pd.DataFrame | pa.Table | bytes] = {**named, **reports_again(run)}
+    found: dict[str, Table | bytes] = {**named, **reports_again(run)}
     why_not = dict(why_not)
     if manifest["ebamcheck"] != __version__:
         other = f"the run is of version {manifest['ebamcheck']}, this is {__version__}"
@@ -103,9 +86,6 @@ AREA = "area_mm2_"
 RENDERED = (".csv", ".html", ".parquet", ".xml")
 """Endings of what holds figures for people and other programs."""
 
-INDEXED = ("events.parquet",)
-"""Tables for programs, which count layers from 0; those that people open count them from 1."""
-
 CHECKED = ("scan.parquet", "beads.parquet")
 """Tables against which, as they are, the text itself is checked."""
 
@@ -119,64 +99,18 @@ def order_of(run: RunFolder) -> list[str]:
     return [str(name).removeprefix(AREA) for name in columns if str(name).startswith(AREA)]
 
 
-def tables_of_comparison(comparison: Comparison) -> dict[str, pd.DataFrame]:
-    """Tables of a comparison."""
-    return {
-        "layers.csv": layer_table(comparison),
-        "compare.csv": comparison.pairs,
-        "compare.parquet": comparison.pairs,
-    }
-
-
-def tables_of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, pd.DataFrame]:
-    """Tables of a plan, and of the tracks that were laid out of it."""
-    events = process_events(path, plan, config)
-    return {
-        "scan.csv": plan.metrics,
-        "events.parquet": events,
-        "process.csv": event_totals(events, len(path.z), config),
-    }
-
-
-def tables_of_program(nc: NCProgram, contours: Layers, config: Config) -> dict[str, pd.DataFrame]:
-    """Tables of a program that was read, with the roles of its plan; `contours` are those that it was made from."""
-    return {
-        "program.csv": program_summary(nc, config),
-        "kinematics.csv": side_by_side(nc, contours, config).reset_index(),
-    }
-
-
-def sums_of(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Sums over the tables of plan and program, by the place where a record has them; of a table that is missing, nothing."""
-    found: dict[str, Any] = {
-        place: {name: float(tables[file][name].sum()) for name in tables[file].select_dtypes("number")}
-        for place, file in (("scan", "process.csv"), ("program.totals", "program.csv"))
-        if file in tables
-    }
-    if "kinematics.csv" in tables:
-        paths = tables["kinematics.csv"]
-        found["kinematics"] = paths.set_index(paths.columns[0]).to_dict(orient="index")
-    return found
-
-
-def tables_of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, pd.DataFrame | pa.Table]:
-    """Tables of the metal that a program lays; `z_of` are the tops of its layers."""
-    if laid.worst < 0:
-        return {"deposit.csv": laid.layers}
-    thickness_mm = float(np.diff(z_of, prepend=base_mm)[laid.worst])
-    return {
-        "deposit.csv": laid.layers,
-        FIELD_FILE: field_table(laid.fields[laid.worst], laid.worst, thickness_mm),
-    }
-
-
-def _differences(path: Path, found: pd.DataFrame | pa.Table | bytes) -> Iterable[str]:
+def _differences(path: Path, found: Table | bytes) -> Iterable[str]:
     """The first place where a recorded table or report is another than the one that was found, in words."""
     try:
         if isinstance(found, bytes):
             return _of_lines(path.name, _lines(path.read_bytes(), path.suffix), _lines(found, path.suffix))
-        if isinstance(found, pa.Table):
-            return _of_columns(path.name, pq.read_table(path, partitioning=None), found)
+        if isinstance(found, pa.Table | Curves):
+            table = table_of(found) if isinstance(found, Curves) else found
+            return _of_columns(path.name, pq.read_table(path, partitioning=None), table)
+        if not isinstance(found, pd.DataFrame):
+            raise TypeError(
+                f"{path.name}: {type(found).__name__}: the program's text is checked against it, and it against nothing"
+            )
         if path.suffix == ".parquet":
             recorded = pd.read_parquet(path)
         else:
@@ -248,44 +182,3 @@ def _same(recorded: pd.Series[Any], found: pd.Series[Any]) -> np.ndarray[Any, np
         a, b = recorded.to_numpy(np.float64), found.to_numpy(np.float64)
         return np.asarray(np.isclose(a, b, rtol=SAME_FIGURE, atol=NOTHING, equal_nan=True))
     return np.asarray((recorded.astype(str) == found.astype(str)).to_numpy(), np.bool_)
-
-
-OF_RECORD = "OF_RECORD"
-"""Name of the tuple in which a package of ours tells which of its report writers read the record of a run alone."""
-
-
-def reports_again(run: RunFolder) -> dict[str, bytes]:
-    """Files that the house's writers of such reports make of the record of a run, by name.
-
-    They are given a folder with the record and no other file of the run: what they write depends on nothing else.
-
-    Raises
-    ------
-    InputError
-        If one of them cannot be made from this record.
-    """
-    found: dict[str, bytes] = {}
-    for name, point in registry.points(registry.REPORTS).items():
-        if not is_house(point) or name not in _of_record(point.module.partition(".")[0]):
-            continue
-        with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as temporary:
-            bare = RunFolder(Path(temporary))
-            for file in (MANIFEST, TIMINGS):
-                if (run.path / file).is_file():
-                    shutil.copyfile(run.path / file, bare.path / file)
-            try:
-                written = registry.load(point)(bare)
-            except EbamcheckError:
-                raise
-            except Exception as error:  # A record that was tampered with may hold anything.
-                why = f"{type(error).__name__}: {error}"
-                raise InputError(
-                    f"{run.path / MANIFEST}: report {name!r} cannot be made from it: {why}"
-                ) from None
-            found |= {file: (bare.path / file).read_bytes() for file in written}
-    return found
-
-
-def _of_record(package: str) -> tuple[str, ...]:
-    """Names of such writers of a package."""
-    return tuple(getattr(import_module(package), OF_RECORD, ()))

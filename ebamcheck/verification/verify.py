@@ -15,20 +15,20 @@ from ebamcheck.checks.plate_record import plate_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.part_source import PlatePart
+from ebamcheck.mesh.part_source import PlatePart, read_part
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
-from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.stages import smooth_sections
 from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
-from ebamcheck.program import Check, read_program, verify_file
+from ebamcheck.program import read_program, verify_file
 from ebamcheck.record.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.record.certificate_checks import (
     certificate_checks,
@@ -41,6 +41,7 @@ from ebamcheck.record.certificate_checks import (
 from ebamcheck.record.form import PLATE
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.record.signing import trusted_keys
+from ebamcheck.result import Check, gate_of_record
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
@@ -152,23 +153,8 @@ def verify_run(
 ) -> list[Check]:
     """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again.
 
-    Parameters
-    ----------
-    folder
-        A finished run folder.
-    part
-        The part's file; None: where it was when the run was made, or beside the run folder.
-    quick
-        Believe recorded layers and gates, as far as their hashes hold.
-    trusted
-        Raw public keys with their names, of which one must have signed; None: no signature is asked for.
-
-    Raises
-    ------
-    InputError
-        If the folder is no run folder, or its record lacks something.
-    SettingsError
-        If the part is not found.
+    The part's file is where it was when the run was made, or beside the run folder, unless it is given. A `quick` check believes recorded
+    layers and gates, as far as their hashes hold. One of the `trusted` raw public keys has to have signed, if any are given.
     """
     run = RunFolder(folder)
     manifest = run.manifest()
@@ -197,7 +183,7 @@ def _verify(
         checks.append(hash_check("part unchanged", part_hash(path), manifest["part"]["sha256"], path.name))
         if not (untouched and checks[-1].passed):
             return checks
-        return checks + compared_again(run, manifest, config, placed_part(path, config)[0])
+        return checks + compared_again(run, manifest, config, read_part(path, config.part)[0])
     if part is not None:
         checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
     checks += [*_recorded_gates(manifest), *_own_witness(manifest)]
@@ -209,7 +195,7 @@ def compared_again(run: RunFolder, manifest: dict[str, Any], config: Config, par
     try:
         again = work_again(run, manifest, config, part)
     except EbamcheckError as error:
-        return [Check("worked out again", False, 1.0, 0.0, "faults", str(run.path), str(error))]
+        return [Check.fault("worked out again", str(run.path), str(error))]
     tables = [] if again.tables is None else [again.tables]
     if manifest.get("program") is None and manifest.get("job") != "check":
         return [*compared(again, manifest), *tables, _no_program()]
@@ -270,26 +256,18 @@ def _own_witness(manifest: dict[str, Any]) -> list[Check]:
     if witness is None or witness != manifest["primary"] or not others:
         return []
     text = f"{witness} is named as its own witness"
-    return [Check("record", False, 1.0, 0.0, "faults", MANIFEST, text)]
+    return [Check.fault("record", MANIFEST, text)]
 
 
 def _no_program() -> Check:
-    return Check("program", False, 1.0, 0.0, "faults", "", "the run wrote no program")
+    return Check.fault("program", "", "the run wrote no program")
 
 
 def _recorded_gates(manifest: dict[str, Any]) -> list[Check]:
     """The gates as the run recorded them, which a quick check does not work out again."""
     return [
-        Check(
-            f"gate {g['name']}",
-            bool(g["passed"]),
-            float(g["figure"]),
-            float(g["limit"]),
-            g["unit"],
-            MANIFEST,
-            f"as recorded: {g['text']}",
-        )
-        for g in manifest["gates"]
+        replace(gate, name=f"gate {gate.name}", where=MANIFEST, text=f"as recorded: {gate.text}")
+        for gate in map(gate_of_record, manifest["gates"])
     ]
 
 
@@ -303,15 +281,10 @@ def verify_against_part(
 
     The part is sliced anew at the layers that a run of it with these settings has, by an exact backend that did not make the program where
     its certificate says which one did. A certificate beside the program is checked, too.
-
-    Raises
-    ------
-    InputError
-        If the part cannot be read, there is no program at `program`, or its certificate is none.
     """
     if not program.exists():
         raise InputError(f"{program}: there is no such program")
-    part, _, _ = placed_part(part_path, config)
+    part, _ = read_part(part_path, config.part)
     found = inspect(part)
     said = f"{found.verdict}: {found.why}"
     sound = Check("part sound", found.passed, float(not found.passed), 0.0, "faults", part_path.name, said)
@@ -366,7 +339,7 @@ def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Confi
     if said is None:
         return []
     upright = config.changed(part={"direction": said.direction, "on_table": None})
-    before = placed_part(path, upright)[0]
+    before = read_part(path, upright.part)[0]
     with suppress(
         EbamcheckError
     ):  # a program that cannot be read, or a part of another file, has a failed check of its own

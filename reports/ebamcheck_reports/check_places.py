@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import shapely
 
 from ebamcheck.errors import InputError
 from ebamcheck.program import NCProgram, read_program
+from ebamcheck.result import Place, check_of_record
 from ebamcheck.settings.config import Config
 from ebamcheck_reports import program_picture
 from ebamcheck_reports.canvas import Canvas, around, outline
-from ebamcheck_reports.figures import number
 from ebamcheck_reports.markup import Markup, element, join, paragraph
 from ebamcheck_reports.run_data import RunData
 
@@ -35,17 +36,6 @@ PROGRAMS_KEPT = 4
 """Files kept in memory after parsing: several checks often fail in one file."""
 
 
-class Place(NamedTuple):
-    """Place to which a failed check points."""
-
-    file: str
-    line: int
-    x_mm: float
-    y_mm: float
-    layer: int | None
-    program: NCProgram | None
-
-
 def render(run: RunData) -> list[Markup]:
     """One figure for each failed check, in the order of the checks."""
     failed = [check for check in run.checks if not check["passed"]]
@@ -55,8 +45,8 @@ def render(run: RunData) -> list[Markup]:
 
 
 def _figure(run: RunData, check: Mapping[str, Any]) -> Markup:
-    place = _place(run, check)
-    parts = [*_pictures(run, place, str(check["name"])), *_excerpt(run, place)]
+    place, program = _place(run, check)
+    parts = [*_pictures(run, place, program, str(check["name"])), *_excerpt(run, place)]
     if not parts:
         parts = [
             paragraph("This check is about the program as a whole: it has no single place.", class_="note")
@@ -72,39 +62,25 @@ def _figure(run: RunData, check: Mapping[str, Any]) -> Markup:
 
 
 def _said(place: Place) -> str:
-    text = f", at ({place.x_mm:.3f}, {place.y_mm:.3f}) mm" if _known(place) else ""
+    text = f", at ({place.x_mm:.3f}, {place.y_mm:.3f}) mm" if place.is_point else ""
     if place.layer is not None:
         text += f", layer {place.layer + 1}"
     return text + (f", {place.file}:{place.line}" if place.line else "") + "."
 
 
-def _known(place: Place) -> bool:
-    return bool(np.isfinite([place.x_mm, place.y_mm]).all())
-
-
-def _place(run: RunData, check: Mapping[str, Any]) -> Place:
-    """Place of a check by its record, completed from the text by the motion of the line that it names."""
-    file, _, line = str(check.get("where") or "").rpartition(":")
-    number_of_line = int(line) if line.isdigit() else 0
-    layer = check.get("layer")
-    found = Place(
-        file,
-        number_of_line,
-        number(check.get("x_mm")),
-        number(check.get("y_mm")),
-        None if layer is None else int(layer) - 1,
-        None,
-    )
-    program = _program(run, file)
+def _place(run: RunData, check: Mapping[str, Any]) -> tuple[Place, NCProgram | None]:
+    """Place of a check by its record, completed from the text by the motion of the line that it names; and the program there."""
+    place = check_of_record(check).at
+    program = _program(run, place.file)
     if program is None:
-        return found
-    row = _row(program, file, number_of_line)
-    if row is not None and not _known(found):
+        return place, None
+    row = _row(program, place.file, place.line)
+    if row is not None and not place.is_point:
         x, y = program.end[row, :2].tolist()
-        found = found._replace(x_mm=x, y_mm=y)
-    if found.layer is None:
-        found = found._replace(layer=_layer(run, file, -1 if row is None else int(program.layer[row])))
-    return found._replace(program=program)
+        place = replace(place, x_mm=x, y_mm=y)
+    if place.layer is None:
+        place = replace(place, layer=_layer(run, place.file, -1 if row is None else int(program.layer[row])))
+    return place, program
 
 
 def _layer(run: RunData, file: str, in_program: int) -> int | None:
@@ -147,9 +123,9 @@ def _row(program: NCProgram, file: str, line: int) -> int | None:
 # -- drawing -------------------------------------------------------------------------------------------
 
 
-def _pictures(run: RunData, place: Place, name: str) -> list[Markup]:
+def _pictures(run: RunData, place: Place, program: NCProgram | None, name: str) -> list[Markup]:
     """The whole layer with the place circled, and the place enlarged with the path of the text."""
-    if not _known(place):
+    if not place.is_point:
         return []
     bead_mm = run.setting("process", "bead_width_mm", BEAD_WIDTH_MM)
     pictures = []
@@ -161,10 +137,8 @@ def _pictures(run: RunData, place: Place, name: str) -> list[Markup]:
         _draw(canvas, whole, place)
         pictures.append(canvas.svg(f"place of the failed check {name}"))
     inset = Canvas(around(place.x_mm, place.y_mm, INSET_BEADS * bead_mm), INSET_PX)
-    if place.program is not None:
-        program_picture.paint(
-            inset, place.program, place.layer if len(place.program.layer_files) > 1 else None
-        )
+    if program is not None:
+        program_picture.paint(inset, program, place.layer if len(program.layer_files) > 1 else None)
     _draw(inset, whole, place)
     return [*pictures, inset.svg(f"place of the failed check {name}, enlarged")]
 

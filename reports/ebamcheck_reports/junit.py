@@ -15,8 +15,8 @@ from typing import Any
 
 from junitparser.xunit2 import JUnitXml
 
-from ebamcheck.findings import in_words
 from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.result import in_words
 from ebamcheck.showing.junit import Case, Kind, junit, write_junit
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import counted, place

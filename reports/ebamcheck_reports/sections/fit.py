@@ -11,7 +11,7 @@ import numpy as np
 from ebamcheck.curves import ARC, LINE, SPLINE, Curves, polar_radius
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.fit_evidence import largest_move_mm
+from ebamcheck.pipeline.fit import largest_move_mm
 from ebamcheck_reports import curve_picture
 from ebamcheck_reports.charts import Series, line_chart
 from ebamcheck_reports.figures import number, percent

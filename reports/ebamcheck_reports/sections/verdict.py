@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from ebamcheck.findings import in_words
 from ebamcheck.record.certificate import counted
+from ebamcheck.result import in_words
 from ebamcheck_reports import words
 from ebamcheck_reports.figures import percent, shown
 from ebamcheck_reports.markup import Markup, element, figure, join, mark, paragraph, table

@@ -1,4 +1,4 @@
-"""Findings: a disagreement with its place, its size, its limit and its likely cause."""
+"""A disagreement of two slicers on a layer, with its place, its size, its limit and its likely cause."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided"
 
 
 @dataclass(frozen=True)
-class Finding:
+class Disagreement:
     """One disagreement on one layer."""
 
     layer: int
@@ -44,6 +44,6 @@ class Finding:
         return self.value / self.limit if self.limit > 0.0 else math.inf
 
 
-def worst_of(findings: Sequence[Finding]) -> Finding | None:
+def worst_of(findings: Sequence[Disagreement]) -> Disagreement | None:
     """The most severe finding: the largest excess, then the lowest layer; None if there is none."""
     return max(findings, key=lambda f: (f.excess, -f.layer), default=None)

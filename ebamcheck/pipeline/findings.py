@@ -1,4 +1,7 @@
-"""Findings on plan and program that no gate covers."""
+"""Findings of a run: what a person has to know of part, slicers, profile, fit, plan and program beside the gates.
+
+Every one follows from what the stages return; nobody hands one to the job while values are made.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +12,33 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.consumables import consumed
 from ebamcheck.checks.deposit_checks import NARROW
 from ebamcheck.checks.interpass_checks import INTERPASS, within_range
+from ebamcheck.checks.loose_limits import loose_limits
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.process_checks import seam_turns
-from ebamcheck.checks.remedies import (
-    COARSE,
-    FLAT,
-    HATCH,
-    HOLE,
-    LEVELS,
-    MISTAKE,
-    NARROWER,
-    OFF_MESH,
-    TOO_THIN,
-)
-from ebamcheck.findings import Finding, Severity, at_layer
+from ebamcheck.checks.remedies import COARSE, FLAT, HATCH, HOLE, LEVELS, MISTAKE, NARROWER, OFF_MESH, TOO_THIN
+from ebamcheck.comparison import Comparison
+from ebamcheck.comparison.doubt import doubted_layers
+from ebamcheck.curves.evidence import CAUSES
+from ebamcheck.curves.fallback import POLYLINE
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.mesh.inspection import Inspection
+from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.fit import REMEDY, WHY, FitVerdict
+from ebamcheck.preflight.report import Ready
+from ebamcheck.preflight.suspicions import of_bodies, suspicions
+from ebamcheck.result import Check, Place, Severity
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.process_window import outside_window, unusual_layers
+from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.slicers.isolation import Outcome
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
 
@@ -87,7 +93,198 @@ LACKING: Mapping[str, str] = {
 """Remedies where the metal of a check lacks, other than those of one that has too much."""
 
 
-def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
+# -- the part ----------------------------------------------------------------------------------------
+
+
+def begun_findings(begun: Ready) -> Iterator[Check]:
+    """What was done to a part before it is sliced, and the layer height that was chosen for it."""
+    if begun.turned:
+        yield Check.finding(
+            "warning",
+            "facets-turned-over",
+            f"{begun.turned} of {len(begun.part.faces)} facets were turned over",
+            "part.fix_orientation",
+            float(begun.turned),
+            0.0,
+            "facets",
+            "look at the sections, or mend the model",
+        )
+    if begun.fitted:
+        yield Check.finding("note", "layer-height-fitted", begun.fitted, "layers.fit_height")
+
+
+def part_findings(found: Inspection, config: Config) -> Iterator[Check]:
+    """What follows from part and settings alone: its bodies, size and file, limits set wider, and settings outside of the window."""
+    yield from of_bodies(found)
+    yield from suspicions(found, config)
+    yield from loose_limits(config)
+    # A job without a program may cut layers that no process can lay.
+    yield from outside_window(config, "warning")
+    yield from unusual_layers(config)
+
+
+# -- slicers and their agreement ---------------------------------------------------------------------
+
+
+def slicer_findings(
+    started: Mapping[str, Outcome], outcomes: Mapping[str, Outcome], comparison: Comparison, config: Config
+) -> Iterator[Check]:
+    """Of the slicers that were started, those that were lost or prove nothing; of all `outcomes`, those that this machine cannot run; and
+    agreement that rests on something else than sections.
+    """
+    for outcome in started.values():
+        if outcome.failure:
+            text = f"backend {outcome.name} {outcome.failure}: {outcome.why}"
+            yield Check.finding("warning", "backend-lost", text, outcome.name)
+    for name, why in comparison.without_weight.items():
+        yield Check.finding(
+            "warning",
+            "no-evidence",
+            f"agreement with {name} proves nothing: {why}, the share comparison.evidence_share of bead or layer",
+            name,
+            remedy=f"give {name} settings of a narrower bound, or run without it",
+        )
+    yield from doubt_findings(comparison.pairs, config)
+    yield from set_aside_findings(comparison.pairs)
+    for outcome in outcomes.values():
+        if outcome.failure == "unavailable":
+            text = f"backend {outcome.name} is not available: {outcome.why}"
+            yield Check.finding("note", "backend-unavailable", text, "slicing.backends")
+
+
+def doubt_findings(pairs: pd.DataFrame, config: Config) -> Iterator[Check]:
+    """Layers on which slicers agree only because one of them declares doubt."""
+    for a, b, layers, depth_mm, added_mm in doubted_layers(pairs):
+        yield Check.finding(
+            "warning",
+            "declared-doubt",
+            f"{a} and {b} agree on {len(layers)} layers only within places that one of them declares doubtful: they are "
+            f"{depth_mm:.3g} mm apart, {added_mm:.3g} mm are declared",
+            f"layers {', '.join(str(k + 1) for k in layers[:5])}{' ...' if len(layers) > 5 else ''}",
+            depth_mm,
+            config.comparison.doubt_mm,
+            "mm",
+            "mend thin facets of the mesh there, or forbid it (comparison.doubt_mm = 0)",
+        )
+
+
+def set_aside_findings(pairs: pd.DataFrame) -> Iterator[Check]:
+    """Rings and holes that one slicer of a pair has and the other lacks, where both agree without what is thin."""
+    if not len(pairs) or not len(rows := pairs[pairs["set_aside"] > 0]):
+        return
+    first, most = rows.sort_values("layer", kind="stable").iloc[0], int(rows["set_aside"].max())
+    names = sorted({f"{a} and {b}" for a, b in zip(rows["a"], rows["b"], strict=True)})
+    yield Check.finding(
+        "note",
+        "thin-set-aside",
+        f"{'; '.join(names)}: on {rows['layer'].nunique()} layers they agree once up to {most} rings or holes are set aside "
+        f"that only one of them has, of gaps and walls thinner than {2.0 * rows['limit_mm'].max():.3g} mm",
+        Place(layer=int(first["layer"]), cut_mm=first["height_mm"]),
+        float(most),
+        None,
+        "rings",
+        "join bodies that nearly touch in the model, or move them apart",
+    )
+
+
+# -- the profile -------------------------------------------------------------------------------------
+
+
+def placeholder_codes(config: Config) -> list[str]:
+    """Templates of beam and wire that this process uses and that are the default ones of the control."""
+    machine, process = config.machine, config.process
+    used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop", "set_wire"]
+    used += ["set_power"] if process.ramps_beam or process.interpass in ("power", "both") else []
+    used += ["wire_retract"] if process.wire_retract_mm > 0.0 else []
+    stock = control(machine.control).templates
+    return [
+        name
+        for name in used
+        if getattr(machine, name) in (MachineSettings.model_fields[name].default, stock.get(name, ()))
+        and getattr(machine, name)
+    ]
+
+
+def profile_findings(config: Config) -> Iterator[Check]:
+    """Codes that stand for those of the machine's maker, where a table has to stand, and what the wire feeder has to do by itself."""
+    names = placeholder_codes(config)
+    if names:
+        yield Check.finding(
+            "warning",
+            "placeholder-codes",
+            f"the codes of beam and wire are those of the default profile, {len(names)} of them",
+            ", ".join(f"machine.{name}" for name in names),
+            float(len(names)),
+            0.0,
+            "templates",
+            "set the machine maker's codes",
+        )
+    if axes := [axis.name for axis in config.machine.rotary if config.part.on_table is None]:
+        yield Check.finding(
+            "warning",
+            "table-as-it-stands",
+            f"the program does not command {' and '.join(axes)}: what was proved holds while the table stands at 0, which a layer on a "
+            "turned part that was broken off may have left otherwise",
+            "machine.rotary",
+            float(len(axes)),
+            0.0,
+            "axes",
+            "bring the table to 0 before the program is started",
+        )
+    process = config.process
+    if process.wire_retract_mm > 0.0:
+        wire_mm_s = wire_speed_mm_s(config, process.bead_width_mm, config.layer_height_mm)
+        bare_mm = process.wire_retract_mm / wire_mm_s * process.travel_speed_mm_s
+        yield Check.finding(
+            "warning",
+            "wire-drawn-back",
+            f"{process.wire_retract_mm:g} mm of wire are drawn back at the end of each bead, and no block feeds them forward again: "
+            f"unless the feeder does it at the next start, {bare_mm:.3g} mm of every bead have no metal",
+            "process.wire_retract_mm",
+            bare_mm,
+            0.0,
+            "mm",
+            "make sure that the feeder does, or have it done by the codes of machine.wire_start",
+        )
+
+
+# -- the fit -----------------------------------------------------------------------------------------
+
+
+def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
+    """Rings that fell back, by cause, and what no method was found for."""
+    found = verdict.evidence
+    if not found.known:
+        yield Check.finding(
+            "note",
+            "curves-not-lifted",
+            "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are",
+            remedy="slice with an exact method",
+        )
+    for number, cause in enumerate(CAUSES):
+        rings = np.flatnonzero((found.cause == number) & (found.method > 0))
+        if not number or not rings.size:
+            continue
+        worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
+        plain = int((found.method[rings] == POLYLINE).sum())
+        distance = cause in ("sagitta", "plane")
+        yield Check.finding(
+            "note",
+            "curve-fell-back",
+            f"{rings.size} of {found.cause.size} rings fell back to a more cautious fit, {plain} of them to the contour "
+            f"itself, because {WHY[cause]}",
+            place=verdict.place_of(worst),
+            figure=float(found.value_mm[worst]) if distance else None,
+            limit=float(found.limit_mm[worst]) if distance else None,
+            unit="mm" if distance else "",
+            remedy=REMEDY[cause],
+        )
+
+
+# -- plan and program --------------------------------------------------------------------------------
+
+
+def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
     """What is wrong with the metal of a program, each with its place."""
     for check in checks:
         told = check.name == "between the cuts" and check.value > 0.0
@@ -100,7 +297,7 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         )
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
-        yield Finding(
+        yield Check.finding(
             "warning" if check.passed else "fault",
             code,
             check.text,
@@ -112,13 +309,10 @@ def of_metal(checks: Iterable[Check]) -> Iterator[Finding]:
         )
 
 
-def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Finding]:
+def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
     """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them.
 
-    Parameters
-    ----------
-    heights
-        (L,) heights of the cuts, mm.
+    `heights` are (L,) mm of the cuts, here and below.
     """
     process = config.process
     for feature in features[:MOST_NARROW]:
@@ -127,7 +321,7 @@ def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config
         from_mm, to_mm = heights[feature.first], heights[feature.last]
         through = f", z = {from_mm:.3f} to {to_mm:.3f} mm," if feature.last > feature.first else ""
         bridged = "" if feature.is_wall or feature.is_set else ": it is bridged by the melt"
-        yield Finding(
+        yield Check.finding(
             severity,
             "wall-under-bead" if feature.is_wall else "opening-under-bead",
             f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}",
@@ -139,7 +333,7 @@ def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config
         )
     if (more := len(features) - MOST_NARROW) > 0:
         last = features[-1]
-        yield Finding(
+        yield Check.finding(
             "warning",
             "wall-under-bead" if last.is_wall else "opening-under-bead",
             f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm",
@@ -151,12 +345,12 @@ def of_narrow(features: Sequence[NarrowFeature], heights: Floats, config: Config
         )
 
 
-def of_checks(checks: Iterable[Check]) -> Iterator[Finding]:
+def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
             place = ", ".join(text for text in (check.where, check.place) if text)
-            yield Finding(
+            yield Check.finding(
                 "fault", "check-failed", f"{check.name}: {check.text}", place, check.value, check.limit, check.unit,
                 check.remedy,
             )  # fmt: skip
@@ -170,7 +364,7 @@ def _lacks(text: str) -> bool:
     return share is not None and float(share[1]) < 1.0
 
 
-def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
+def heat_findings(plan: ScanPlan, config: Config) -> Iterator[Check]:
     """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
     ambient_k = config.process.ambient_temperature_k
     entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
@@ -183,7 +377,7 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
             if entry_k[k] > boiling_k
             else ""
         )
-        yield Finding(
+        yield Check.finding(
             "warning",
             "heat-above-solidus",
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
@@ -196,12 +390,12 @@ def of_heat(plan: ScanPlan, config: Config) -> Iterator[Finding]:
         )
 
 
-def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Finding]:
+def interpass_findings(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Check]:
     """What keeps the part cool: how long the program waits, by its own `summary`, and how far the power goes down."""
     wait_s = float(summary["pause_s"].sum())
     whole_s = wait_s + float(summary["deposit_s"].sum() + summary["travel_s"].sum())
     if wait_s > 0.0:
-        yield Finding(
+        yield Check.finding(
             "note",
             "interpass-wait",
             f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool",
@@ -212,7 +406,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
     share = plan.metrics["power_share"].to_numpy()
     if share.size and np.nanmin(share) < 1.0:
         k, power_w = int(np.nanargmin(share)), config.process.power_w
-        yield Finding(
+        yield Check.finding(
             "note",
             "power-taper",
             f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
@@ -223,7 +417,7 @@ def of_interpass(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Itera
         )
 
 
-def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Finding]:
+def limit_findings(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Check]:
     """Layers that the plan, or the balance of the program's text, enters above the interpass limit; see the gate `heat`."""
     limit_k, metrics = entry_limit_k(config), plan.metrics
     at_bead = config.process.interpass_at == "bead"
@@ -235,7 +429,7 @@ def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterato
     if hot.size:
         k = int(hot[planned_k.to_numpy()[hot].argmax()])
         figure_k, mark = within_range(float(planned_k[k]), config)
-        yield Finding(
+        yield Check.finding(
             "fault",
             "interpass-limit",
             f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
@@ -249,7 +443,7 @@ def of_limit(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterato
         return
     for check in checks:
         if check.name == INTERPASS and not check.passed:
-            yield Finding(
+            yield Check.finding(
                 "fault", "interpass-limit", check.text, check.where, check.value, limit_k, check.unit,
                 "wait and lower the power as the plan has it: make the program again",
             )  # fmt: skip
@@ -266,7 +460,7 @@ def _cooler(config: Config) -> str:
     return f"no wait is long enough: raise the limit (process.interpass_limit_k){base}, or lower the power further"
 
 
-def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Finding]:
+def seam_findings(program: NCProgram, heights: Floats, config: Config) -> Iterator[Check]:
     """Contours that start at a corner of the part, where metal heaps up; `heights` (L,) mm are those of the cuts."""
     row, turn_deg = seam_turns(program)
     corner_deg = 180.0 - config.curves.corner_angle_deg
@@ -278,7 +472,7 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
             np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
         )
         count = int(at_corner.sum())
-        yield Finding(
+        yield Check.finding(
             "warning",
             "seam-at-corner",
             f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees",
@@ -290,11 +484,11 @@ def of_seams(program: NCProgram, heights: Floats, config: Config) -> Iterator[Fi
         )
 
 
-def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
+def consumable_findings(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
-            yield Finding(
+            yield Check.finding(
                 "warning",
                 "consumable-change",
                 found.check().text,
@@ -306,13 +500,13 @@ def of_consumables(program: NCProgram, config: Config) -> Iterator[Finding]:
             )
 
 
-def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
+def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check]:
     """A layer that reaches out steeply, where no angle is set that the process can build."""
     for check in checks:
         if check.name != OVERHANG or config.process.largest_overhang_deg or not check.passed:
             continue
         if check.value > STEEP_DEG:
-            yield Finding(
+            yield Check.finding(
                 "warning",
                 "steep-overhang",
                 f"{check.text}; no angle is set that the process can build, so that a bead's width counts",
@@ -324,19 +518,12 @@ def of_overhang(checks: Iterable[Check], config: Config) -> Iterator[Finding]:
             )
 
 
-def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Finding]:
+def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
     """A program that ends beside the top of the part by more of its height than the metal may be off.
 
     What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
     may be off; by more, layers are missing or too many, which is a fault: listed heights (`layers.heights_mm`) have it, and a part of
     less than half a layer.
-
-    Parameters
-    ----------
-    part_mm
-        Height of the part.
-    heights
-        (L,) heights of the cuts, mm.
     """
     if not len(heights) or config.base_mm > 0.0:
         return
@@ -347,7 +534,7 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
     ends = "the only layer ends" if len(heights) == 1 else f"{len(heights)} layers end"
     if abs(ends_mm - part_mm) > limit:
         listed = bool(config.layers.heights_mm)
-        yield Finding(
+        yield Check.finding(
             "fault" if abs(ends_mm - part_mm) > half_mm + ROUNDING_MM else "warning",
             "height-off-part",
             f"{ends} at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
@@ -363,4 +550,4 @@ def of_height(part_mm: float, heights: Floats, config: Config) -> Iterator[Findi
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:
     """Name a place in part and program; `heights` (L,) mm are those of the cuts."""
     z_mm = deposition_heights(np.asarray(heights, np.float64), config.layer_height_mm, config.base_mm)[layer]
-    return at_layer(layer, float(heights[layer]), x_mm, y_mm, float(z_mm))
+    return str(Place(layer=layer, cut_mm=float(heights[layer]), x_mm=x_mm, y_mm=y_mm, z_mm=float(z_mm)))

@@ -1,24 +1,37 @@
-"""What a run says of the evidence for its curves: figures by layer, findings, and the gate's text."""
+"""The stage of the fit: curves by the chosen method and what speaks for them, beside those of the others and a reference."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from ebamcheck.curves import LIFTED, Curves, fit_deviation
+from ebamcheck.backend import Progress
+from ebamcheck.curves import (
+    LIFTED,
+    METHODS,
+    Curves,
+    contour_error,
+    error_reduction,
+    fit_deviation,
+    fit_for_program,
+)
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.columns import Evidence
+from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.evidence import CAUSES, StackEvidence, stack_evidence
-from ebamcheck.curves.fallback import METHODS, POLYLINE
-from ebamcheck.findings import Finding, at_layer
+from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.pipeline.tables import Table
+from ebamcheck.result import Place
 from ebamcheck.settings.config import Config
+from ebamcheck.slicers.slicing import slice_part
 
 WHY: Mapping[str, str] = {
     "sagitta": "the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
@@ -85,7 +98,7 @@ class FitVerdict:
         """Layer, height and place of a ring."""
         layer = int(np.searchsorted(self.curves.layer_starts, ring, side="right")) - 1
         x, y = (float(v) for v in self.evidence.at[ring])  # noqa: PD008
-        return at_layer(layer, float(self.curves.heights[layer]), x, y)
+        return str(Place(layer=layer, cut_mm=float(self.curves.heights[layer]), x_mm=x, y_mm=y))
 
 
 def largest_move_mm(config: Config) -> float:
@@ -94,6 +107,14 @@ def largest_move_mm(config: Config) -> float:
     if curves.method in LIFTED:
         return curves.largest_lift_mm + curves.tolerance_mm + curves.near_point_mm
     return curves.largest_bulge_mm + curves.near_point_mm + curves.collinear_mm
+
+
+def fitted(
+    layers: Layers, part: Part, config: Config, error_bound_mm: float, progress: Progress | None = None
+) -> tuple[FitVerdict, pd.DataFrame]:
+    """Fit contours by the method of the settings and judge the fit; with its table, one row a layer."""
+    curves = fit_for_program(layers, config.curves, part, "", error_bound_mm, progress)
+    return judged(curves, layers, part, config)
 
 
 def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[FitVerdict, pd.DataFrame]:
@@ -125,48 +146,18 @@ def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
     np.maximum.at(allowed, of_ring, found.mean_limit_mm)
     table["allowed_mm"] = allowed
     table["lift_mm"] = 0.0 if verdict.stack is None else verdict.stack.lift_mm
-    for fallen, name in enumerate(METHODS):
+    for fallen, name in enumerate(FALLBACKS):
         if fallen:
             table[f"{name}_rings"] = rings(found.method == fallen)
     table["open_rings"] = rings(~found.accepted)
     return table
 
 
-def findings(verdict: FitVerdict) -> Iterator[Finding]:
-    """Rings that fell back, by cause, and what no method was found for."""
-    found = verdict.evidence
-    if not found.known:
-        yield Finding(
-            "note",
-            "curves-not-lifted",
-            "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are",
-            remedy="slice with an exact method",
-        )
-    for number, cause in enumerate(CAUSES):
-        rings = np.flatnonzero((found.cause == number) & (found.method > 0))
-        if not number or not rings.size:
-            continue
-        worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
-        plain = int((found.method[rings] == POLYLINE).sum())
-        distance = cause in ("sagitta", "plane")
-        yield Finding(
-            "note",
-            "curve-fell-back",
-            f"{rings.size} of {found.cause.size} rings fell back to a more cautious fit, {plain} of them to the contour "
-            f"itself, because {WHY[cause]}",
-            place=verdict.place_of(worst),
-            figure=float(found.value_mm[worst]) if distance else None,
-            limit=float(found.limit_mm[worst]) if distance else None,
-            unit="mm" if distance else "",
-            remedy=REMEDY[cause],
-        )
-
-
 def gate_text(verdict: FitVerdict) -> str:
     """What the gate says: how many rings are as asked, and what shuts it."""
     found = verdict.evidence
     count = found.cause.size
-    fallen = [f"{int((found.method == k).sum())} by {name}" for k, name in enumerate(METHODS) if k]
+    fallen = [f"{int((found.method == k).sum())} by {name}" for k, name in enumerate(FALLBACKS) if k]
     text = (
         f"{int((found.method == 0).sum())} of {count} rings by {verdict.curves.method}, {', '.join(fallen)}"
     )
@@ -192,3 +183,120 @@ def gate_text(verdict: FitVerdict) -> str:
             "or set curves.method = 'surface' or 'chord'"
         )
     return text
+
+
+# -- beside other methods and a reference ------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MethodFigures:
+    """What a fit takes, and how far it leaves the contours."""
+
+    blocks: int
+    max_points_mm: float
+    """Greatest distance of a contour's points from the curve."""
+    max_bulge_mm: float
+    """Greatest distance of the curve from the contour."""
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """The curves of a run with what speaks for them, beside those of the other methods."""
+
+    verdict: FitVerdict
+    points: int
+    """Points of the contours."""
+    methods: Mapping[str, MethodFigures]
+    """Figures by method; those of the chosen one are first."""
+    tables: Mapping[str, Table]
+    """Its files in a run folder."""
+
+    @property
+    def curves(self) -> Curves:
+        """Curves by the chosen method."""
+        return self.verdict.curves
+
+
+def other_fits(
+    layers: Layers, part: Part, config: Config, error_bound_mm: float, go_on: Callable[[], None]
+) -> dict[str, Curves]:
+    """Curves by the methods that were not chosen, which record and report alone ask for; `go_on` is called between them."""
+    settings = config.curves
+    others = [name for name in METHODS if name != settings.method]
+    if "surface" in others and with_edges(layers, part, settings.near_point_mm) is None:
+        others.remove("surface")
+    found = {}
+    for name in others:
+        go_on()
+        found[name] = fit_for_program(layers, settings, part, name, error_bound_mm)
+    return found
+
+
+def fit_result(
+    verdict: FitVerdict,
+    table: pd.DataFrame,
+    layers: Layers,
+    others: Mapping[str, Curves],
+    fine: Part | None,
+    go_on: Callable[[], None],
+) -> FitResult:
+    """Put a fit beside those of other methods, and beside a finer tessellation of the part where there is one."""
+    curves = verdict.curves
+    figures = {curves.method: _figures(curves, table)}
+    figures |= {name: _figures(other, fit_deviation(other, layers)) for name, other in others.items()}
+    tables: dict[str, Table] = {"curves.parquet": curves, "fit.csv": table}
+    if fine is not None:
+        found, of_reference = _against_reference(layers, {curves.method: curves, **others}, fine, go_on)
+        verdict, tables = replace(verdict, reference=found), tables | of_reference
+    return FitResult(verdict, len(layers.points), figures, tables)
+
+
+def _figures(curves: Curves, deviation: pd.DataFrame) -> MethodFigures:
+    return MethodFigures(
+        blocks=int(curves.block_count()),
+        max_points_mm=float(deviation["points_mm"].max()),
+        max_bulge_mm=float(deviation["bulge_mm"].max()),
+    )
+
+
+def _against_reference(
+    layers: Layers, of_methods: Mapping[str, Curves], fine: Part, go_on: Callable[[], None]
+) -> tuple[dict[str, Any], dict[str, Table]]:
+    """Errors of contours and curves against the finer tessellation (paper, section 5.2); the chosen method is first."""
+    truth = slice_part(fine, layers.heights)
+    go_on()
+    before = contour_error(layers, truth)
+    of_curves = {}
+    for name, curves in of_methods.items():
+        go_on()
+        of_curves[name] = contour_error(curves, truth)
+    after = next(iter(of_curves.values()))
+    tables: dict[str, Table] = {
+        "reference.parquet": truth,
+        "reference.csv": pd.concat([before.assign(of="contour"), after.assign(of="curve")]),
+    }
+    figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm", "normal_max_abs_mm")
+    return {
+        "part": {"source": Path(fine.source).name, "sha256": fine.source_sha256, "facets": len(fine.faces)},
+        "contour": {f: _extreme(before[f], f) for f in figures} | _rms(before),
+        "curve": {f: _extreme(after[f], f) for f in figures} | _rms(after),
+        "reduction": error_reduction(before, after).to_dict(),
+        "methods": {name: error_reduction(before, error).to_dict() for name, error in of_curves.items()},
+        "unmatched_rings": int(before["unmatched"].sum()),
+    }, tables
+
+
+def _extreme(column: pd.Series[float], name: str) -> float:
+    return float(column.min() if "_min_" in name else column.max())
+
+
+def _rms(errors: pd.DataFrame) -> dict[str, float]:
+    """Root mean square of both errors over all rings of the stack; NaN where one is defined nowhere."""
+    result = {}
+    for figure, rings in (("polar_rms_mm", "polar_rings"), ("normal_rms_mm", "rings")):
+        known = errors[errors[figure].notna()]
+        weight = known[rings].sum()
+        result[figure] = (
+            float(np.sqrt((known[figure] ** 2 * known[rings]).sum() / weight)) if weight else float("nan")
+        )
+    return result

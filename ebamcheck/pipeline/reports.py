@@ -1,20 +1,24 @@
-"""Report writers: the house's write into the run folder, a stranger's into a copy of it, from which its new files are taken."""
+"""Report writers: the house's write into the run folder, a stranger's into a copy of it, from which its new files are taken.
+
+A stranger's runs in a process of its own: ``python -m ebamcheck.pipeline.reports NAME VALUE FOLDER PARENT``.
+"""
 
 from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from ebamcheck.errors import SettingsError
-from ebamcheck.pipeline.report_process import DONE
+from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.points import distribution_of, is_house
-from ebamcheck.plugins.processes import run_limited
-from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST, RunFolder
+from ebamcheck.plugins.processes import die_with, one_line, run_limited
+from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST, TIMINGS, RunFolder
 from ebamcheck.record.signing import SIGNATURES
 
 TIME_S = 600.0
@@ -29,6 +33,12 @@ MOST_FILES = 10_000
 
 RESERVED = (MANIFEST, FINGERPRINT, SIGNATURES, "certificate.json")
 """First parts of names that are the harness's own, whether they are there yet or not."""
+
+DONE = "done"
+"""File beside the copy that says that the writer has come back."""
+
+OF_RECORD = "OF_RECORD"
+"""Name of the tuple in which a package of ours tells which of its report writers read the record of a run alone."""
 
 Note = Callable[[str], None]
 
@@ -54,7 +64,7 @@ def _write_apart(point: EntryPoint, folder: Path, note: Note) -> None:
     with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as temporary:
         copy = Path(temporary) / "run"
         shutil.copytree(folder, copy, symlinks=True)
-        arguments = ["ebamcheck.pipeline.report_process", point.name, point.value, str(copy)]
+        arguments = ["ebamcheck.pipeline.reports", point.name, point.value, str(copy)]
         ended = run_limited(arguments, Path(temporary), TIME_S, MEMORY_MB)
         if ended.why or not (Path(temporary) / DONE).is_file():
             note(f"{whose} was lost: {ended.why or 'it ended the process with code 0'}")
@@ -94,3 +104,60 @@ def _changed(file: Path, original: Path) -> bool:
     """Whether a copied file was written to since; a copy keeps size and time."""
     now, then = file.stat(), original.stat()
     return (now.st_size, now.st_mtime_ns) != (then.st_size, then.st_mtime_ns)
+
+
+def reports_again(run: RunFolder) -> dict[str, bytes]:
+    """Files that the house's writers of such reports make of the record of a run, by name.
+
+    They are given a folder with the record and no other file of the run: what they write depends on nothing else.
+
+    Raises
+    ------
+    InputError
+        If one of them cannot be made from this record.
+    """
+    found: dict[str, bytes] = {}
+    for name, point in registry.points(registry.REPORTS).items():
+        if not is_house(point) or name not in _of_record(point.module.partition(".")[0]):
+            continue
+        with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as temporary:
+            bare = RunFolder(Path(temporary))
+            for file in (MANIFEST, TIMINGS):
+                if (run.path / file).is_file():
+                    shutil.copyfile(run.path / file, bare.path / file)
+            try:
+                written = registry.load(point)(bare)
+            except EbamcheckError:
+                raise
+            except Exception as error:  # A record that was tampered with may hold anything.
+                why = f"{type(error).__name__}: {error}"
+                raise InputError(
+                    f"{run.path / MANIFEST}: report {name!r} cannot be made from it: {why}"
+                ) from None
+            found |= {file: (bare.path / file).read_bytes() for file in written}
+    return found
+
+
+def _of_record(package: str) -> tuple[str, ...]:
+    """Names of such writers of a package."""
+    return tuple(getattr(import_module(package), OF_RECORD, ()))
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run one writer: what to load, and the folder, a copy of the run, into which it writes."""
+    name, value, folder, parent = arguments
+    die_with(int(parent))
+    try:
+        EntryPoint(name, value, "ebamcheck.reports").load()(RunFolder(Path(folder)))
+    except Exception as error:
+        sys.stderr.write(f"{type(error).__name__}: {one_line(str(error))}\n")
+        return 1
+    # A writer that ends the process with code 0 does not come here.
+    (Path(folder).parent / DONE).touch()
+    return 0
+
+
+if __name__ == "__main__":
+    code = main(sys.argv[1:])
+    sys.stderr.flush()
+    os._exit(code)

@@ -1,7 +1,13 @@
-"""Slabs of a part one after the other: read, cut by every backend, compared while the next one is cut, and dropped."""
+"""The cross-check of a part that does not fit into memory: read, cut and compared in slabs of z, one after the other.
+
+Every slab becomes a closed mesh that has the sections of the whole one at its heights and the box of the whole one
+(:mod:`ebamcheck.mesh.slabs`), so that every slicer cuts it as it would cut the whole. Of a slab the tables are kept, and
+the figures of the inspection; its layers are dropped.
+"""
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -16,19 +22,120 @@ import numpy as np
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.consensus import joined, shifted
+from ebamcheck.errors import SettingsError
+from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.inspection import Inspection
-from ebamcheck.mesh.slabs import Division, Slab, SlabInspection
+from ebamcheck.mesh.slabs import Division, FacetFile, Slab, SlabInspection, divided, facet_count, read_once
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.pipeline.choice import chosen_backends
 from ebamcheck.pipeline.cross_check import CrossCheck, compared_layers
-from ebamcheck.pipeline.noticed import lost
-from ebamcheck.pipeline.work import Job
-from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all
+from ebamcheck.pipeline.finishing import SlabRecord, finish
+from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
+from ebamcheck.preflight.report import Preflight
+from ebamcheck.preflight.slab_work import slab_workload
+from ebamcheck.preflight.workload import work_checks
+from ebamcheck.settings.config import Config
+from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
 from ebamcheck.slicers.worker_pool import WorkerPool
+
+LEAST_REACH = 1e-6
+"""How far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding."""
+
 
 DOUBT = "doubtful_regions"
 """What a slicer declares of a part among the settings of its layers."""
+
+
+def check_in_slabs(
+    part_path: str | Path,
+    target: str | Path,
+    config: Config,
+    slabs: int,
+    resume: bool = False,
+    observer: Observer | None = None,
+    yes: bool = False,
+    force: bool = False,
+) -> RunResult:
+    """Slice a binary STL file with every backend and compare them, slab by slab; errors as of :func:`~ebamcheck.pipeline.run.check_job`.
+
+    Verdicts, areas, counts of rings and points, inspection and gates are those of the whole part; the file is read as it stands, and the
+    layers are not kept. A backend that is lost in one slab is lost from there on; what a killed run left is begun anew.
+    """
+    observer = observer or Silent()
+    _as_it_stands(config)
+    backends = chosen_backends(config)
+    observer.stage("read", facet_count(Path(part_path)))
+    file = read_once(part_path, config.part.units or "", observer.advance)
+    heights = cut_heights(file.outline, config)
+    division = divided(file, heights, slabs, _reach_mm(file, backends, config))
+    _within_work(division, heights, config, yes)
+    # The mesh as a whole is never there, and so has no hash.
+    file.outline.__dict__["sha256"] = ""
+    job = Job(
+        "check", config, observer, file.outline, SlabInspection(file.outline, len(file)).found(), heights
+    )
+
+    def work(job: Job) -> RunResult:
+        made = cut_slabs(job, division, backends)
+        job.found = made.inspection
+        figures = {
+            "count": len(division),
+            "most_facets": division.most_facets,
+            "borders_mm": division.borders_mm[1:-1].tolist(),
+        }
+        return finish(job, made.checked, slabs=SlabRecord(made.settings, figures))
+
+    return carried_out(
+        job,
+        "check in slabs",
+        file.outline.source_sha256,
+        backends,
+        [len(division)],
+        target,
+        work,
+        resume=resume,
+        force=force,
+        keep_layers=False,
+    )
+
+
+def _as_it_stands(config: Config) -> None:
+    """Refuse settings that would move or mend the part."""
+    part = config.part
+    asked = {
+        "part.direction": part.direction != (0.0, 0.0, 1.0),
+        "part.rotate_deg": part.rotate_deg != 0.0,
+        "part.place_at_mm": part.place_at_mm is not None,
+        "part.fix_orientation": part.fix_orientation,
+    }
+    for name, is_asked in asked.items():
+        if is_asked:
+            raise SettingsError(
+                f"{name}: a check in slabs takes the part as it stands in its file: leave the setting out, or check the "
+                "part whole (--slabs 1)"
+            )
+
+
+def _reach_mm(file: FacetFile, backends: Mapping[str, BackendSettings], config: Config) -> float:
+    """How far around its heights the facets of a slab count, for slicers and for the classes of layers."""
+    bounds = declared_bounds(file.outline, backends)
+    margin = max([config.comparison.plane_margin_mm or 0.0, *(height for _, height in bounds.values())])
+    if not math.isfinite(margin):
+        raise SettingsError("a backend declares no finite height bound, which a check in slabs needs")
+    return 2.0 * margin + LEAST_REACH * float(abs(file.outline.vertices).max())
+
+
+def _within_work(division: Division, heights: Floats, config: Config, yes: bool) -> None:
+    """Refuse more work than the settings allow."""
+    work = slab_workload(
+        len(division.file), division.most_facets, heights.size, division.crossings, len(division), config
+    )
+    Preflight(tuple(work_checks(work, config, yes)), work).stop("check")
+
+
+# -- slab after slab ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -148,7 +255,6 @@ def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) 
         tally.outcomes[name] = outcome if before is None else _added(before, outcome)
         if outcome.failure:
             tally.outcomes[name] = replace(tally.outcomes[name], why=f"{where}: {outcome.why}")
-            job.add_finding(lost(tally.outcomes[name]))
 
 
 def _added(before: Outcome, after: Outcome) -> Outcome:

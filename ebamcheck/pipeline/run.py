@@ -1,0 +1,162 @@
+"""One job from part to report: the cross-check alone, or all the way to the program."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+
+from ebamcheck.errors import SettingsError
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import read_reference
+from ebamcheck.nc.control import control
+from ebamcheck.nc.templates import usable_templates
+from ebamcheck.pipeline.choice import chosen_backends
+from ebamcheck.pipeline.cross_check import cross_check
+from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
+from ebamcheck.pipeline.live_program import check_waits
+from ebamcheck.preflight.report import Ready, ready
+from ebamcheck.preflight.slab_work import wanted_slabs
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import checked_window
+from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.writing.entry import check_entry
+
+LATER_STAGES = "ebamcheck.pipeline.finishing"
+"""Module of what comes after the cross-check."""
+
+
+def run_job(
+    part_path: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    reference: str | Path | None = None,
+    resume: bool = False,
+    observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
+    force: bool = False,
+    from_layer: int = 1,
+    live: bool = False,
+    workers: WorkerPool | None = None,
+) -> RunResult:
+    """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
+
+    Parameters
+    ----------
+    part_path
+        Mesh file of the part, or ``plate.toml``.
+    target
+        Run folder to make; it appears when it is whole.
+    config
+        Settings; the defaults if None.
+    reference
+        A finer tessellation of the same part, against which the errors of contours and curves are measured.
+    resume
+        Go on with what a killed run of the same part and settings left behind; a finished one of them is returned.
+    observer
+        Told of stages and progress.
+    force
+        Make the run although a finished one stands at `target`, which is kept under a name with its date.
+    from_layer
+        Write a second program, too, that begins at this layer, from 1: to go on after a break.
+    live
+        Write a main program, too, that waits between layers until each is released.
+    workers
+        Workers for the slicers that were spawned early; None: they are when they are needed.
+    begun
+        What :func:`ebamcheck.preflight.report.ready` has made of the same part and settings; None: it is made here.
+    yes
+        Go on where the job is more work than the settings allow.
+
+    Raises
+    ------
+    InputError, SettingsError
+        If the part or the reference cannot be read, settings make no sense or are outside of the process window, a
+        finished run stands at `target`, or the preflight finds that the job cannot come to a good end.
+    BackendMissing
+        If a required or named backend is unknown, or a required one is not available.
+    """
+    config = config or Config()
+    if not control(config.machine.control).is_read:
+        raise SettingsError(
+            f"machine.control {config.machine.control!r} writes what is not read back, and so cannot be validated: "
+            f"run for a control, then `ebamcheck post RUN --control {config.machine.control} -o FOLDER`"
+        )
+    if live:
+        check_waits(config)
+    check_entry(from_layer, config)
+    checked_window(config)
+    usable_templates(config, config.machine.control)
+    part = begun or ready(part_path, config, "run", yes)
+    part.preflight.stop("run")
+    config = part.config
+    fine = read_reference(reference, part_path, config.part) if reference else None
+
+    inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
+    return _job("run", part, target, config, inputs, resume, observer, fine, force, from_layer, live, workers)
+
+
+def check_job(
+    part_path: str | Path,
+    target: str | Path,
+    config: Config | None = None,
+    resume: bool = False,
+    observer: Observer | None = None,
+    begun: Ready | None = None,
+    yes: bool = False,
+    force: bool = False,
+    workers: WorkerPool | None = None,
+) -> RunResult:
+    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`.
+
+    A part that would not fit into memory, or of which ``slicing.slabs`` says so, is checked in slabs
+    (:func:`~ebamcheck.pipeline.slabs.check_in_slabs`), unless it was made ready before.
+    """
+    config = config or Config()
+    if begun is None and (slabs := wanted_slabs(Path(part_path), config)) > 1:
+        from ebamcheck.pipeline.slabs import check_in_slabs
+
+        return check_in_slabs(part_path, target, config, slabs, resume, observer, yes, force)
+    part = begun or ready(part_path, config, "check", yes)
+    part.preflight.stop("check")
+    return _job("check", part, target, config, [], resume, observer, None, force, workers=workers)
+
+
+# -- stages ------------------------------------------------------------------------------------------
+
+
+def _job(
+    kind: str,
+    begun: Ready,
+    target: str | Path,
+    config: Config,
+    inputs: list[str],
+    resume: bool,
+    observer: Observer | None,
+    fine: Part | None,
+    force: bool,
+    from_layer: int = 1,
+    live: bool = False,
+    workers: WorkerPool | None = None,
+) -> RunResult:
+    """Cross-check a part in a run folder, and make the program of a run."""
+    if not 1 <= from_layer <= len(begun.heights):
+        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(begun.heights)}")
+    backends = chosen_backends(config)
+    job = Job(kind, config, observer or Silent(), begun.part, begun.found, begun.heights)
+    job.from_layer, job.live, job.workers = from_layer, live, workers
+
+    def work(job: Job) -> RunResult:
+        checked = cross_check(job, backends, resume, _load_later_stages)
+        from ebamcheck.pipeline.finishing import finish
+
+        return finish(job, checked, begun, fine)
+
+    return carried_out(
+        job, kind, begun.part.sha256, backends, inputs, target, work, resume=resume, force=force
+    )
+
+
+def _load_later_stages() -> None:
+    """Load what is needed when the layers are there: half a second, in which the slicers work."""
+    import_module(LATER_STAGES)
