@@ -23,14 +23,14 @@ from ebamcheck.checks.value_checks import MELTING, window_check
 from ebamcheck.heat import melting
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.metal import target
-from ebamcheck.nc import files
+from ebamcheck.nc import files, inputs
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
 from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import process, wire_speed
 from ebamcheck.settings.config import Config
-from ebamcheck.writing import inputs, tracks, wire
+from ebamcheck.writing import tracks, wire
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
