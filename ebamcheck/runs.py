@@ -18,7 +18,7 @@ from ebamcheck.program import Check, NCProgram, read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated
-from ebamcheck.settings.selection import for_this_machine
+from ebamcheck.settings.slicing import for_this_machine
 from ebamcheck.showing import short_text
 
 REPORT = "report.html"

@@ -24,7 +24,7 @@ from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.fit_evidence import FitVerdict, findings
 from ebamcheck.pipeline.gates import fit_gate
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import BLADE, SPHERE, TORUS
 

@@ -19,7 +19,7 @@ from ebamcheck.heat.referee import judged, referee, time_steps
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.refereed import referee_of, refereed_entries
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.material import MaterialSettings
+from ebamcheck.settings.materials import MaterialSettings
 
 PROFILE = Config()
 CONSTANT = {

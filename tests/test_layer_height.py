@@ -9,7 +9,7 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.layer_rule import level_faces, moved_mm3
 from ebamcheck.pipeline.solid_metal import solid_check
 from ebamcheck.plugins.model import models

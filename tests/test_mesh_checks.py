@@ -12,7 +12,7 @@ from parts import box, join
 
 from ebamcheck import save
 from ebamcheck.layers import heights as layer_heights_of
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
@@ -22,8 +22,8 @@ from ebamcheck.pipeline.mesh_sections import heights_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import placed_part
 from ebamcheck.plugins.model import models
+from ebamcheck.settings.base import UNITS_MM
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.units import UNITS_MM
 from ebamcheck.slicers.slicing import slice_part
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))

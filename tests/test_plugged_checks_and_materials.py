@@ -7,7 +7,7 @@ import pytest
 from ebamcheck.checks import plugged
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import Check
-from ebamcheck.settings import material
+from ebamcheck.settings import materials as material
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import INCONEL_718
 

@@ -27,7 +27,7 @@ from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, split_corners, 
 from ebamcheck.numeric.elimination import eliminated
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 COEFFICIENTS = 5
 """Of a quadric through the vertex: two slopes and three curvatures."""

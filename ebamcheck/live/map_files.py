@@ -13,7 +13,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.checking import checked, read_toml
-from ebamcheck.settings.height_map import HeightMapSettings
+from ebamcheck.settings.stages import HeightMapSettings
 
 FRAME = ".frame.toml"
 """What is put behind the name of a map for the file of its frame."""

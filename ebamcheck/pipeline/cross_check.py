@@ -17,8 +17,7 @@ from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.consensus import EVERY_AGREEMENT
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.layer_numbers import numbered
-from ebamcheck.layers.blocks import count_kept, kept_blocks
-from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.files import LayerFile, count_kept, kept_blocks
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.choice import primary_backend

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ebamcheck.layers.cuts import cut_heights as cut_heights
+from ebamcheck.layers.heights import cut_heights as cut_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart, read_part
 from ebamcheck.settings.config import Config

@@ -10,9 +10,9 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.installed import distribution_of, is_house
 from ebamcheck.pipeline.report_process import DONE
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.points import distribution_of, is_house
 from ebamcheck.plugins.processes import run_limited
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST, RunFolder
 from ebamcheck.record.signing import SIGNATURES
@@ -55,9 +55,9 @@ def _write_apart(point: EntryPoint, folder: Path, note: Note) -> None:
         copy = Path(temporary) / "run"
         shutil.copytree(folder, copy, symlinks=True)
         arguments = ["ebamcheck.pipeline.report_process", point.name, point.value, str(copy)]
-        ended = run_limited(arguments, Path(temporary), TIME_S, MEMORY_MB)
-        if ended.why or not (Path(temporary) / DONE).is_file():
-            note(f"{whose} was lost: {ended.why or 'it ended the process with code 0'}")
+        lost = run_limited(arguments, Path(temporary), TIME_S, MEMORY_MB)
+        if lost or not (Path(temporary) / DONE).is_file():
+            note(f"{whose} was lost: {lost or 'it ended the process with code 0'}")
             return
         for refused in _take(copy, folder):
             note(f"{whose}: {refused}")

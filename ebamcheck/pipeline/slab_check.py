@@ -14,7 +14,7 @@ from pathlib import Path
 from ebamcheck.backend import BackendSettings
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import sha256_of_json
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.mesh.slabs import Division, FacetFile, SlabInspection, divided, facet_count, read_once
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline import noticed

@@ -23,13 +23,13 @@ from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal_field import FIELD_FILE, field_table
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import EbamcheckError, InputError
+from ebamcheck.installed import is_house
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import layer_table
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.points import is_house
 from ebamcheck.program import Check, NCProgram, program_summary
 from ebamcheck.record.run_folder import MANIFEST, TIMINGS, RunFolder
 from ebamcheck.scan import ScanPlan

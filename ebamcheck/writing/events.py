@@ -15,7 +15,7 @@ import pandas as pd
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import (
+from ebamcheck.settings.process_window import (
     wire_mm2,
     wire_speed_mm_s,
 )

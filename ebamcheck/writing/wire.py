@@ -26,8 +26,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import along_window
-from ebamcheck.settings.process_window import MOST_SPACINGS
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import MOST_SPACINGS, wire_speed_mm_s
 from ebamcheck.writing.bead_parts import (
     ROUNDING_MM,
     Parts,

@@ -9,7 +9,7 @@ from ebamcheck.mesh.part import (
     rotation_to_z,
 )
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.settings.units import UNITS_MM
+from ebamcheck.settings.base import UNITS_MM
 
 LEAST_TOLERANCE_MM = 5e-5
 """Vertices this near to a plane lie in it, however fine the numbers of the file: programs that split an edge or rotate a part
