@@ -26,7 +26,7 @@ from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.fallback import polylines
 from ebamcheck.json_values import write_json
 from ebamcheck.layers.stack import Layers
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import LADDER
 

@@ -1,14 +1,19 @@
-"""What is installed: entry points, and the names of the distributions that they come with, read once while they stay the same."""
+"""What is installed: entry points with their distributions, read once while they stay the same, and which of two with one name counts."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import Distribution, EntryPoints
+from importlib.metadata import Distribution, EntryPoint, EntryPoints
 from importlib.metadata import entry_points as read_entry_points
 from typing import Any
 from weakref import WeakKeyDictionary
+
+HOUSE = "ebamcheck"
+"""The distribution whose plugins are imported in this process; every other one's are a stranger's."""
 
 _names: WeakKeyDictionary[Distribution, tuple[str, str]] = WeakKeyDictionary()
 
@@ -52,3 +57,53 @@ def _changed_ns(place: str) -> int:
         return os.stat(place or ".").st_mtime_ns
     except OSError:
         return 0
+
+
+@dataclass(frozen=True)
+class BrokenPlugin:
+    """A plugin that was left out, and why."""
+
+    group: str
+    name: str
+    value: str
+    distribution: str
+    why: str
+
+    def __str__(self) -> str:
+        whose = f"{self.value}, of {self.distribution}" if self.distribution else self.value
+        return f"plugin {self.name!r} of {self.group} ({whose}) was left out: {self.why}"
+
+
+def distribution_of(point: EntryPoint) -> tuple[str, str]:
+    """Name and version of the distribution that a plugin comes with; empty where they cannot be read."""
+    dist = getattr(point, "dist", None)
+    return ("", "") if dist is None else name_and_version(dist)
+
+
+def is_house(point: EntryPoint) -> bool:
+    """Whether a plugin is shipped in this distribution."""
+    return distribution_of(point)[0].lower().replace("_", "-") == HOUSE
+
+
+def broken(point: EntryPoint, why: str) -> BrokenPlugin:
+    """A plugin that was left out."""
+    name, version = distribution_of(point)
+    return BrokenPlugin(point.group, point.name, point.value, f"{name} {version}".strip(), why)
+
+
+def sorted_out(points: Iterable[EntryPoint]) -> tuple[dict[str, EntryPoint], list[BrokenPlugin]]:
+    """One plugin a name, by name; and those that bear the name of another one.
+
+    The house's own comes first, whatever is installed; of strangers the one whose distribution comes first by name.
+    """
+    ranked = sorted(
+        ((not is_house(p), distribution_of(p), str(p.value), str(p.name), i, p) for i, p in enumerate(points))
+    )
+    found: dict[str, EntryPoint] = {}
+    left_out = []
+    for *_, point in ranked:
+        first = found.setdefault(point.name, point)
+        if first is not point:
+            owner = distribution_of(first)[0] or "another plugin"
+            left_out.append(broken(point, f"its name is that of a plugin of {owner}"))
+    return dict(sorted(found.items())), left_out

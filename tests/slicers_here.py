@@ -13,7 +13,7 @@ import pytest
 
 from ebamcheck.pipeline import cross_check, slabs
 from ebamcheck.slicers import worker_pool
-from ebamcheck.slicers.here import cut_here
+from ebamcheck.slicers.cutting import cut_here
 from ebamcheck.slicers.isolation import DEFAULT_LIMITS
 from ebamcheck.slicers.worker_pool import WorkerPool
 

@@ -16,7 +16,7 @@ from ebamcheck.curves.regions import FREEFORM, STRIP
 from ebamcheck.curves.vertex_normals import SurfaceNormals, surface_normals
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import Part
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import LADDER
 

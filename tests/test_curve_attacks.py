@@ -9,7 +9,7 @@ from fitted_rings import circle, one, paper_fit, raw, wavy
 from ebamcheck.curves import LINE, METHODS, SPLINE, fit_deviation
 from ebamcheck.curves.interpolation import BULGE_LIMIT
 from ebamcheck.layers.stack import from_rings
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 
 def test_uneven_points_never_make_the_curve_leave_its_chords_far() -> None:

@@ -24,7 +24,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.findings import fit_findings
 from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.pipeline.gates import fit_gate
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_models import BLADE, SPHERE, TORUS
 

@@ -12,8 +12,8 @@ from enemy_text import HONEST
 from fake_distribution import environment, found_here, install
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.plugins import answers as plugin_answers
 from ebamcheck.plugins import registry
+from ebamcheck.plugins import strangers as plugin_answers
 from ebamcheck.plugins.model import models
 
 AT_IMPORT = {

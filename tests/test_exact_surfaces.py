@@ -44,7 +44,7 @@ from ebamcheck.curves.sagitta import sagittas
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 
 SETTINGS = CurveSettings()

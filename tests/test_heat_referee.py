@@ -18,7 +18,7 @@ from ebamcheck.heat import HeatModel, Medium, depth_modes
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.material import MaterialSettings
+from ebamcheck.settings.materials import MaterialSettings
 
 PROFILE = Config()
 CONSTANT = {

@@ -21,8 +21,7 @@ from ebamcheck import scratch
 from ebamcheck.atomic_file import replacing
 from ebamcheck.commands.command_group import guarded
 from ebamcheck.errors import ExitCode
-from ebamcheck.layers.blocks import KeptBlocks, count_kept
-from ebamcheck.layers.files import read_parquet
+from ebamcheck.layers.files import KeptBlocks, count_kept, read_parquet
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.files import load
 from ebamcheck.plugins import registry

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import batches as layer_batches
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers, canonical, from_rings
 
@@ -66,13 +65,13 @@ def test_parquet_gives_every_bit_back(tmp_path, count, edges):
 @given(st.integers(0, 10**6), st.integers(0, 12), st.booleans())
 def test_record_batches_give_every_bit_back(seed, count, edges):
     layers = random_layers(seed, count, edges)
-    assert_same(layer_batches.from_arrow(layer_batches.to_arrow(layers)), layers)
+    assert_same(layer_files.from_arrow(layer_files.to_arrow(layers)), layers)
 
 
 def test_a_slice_of_a_batch_is_a_block_of_layers():
     layers = random_layers(3, 20)
-    batch = layer_batches.to_arrow(layers)
-    assert_same(layer_batches.from_arrow(batch.slice(5, 9)), layers.block(5, 14))
+    batch = layer_files.to_arrow(layers)
+    assert_same(layer_files.from_arrow(batch.slice(5, 9)), layers.block(5, 14))
 
 
 def test_negative_zero_and_subnormal_numbers_survive(tmp_path):
@@ -140,7 +139,7 @@ def test_a_flipped_bit_in_the_points_is_found(tmp_path):
 
 
 def damaged(tmp_path, change):
-    batch = change(layer_batches.to_arrow(random_layers(1, 5)))
+    batch = change(layer_files.to_arrow(random_layers(1, 5)))
     pq.write_table(pa.Table.from_batches([batch]), tmp_path / "bad.parquet")
     return tmp_path / "bad.parquet"
 

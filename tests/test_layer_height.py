@@ -10,7 +10,7 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
 from ebamcheck.checks.mesh_checks import solid_check
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.layer_rule import OTHER_HEIGHTS, level_faces, moved_mm3, nearest_fitting, share_off
 from ebamcheck.plugins.model import models
 from ebamcheck.preflight.layer_height import chosen_height

@@ -112,12 +112,6 @@ def test_a_box_zooms():
     assert np.ptp(rings_of(region.get("d"))[1], axis=0) == pytest.approx([800, 800], abs=0.02)
 
 
-def test_points_are_marked_where_asked():
-    assert paths(parsed(layer_svg(layers(), 0)), "points") == []
-    (marks,) = paths(parsed(layer_svg(layers(), 0, points=True)), "points")
-    assert marks.get("d").count("h0") == 11
-
-
 def test_empty_layers_and_flat_ones_are_drawn():
     parsed(layer_svg(layers(), 1))
     parsed(overlay_svg({"a": layers(), "b": layers()}, 1))

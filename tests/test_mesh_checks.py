@@ -15,14 +15,14 @@ from ebamcheck.checks import part_file
 from ebamcheck.checks.mesh_checks import heights_check, sections_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.layers import heights as layer_heights_of
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
 from ebamcheck.mesh.part_source import Placing, read_part
 from ebamcheck.plugins.model import models
+from ebamcheck.settings.base import UNITS_MM
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.units import UNITS_MM
 from ebamcheck.slicers.slicing import slice_part
 
 FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))

@@ -8,7 +8,7 @@ from ebamcheck.checks import rules
 from ebamcheck.checks.subject import Subject
 from ebamcheck.errors import SettingsError
 from ebamcheck.program import Check
-from ebamcheck.settings import material
+from ebamcheck.settings import materials as material
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import INCONEL_718
 

@@ -12,8 +12,7 @@ from parts import box, moved, sphere
 
 from ebamcheck.commands.preflight import preflight_command
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers.cuts import heights_within
-from ebamcheck.layers.heights import crossing_counts, layer_heights
+from ebamcheck.layers.heights import crossing_counts, heights_within, layer_heights
 from ebamcheck.mesh.files import load
 from ebamcheck.pipeline import check_job, run_job
 from ebamcheck.preflight.report import ready

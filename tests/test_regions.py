@@ -38,7 +38,7 @@ from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.drawing.regions import regions_svg
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.model import models
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 
 TRUTH_MM = 1e-4

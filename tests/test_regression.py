@@ -14,9 +14,10 @@ import pytest
 from fake_distribution import found_here, install
 from regression_plugin import ALLOWED_MM, BOUND_MM, ROUGH_MM
 
+from ebamcheck import installed
 from ebamcheck.commands.regress import regress, summary
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.plugins import points, registry
+from ebamcheck.plugins import registry
 from ebamcheck.regression import (
     Tolerances,
     job,
@@ -26,7 +27,7 @@ from ebamcheck.regression.baselines import Entry, read_baselines, write_baseline
 from ebamcheck.regression.difference import differences
 from ebamcheck.regression.history import record, trends
 from ebamcheck.regression.job import accepted, updated
-from ebamcheck.slicers.here import cut_here
+from ebamcheck.slicers.cutting import cut_here
 from ebamcheck.slicers.isolation import slice_all
 from ebamcheck_embree import Embree
 from ebamcheck_planecut import PlaneCut
@@ -79,7 +80,7 @@ def plugins(tmp_path_factory):
     models = {"trial-block": "regression_plugin:BLOCK"}
     install(folder, "regression-plugin", {registry.MODELS: models, registry.BACKENDS: backends})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(registry, "is_house", lambda point: point.name in WRONG or points.is_house(point))
+        patch.setattr(registry, "is_house", lambda point: point.name in WRONG or installed.is_house(point))
         patch.setattr(job, "slice_all", sliced)
         found_here(folder, patch, os.path.dirname(__file__))
         yield

@@ -29,7 +29,7 @@ from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entr
 from ebamcheck.scan.order.thermal import own_rise
 from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
 from ebamcheck.scan.plan.laying import lay_islands
-from ebamcheck.settings.scan import order_names
+from ebamcheck.settings.stages import order_names
 
 HOUSE_ORDERS = {
     "nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest", "raster",

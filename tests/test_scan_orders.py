@@ -11,7 +11,7 @@ from planned_sections import PROFILE, SECTIONS
 from ebamcheck.errors import SettingsError
 from ebamcheck.scan import plan_scan
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
-from ebamcheck.settings.scan import order_names
+from ebamcheck.settings.stages import order_names
 
 BY_DISTANCE = ("nearest", "nearest-any", "nearest-last", "nearest-sum", "farthest")
 

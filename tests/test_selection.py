@@ -24,7 +24,7 @@ from ebamcheck.selection import (
 )
 from ebamcheck.selection.trial import ACCURACY_LAYERS, TIE_SHARE, ranked, unfit
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.selection import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
+from ebamcheck.settings.slicing import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
 from ebamcheck.settings.text import as_toml
 from ebamcheck_models import write_stl
 

@@ -13,7 +13,7 @@ import typer
 from ebamcheck.commands.main import app
 from ebamcheck.layers.files import read_layers
 from ebamcheck.mesh.stl import write_triangles
-from ebamcheck.slicers.here import fits_here, may_run_here
+from ebamcheck.slicers.cutting import fits_here, may_run_here
 from ebamcheck.slicers.isolation import slice_all
 from ebamcheck.slicers.outcome import Limits
 from ebamcheck.slicers.slicing import slice_to_file

@@ -29,7 +29,7 @@ from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.plugins.model import models
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 
 MODELS = models()

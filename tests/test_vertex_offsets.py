@@ -15,7 +15,7 @@ from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.regions.offsets import LARGEST_OFFSET, Offsets
 from ebamcheck.curves.vertex_normals import surface_normals
 from ebamcheck.mesh.part import Part
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 AXES_MM = np.array([30.0, 20.0, 25.0])
 

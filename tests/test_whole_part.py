@@ -20,7 +20,7 @@ from ebamcheck.scan import plan_stack
 from ebamcheck.scan.order import orders as order
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, Stack, ordered_layers, scan_part
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.scan import order_names
+from ebamcheck.settings.stages import order_names
 
 MEDIUM = Medium(conductivity_w_mmk=0.020, heat_capacity_j_mm3k=4300 * 700 * 1e-9)
 BRIEF = Config().changed(scan={"annealing_steps": 1000})

@@ -20,7 +20,7 @@ import shapely
 from witness_programs import INTERPRETER, PROGRAMS, WITNESSES, named
 
 from ebamcheck.errors import BackendFailed, BackendMissing
-from ebamcheck.slicers.outside.programs import working_folder
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.testing.solids import simple
 from ebamcheck_cura.gcode import read_paths
 from ebamcheck_prusa.images import archived_images, contours, unfiltered
@@ -30,7 +30,7 @@ from ebamcheck_slic3r.svg import slices
 
 
 def test_a_program_runs_without_a_shell_in_its_folder() -> None:
-    with working_folder() as folder:
+    with scratch_folder() as folder:
         said = INTERPRETER.run(
             ["-c", "import sys, os; print(sys.argv[1:], os.getcwd(), os.environ['HOME'])", "a b; $X"],
             folder,
@@ -43,7 +43,7 @@ def test_a_program_runs_without_a_shell_in_its_folder() -> None:
 
 def test_a_program_that_fails_says_why_in_one_line() -> None:
     with (
-        working_folder() as folder,
+        scratch_folder() as folder,
         pytest.raises(BackendFailed, match=r"exit code 3: no such thing$") as failure,
     ):
         INTERPRETER.run(
@@ -72,7 +72,7 @@ def test_a_program_that_hangs_is_ended_with_what_it_started(tmp_path: Path) -> N
         "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(600)']); "
         f"open({str(told)!r}, 'w').write(f'{{os.getpid()}} {{child.pid}}'); time.sleep(600)"
     )
-    with working_folder() as folder, pytest.raises(BackendFailed, match="took over 3 s"):
+    with scratch_folder() as folder, pytest.raises(BackendFailed, match="took over 3 s"):
         INTERPRETER.run(["-c", script], folder, 3.0)
     for pid in map(int, told.read_text().split()):
         assert _ends(pid)

@@ -10,8 +10,7 @@ import pytest
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.stl import read_triangles, write_triangles
-from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, lattices_of
-from ebamcheck.slicers.outside.placement import Placement, scale_to
+from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack, Placement, lattices_of, scale_to
 from ebamcheck.testing.solids import box, mapped, simple, sphere
 
 # -- heights and lattices ------------------------------------------------------------------------------

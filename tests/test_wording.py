@@ -15,8 +15,7 @@ from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.plugins import registry
 from ebamcheck.regression.settings import read_tolerances
 from ebamcheck.settings.config import Config, load_config, validated
-from ebamcheck.settings.text import as_toml
-from ebamcheck.settings.wording import EXAMPLES, PLACEHOLDERS, TEMPLATES
+from ebamcheck.settings.text import EXAMPLES, PLACEHOLDERS, TEMPLATES, as_toml
 
 FIELDS = [
     (section, key)

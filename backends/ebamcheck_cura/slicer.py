@@ -17,14 +17,16 @@ from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
-from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
-from ebamcheck.slicers.outside.placement import (
+from ebamcheck.scratch import scratch_folder
+from ebamcheck.slicers.outside.lattices import (
+    Lattice,
+    LatticeStack,
     Placement,
     coordinate_rounding_mm,
     height_rounding_mm,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
+from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 
 PROGRAM = Program(
     name="CuraEngine",
@@ -146,7 +148,7 @@ class _Cut:
         placement = Placement(self.part, lattice, scale_to(self.part, WORKING_SIZE), 1.0)
         layer_units = 2 ** max(1, (TALLEST // placement.layer_count).bit_length() - 1)
         placement = replace(placement, layer=layer_units * UNIT)
-        with working_folder() as folder:
+        with scratch_folder() as folder:
             write_triangles(placement.triangles(), folder / "part.stl")
             said = PROGRAM.run(
                 _arguments(placement.layer, self.definitions), folder, self.settings.time_limit_s

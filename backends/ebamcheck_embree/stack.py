@@ -12,8 +12,7 @@ import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.layers.stacking import stacked
+from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck_embree.grid import Grid

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.layers.stacking import stacked
+from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups, split_corners, twins
 from ebamcheck_manifold.changes import doubtful_regions

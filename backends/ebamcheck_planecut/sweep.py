@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.layers.canonical_form import ring_form, sort_rings, write_numbers, write_pairs
+from ebamcheck.layers.canonical_form import ring_form, sort_rings, write_ring
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
 from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh, facets_across, raise_plane
@@ -23,13 +23,12 @@ class Columns(NamedTuple):
 
 
 class Forms(NamedTuple):
-    """Canonical form of the rings of one layer, and working memory to sort them."""
+    """Canonical form of the rings of one layer, and their order."""
 
     first: Ints
     size: Ints
     after: Ints
     order: Ints
-    spare: Ints
 
 
 class Block(NamedTuple):
@@ -113,7 +112,6 @@ def _forms(rings: int) -> Forms:
         np.empty(rings, np.int64),
         np.empty(rings, np.int64),
         np.empty(rings, np.int64),
-        np.empty(rings, np.int64),
     )
 
 
@@ -126,14 +124,14 @@ def _write_layer(
         forms.first[r], forms.size[r], forms.after[r] = ring_form(
             track.points, track.starts[r], track.starts[r + 1], track.closed[r]
         )
-    kept = sort_rings(track.points, forms.first, forms.size, forms.after, 0, traced, forms.order, forms.spare)
+    kept = sort_rings(track.points, forms.first, forms.size, forms.after, 0, traced, forms.order)
     at = ring_starts[0]
     for n in range(kept):
         r = forms.order[n]
         a, b, first, size = track.starts[r], track.starts[r + 1], forms.first[r], forms.size[r]
-        write_pairs(track.points, a, b, first, size, track.points, columns.points, at)
-        write_pairs(track.points, a, b, first, size, track.edge, columns.edge, at)
-        write_numbers(track.points, a, b, first, size, track.edge_t, columns.edge_t, at)
+        write_ring(track.points, a, b, first, size, track.points, columns.points, at)
+        write_ring(track.points, a, b, first, size, track.edge, columns.edge, at)
+        write_ring(track.points, a, b, first, size, track.edge_t, columns.edge_t, at)
         at += size
         ring_starts[n + 1] = at
         closed[n] = track.closed[r]

@@ -17,16 +17,18 @@ from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.base import Between
-from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
-from ebamcheck.slicers.outside.placement import (
+from ebamcheck.slicers.outside.lattices import (
+    Lattice,
+    LatticeStack,
     Placement,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
+from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 
 PROGRAM = Program(
     name="PrusaSlicer",
@@ -170,7 +172,7 @@ class _Cut:
         pixel = pixel_mm(self.part, self.settings) * scale
         # The middle of the part's box goes to the middle of the images.
         shift = 0.5 * (self.part.size[:2] * scale - pixel * np.array(self.pixels))
-        with working_folder() as folder:
+        with scratch_folder() as folder:
             write_triangles(placement.triangles() - (*shift.tolist(), 0.0), folder / "part.stl")
             (folder / "printer.ini").write_text(_printer(layer, pixel, self.pixels), encoding="ascii")
             said = PROGRAM.run(ARGUMENTS, folder, self.settings.time_limit_s)

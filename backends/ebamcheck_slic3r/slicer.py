@@ -16,15 +16,17 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.slicers.outside.lattices import Lattice, LatticeStack
-from ebamcheck.slicers.outside.placement import (
+from ebamcheck.scratch import scratch_folder
+from ebamcheck.slicers.outside.lattices import (
+    Lattice,
+    LatticeStack,
     Placement,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings, working_folder
+from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 from ebamcheck_slic3r.svg import slices
 
 PROGRAM = Program(
@@ -121,7 +123,7 @@ class _Cut:
     def __call__(self, lattice: Lattice) -> Layers:
         """Cut at the planes of a lattice."""
         placement = Placement(self.part, lattice, scale_to(self.part, WORKING_SIZE), LAYER)
-        with working_folder() as folder:
+        with scratch_folder() as folder:
             write_triangles(placement.triangles(), folder / "part.stl")
             said = PROGRAM.run(_arguments(), folder, self.settings.time_limit_s)
             if any(words in said for words in TROUBLE):

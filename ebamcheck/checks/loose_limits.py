@@ -11,8 +11,7 @@ from typing import Any
 from ebamcheck.nc.increments import power_slack_w
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.material import MaterialSettings
-from ebamcheck.settings.materials import preset
+from ebamcheck.settings.materials import MaterialSettings, preset
 
 WIDER_IF_GREATER = (
     "comparison.tolerance_mm",

@@ -31,8 +31,7 @@ from ebamcheck.heat.melting import least_power_share
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s
 
 FACING = math.cos(math.radians(40.0))
 """Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none."""

@@ -26,8 +26,8 @@ from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.base import known_as
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.units import known_as
 
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
 """Millimetres in one unit: the inch is exact since 1959. Written anew here."""

@@ -20,8 +20,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from ebamcheck.errors import EbamcheckError, ExitCode, behind, interruptible
-from ebamcheck.installed import entry_points
-from ebamcheck.plugins.points import is_house, sorted_out
+from ebamcheck.installed import entry_points, is_house, sorted_out
 from ebamcheck.printable import printable
 
 COMMANDS = "ebamcheck.commands"

@@ -34,7 +34,7 @@ def config_command(
     if merge is not None:
         return _merged(merge)
     if schema:
-        from ebamcheck.settings.explained import explained_schema
+        from ebamcheck.settings.text import explained_schema
 
         print_json(explained_schema(Config))
         return ExitCode.PASS

@@ -34,7 +34,7 @@ from ebamcheck.curves import (
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layer_numbers import index_of_number
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part_source import read_reference

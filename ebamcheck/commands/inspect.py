@@ -37,9 +37,9 @@ def inspect(
     """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
     from ebamcheck.mesh.inspection import inspect as inspect_part
     from ebamcheck.mesh.part_source import read_part
+    from ebamcheck.settings.base import unit_named
     from ebamcheck.settings.checking import checked
     from ebamcheck.settings.slicing import PartSettings
-    from ebamcheck.settings.units import unit_named
 
     if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
         raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")

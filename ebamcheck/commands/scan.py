@@ -26,7 +26,7 @@ from ebamcheck.nc.control import simulators
 from ebamcheck.scan.plan.comparing import RANDOM, SEEDS, compared_orders
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.settings.scan import order_names
+from ebamcheck.settings.stages import order_names
 
 ALL = "all"
 

@@ -20,7 +20,7 @@ from ebamcheck.commands.scan_pictures import order_pictures
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, interruptible
 from ebamcheck.json_values import plain
-from ebamcheck.layers.cuts import heights_within
+from ebamcheck.layers.heights import heights_within
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats

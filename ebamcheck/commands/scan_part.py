@@ -17,7 +17,7 @@ from ebamcheck.commands.options import print_json, within_work
 from ebamcheck.commands.progress import watched
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, interruptible
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part

@@ -26,7 +26,7 @@ from ebamcheck.selection.trial import (
 )
 from ebamcheck.selection.writing import write_choice
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.selection import machine_name
+from ebamcheck.settings.slicing import machine_name
 
 DEFAULT_CONFIG = Path("ebamcheck.toml")
 

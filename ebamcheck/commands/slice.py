@@ -70,7 +70,7 @@ def slice_command(
 
     own = registry.points(registry.BACKENDS)[name].module
     with compiled_beside(modules=(*SLICING, own)), ExitStack() as opened:
-        from ebamcheck.slicers.here import may_run_here
+        from ebamcheck.slicers.cutting import may_run_here
 
         pool = None
         if not may_run_here(name):
@@ -79,8 +79,7 @@ def slice_command(
             # The worker's interpreter comes up while the part is read.
             pool = opened.enter_context(WorkerPool([name]))
         from ebamcheck.commands.progress import announced
-        from ebamcheck.layers.cuts import heights_within
-        from ebamcheck.layers.heights import layer_heights
+        from ebamcheck.layers.heights import heights_within, layer_heights
         from ebamcheck.slicers.outcome import Limits
         from ebamcheck.slicers.slicing import slice_to_file
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from ebamcheck.backend import Slicer
 from ebamcheck.drawing.tables import text_table
+from ebamcheck.installed import BrokenPlugin
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.points import BrokenPlugin
-from ebamcheck.plugins.stranger import StrangerSlicer
+from ebamcheck.plugins.strangers import StrangerSlicer
 from ebamcheck.plugins.trial import cube
 from ebamcheck.result import Place, in_words
 

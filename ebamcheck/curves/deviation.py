@@ -15,7 +15,7 @@ from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 CHORDS_A_SPAN = 8
 """Chords by which a span is searched and at whose ends its distance is taken."""

@@ -29,7 +29,7 @@ from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 LAYERS_A_STEP = 256
 """Layers fitted between two reports of progress; also bounds the working memory."""

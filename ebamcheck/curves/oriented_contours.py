@@ -27,7 +27,7 @@ from ebamcheck.curves.bends import (
 from ebamcheck.curves.sides import Sides
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 RINGS_A_BLOCK = 16
 

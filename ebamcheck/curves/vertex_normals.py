@@ -22,7 +22,7 @@ from ebamcheck.curves.regions.segmentation import rim_sagittas
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 
 class SurfaceNormals(NamedTuple):

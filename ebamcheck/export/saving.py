@@ -71,16 +71,16 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
 
 def _writers() -> Mapping[type, Mapping[str, Writer]]:
     """Writers of each kind of value, by suffix."""
-    from ebamcheck.layers import dxf, vtp
+    from ebamcheck.layers.contour_files import write_dxf, write_part, write_vtp
     from ebamcheck.layers.files import FORMATS
 
     return {
-        Part: {".stl": _write_stl, ".vtp": vtp.write_part},
+        Part: {".stl": _write_stl, ".vtp": write_part},
         Layers: {suffix: form.write for suffix, form in FORMATS.items()},
         Curves: {
             ".parquet": lambda curves, path: _replaced(curves.to_parquet, path),
-            ".vtp": lambda curves, path: vtp.write_stack(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
-            ".dxf": lambda curves, path: dxf.write_stack(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
+            ".vtp": lambda curves, path: write_vtp(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
+            ".dxf": lambda curves, path: write_dxf(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
         },
         ScanPlan: {".parquet": lambda plan, path: _replaced(plan.to_parquet, path)},
         Config: {".toml": _write_toml},

@@ -12,8 +12,9 @@ import numpy as np
 from ebamcheck.controls.heat_paths import HeatPath, fill_case, write_thesis
 from ebamcheck.controls.thesis_case import INPUT, Mirrors, physics, readings, snapshot
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.outside.programs import Program, working_folder
+from ebamcheck.slicers.outside.programs import Program
 
 TIMES_A_RUN = 16
 """Moments that one run of 3DThesis is asked for. It takes all places at all moments, of which only each island's own are
@@ -83,7 +84,7 @@ def rises_k(
     THESIS.path()
     rises = np.empty(len(places))
     by_time = np.argsort(times_s, kind="stable")
-    with working_folder() as folder:
+    with scratch_folder() as folder:
         case = folder / "case"
         write_thesis(path, physics(config), case)
         for begin in range(0, len(times_s), TIMES_A_RUN):

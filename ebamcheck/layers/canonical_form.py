@@ -2,7 +2,7 @@
 
 Three steps, each for one ring or for the rings of one layer, so that a slicer can do them while the points of a
 layer are still in the processor's cache: :func:`ring_form` finds the first point of a ring and the number that it keeps,
-:func:`sort_rings` orders the rings of a layer, :func:`write_pairs` and :func:`write_numbers` copy a ring's columns.
+:func:`sort_rings` orders the rings of a layer, :func:`write_ring` copies a ring's columns.
 """
 
 from __future__ import annotations
@@ -14,12 +14,9 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
+from ebamcheck.numeric.sorting import as_floats, stable_order
 
-DROPPED = -1
-"""First row of a ring that is left out of the canonical form."""
-
-FEW_RINGS = 16
-"""Most rings that are sorted by insertion; more are sorted by merging."""
+DROPPED = -1  # first row of a ring that is left out of the canonical form
 
 
 @kernel
@@ -47,11 +44,8 @@ def ring_form(points: Floats, a: int, b: int, closed: bool) -> tuple[int, int, i
     next point. It is dropped where it has under three distinct points or no area within
     the rounding of its coordinates. An open path keeps its start; it is dropped where it is one point.
 
-    Returns
-    -------
-    first, size, after
-        Row of the first point (:data:`DROPPED` for a ring that is left out), points that remain once consecutive
-        equal ones are gone, row of the next distinct point (orders rings that start at the same point).
+    Told are the row of the first point (:data:`DROPPED` for a ring that is left out), the points that remain once consecutive
+    equal ones are gone, and the row of the next distinct point, which orders rings that start at the same point.
     """
     if b == a:
         return DROPPED, 0, a
@@ -77,11 +71,8 @@ def ring_form(points: Floats, a: int, b: int, closed: bool) -> tuple[int, int, i
 def _measures(points: Floats, a: int, b: int) -> tuple[int, int, bool, float, float, float]:
     """Measure a path in one pass.
 
-    Returns
-    -------
-    kept, least, again, largest, length, area
-        Points without those equal to the one before, row of the least point, whether the path comes back to it, largest
-        coordinate, length (sum norm), twice the area.
+    Told are the points without those equal to the one before, the row of the least point, whether the path comes back to it, the
+    largest coordinate, the length (sum norm), and twice the area.
     """
     x0, y0 = points[a, 0], points[a, 1]
     least, least_x, least_y = a, x0, y0
@@ -108,131 +99,39 @@ def _measures(points: Floats, a: int, b: int) -> tuple[int, int, bool, float, fl
 
 
 @kernel
-def _before(points: Floats, first: Ints, size: Ints, after: Ints, r: int, s: int) -> bool:
-    """Whether ring `r` stands before ring `s` in its layer: by first point, then by the next, then by size."""
-    i, k = first[r], first[s]
-    if points[i, 0] != points[k, 0] or points[i, 1] != points[k, 1]:
-        return lower(points, i, k)
-    i, k = after[r], after[s]
-    if points[i, 0] != points[k, 0] or points[i, 1] != points[k, 1]:
-        return lower(points, i, k)
-    return bool(size[r] < size[s])
+def sort_rings(points: Floats, first: Ints, size: Ints, after: Ints, a: int, b: int, order: Ints) -> int:
+    """Put the rings ``[a, b)`` that are kept into `order` (b - a,), as they stand in their layer; returns their number.
 
-
-@kernel
-def sort_rings(
-    points: Floats, first: Ints, size: Ints, after: Ints, a: int, b: int, order: Ints, spare: Ints
-) -> int:
-    """Put the rings ``[a, b)`` that are kept into `order`, as they stand in their layer; returns their number.
-
-    Parameters
-    ----------
-    points
-        (N, 2) points of the rings.
-    first, size, after
-        (R,) each, as :func:`ring_form` tells them.
-    a, b
-        Rings of one layer.
-    order, spare
-        (b - a,) at least each; written over.
+    They stand by their first point, then by the next one, then by size; `first`, `size` and `after` (R,) are as of :func:`ring_form`.
     """
     count = 0
     for r in range(a, b):
         if first[r] != DROPPED:
             order[count] = r
             count += 1
-    for start in range(0, count, FEW_RINGS):
-        _insert(points, first, size, after, order, start, min(start + FEW_RINGS, count))
-    width = FEW_RINGS
-    while width < count:
-        for start in range(0, count, 2 * width):
-            middle, stop = min(start + width, count), min(start + 2 * width, count)
-            _merge(points, first, size, after, order, start, middle, stop, spare)
-        width *= 2
+    if count < 2:
+        return count
+    kept = order[:count]
+    kept[:] = kept[stable_order(as_floats(size[kept]))]
+    for rows in (after, first):
+        for axis in (1, 0):
+            kept[:] = kept[stable_order(points[rows[kept], axis])]
     return count
 
 
 @kernel
-def _insert(points: Floats, first: Ints, size: Ints, after: Ints, order: Ints, start: int, stop: int) -> None:
-    for i in range(start + 1, stop):
-        r = order[i]
-        k = i
-        while k > start and _before(points, first, size, after, r, order[k - 1]):
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = r
-
-
-@kernel
-def _merge(
-    points: Floats,
-    first: Ints,
-    size: Ints,
-    after: Ints,
-    order: Ints,
-    start: int,
-    middle: int,
-    stop: int,
-    spare: Ints,
-) -> None:
-    """Merge the two ordered runs ``[start, middle)`` and ``[middle, stop)``; equal rings keep their order."""
-    for i in range(start, middle):
-        spare[i - start] = order[i]
-    i, k, left = 0, middle, middle - start
-    for at in range(start, stop):
-        if i == left:
-            break
-        if k < stop and _before(points, first, size, after, order[k], spare[i]):
-            order[at] = order[k]
-            k += 1
-        else:
-            order[at] = spare[i]
-            i += 1
-
-
-@kernel
-def write_pairs(
+def write_ring(
     points: Floats, a: int, b: int, first: int, size: int, column: NDArray[Any], out: NDArray[Any], at: int
 ) -> None:
-    """Copy the (N, 2) `column` of ring ``[a, b)`` to rows ``at .. at + size - 1`` of `out`, in canonical form."""
+    """Copy the (N, 2) or (N,) `column` of ring ``[a, b)`` to rows ``at .. at + size - 1`` of `out`, in canonical form."""
     if size == b - a:
-        _copy_pairs(column[first:b], out[at : at + b - first])
-        _copy_pairs(column[a:first], out[at + b - first : at + size])
-        return
-    i = first
-    for k in range(size):
-        out[at + k, 0] = column[i, 0]
-        out[at + k, 1] = column[i, 1]
-        i = next_distinct(points, i, a, b)
-
-
-@kernel
-def write_numbers(
-    points: Floats, a: int, b: int, first: int, size: int, column: NDArray[Any], out: NDArray[Any], at: int
-) -> None:
-    """Copy the (N,) `column` of ring ``[a, b)`` to rows ``at .. at + size - 1`` of `out`, in canonical form."""
-    if size == b - a:
-        _copy_numbers(column[first:b], out[at : at + b - first])
-        _copy_numbers(column[a:first], out[at + b - first : at + size])
+        out[at : at + b - first] = column[first:b]
+        out[at + b - first : at + size] = column[a:first]
         return
     i = first
     for k in range(size):
         out[at + k] = column[i]
         i = next_distinct(points, i, a, b)
-
-
-@kernel
-def _copy_pairs(column: NDArray[Any], out: NDArray[Any]) -> None:
-    # From row 0 of a view: the compiler then knows that no index is negative, and copies many rows at a time.
-    for k in range(column.shape[0]):
-        out[k, 0] = column[k, 0]
-        out[k, 1] = column[k, 1]
-
-
-@kernel
-def _copy_numbers(column: NDArray[Any], out: NDArray[Any]) -> None:
-    for k in range(column.size):
-        out[k] = column[k]
 
 
 # -- whole stacks ------------------------------------------------------------------------------------
@@ -258,35 +157,22 @@ def ring_forms(
 def ring_order(points: Floats, layer_starts: Ints, first: Ints, size: Ints, after: Ints) -> tuple[Ints, Ints]:
     """Rings that are kept, by layer and in their order in it (R',), and the first of each layer (L + 1,)."""
     order = np.empty(first.size, np.int64)
-    spare = np.empty(first.size, np.int64)
     new_starts = np.zeros(layer_starts.size, np.int64)
     kept = 0
     for layer in range(layer_starts.size - 1):
         a, b = layer_starts[layer], layer_starts[layer + 1]
-        kept += sort_rings(points, first, size, after, a, b, order[kept:], spare)
+        kept += sort_rings(points, first, size, after, a, b, order[kept:])
         new_starts[layer + 1] = kept
     return order[:kept].copy(), new_starts
 
 
 @kernel
-def gather_pairs(
+def gather(
     points: Floats, ring_starts: Ints, first: Ints, order: Ints, new_starts: Ints, column: NDArray[Any],
     out: NDArray[Any], start: int, stop: int,
 ) -> None:  # fmt: skip
-    """:func:`write_pairs` of the rings ``order[start:stop]``, each to its place by `new_starts`."""
+    """:func:`write_ring` of the rings ``order[start:stop]``, each to its place by `new_starts`."""
     for n in range(start, stop):
         r = order[n]
         size = new_starts[n + 1] - new_starts[n]
-        write_pairs(points, ring_starts[r], ring_starts[r + 1], first[r], size, column, out, new_starts[n])
-
-
-@kernel
-def gather_numbers(
-    points: Floats, ring_starts: Ints, first: Ints, order: Ints, new_starts: Ints, column: NDArray[Any],
-    out: NDArray[Any], start: int, stop: int,
-) -> None:  # fmt: skip
-    """:func:`write_numbers` of the rings ``order[start:stop]``, each to its place by `new_starts`."""
-    for n in range(start, stop):
-        r = order[n]
-        size = new_starts[n + 1] - new_starts[n]
-        write_numbers(points, ring_starts[r], ring_starts[r + 1], first[r], size, column, out, new_starts[n])
+        write_ring(points, ring_starts[r], ring_starts[r + 1], first[r], size, column, out, new_starts[n])

@@ -9,26 +9,13 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.numeric.rings import Ints
 
-INSIDE_RULE = "odd"
-"""Inside rule that such a slicer declares."""
+INSIDE_RULE = "odd"  # inside rule that such a slicer declares
 
 
 def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layers:
-    """Orient rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards.
+    """Orient rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards; open paths stay.
 
-    Parameters
-    ----------
-    layers
-        Layers whose rings have any direction; open paths stay as they are.
-    tolerance_mm
-        Largest overlap of rings that only touch.
-    name
-        Name of the slicer, for messages.
-
-    Raises
-    ------
-    BackendFailed
-        If rings of a layer cross: then shells overlap, and nothing shows what is solid.
+    Rings that cross by more than a tolerance are refused: then shells overlap, and nothing shows what is solid.
     """
     refuse_crossing(layers, tolerance_mm, name)
     return oriented_by_nesting(layers)

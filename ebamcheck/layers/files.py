@@ -1,42 +1,177 @@
-"""Layers in files: the choice of a format by suffix, and Parquet written and read in blocks of layers.
+"""Layers in files: a format for each suffix, and Parquet written and read in blocks of layers.
 
-A Parquet file has the columns of :mod:`ebamcheck.layers.batches`, one row per layer, and one row group per block
-of layers that was written at once. A stack that does not fit in memory is written and read block by block.
+A Parquet file has one row per layer, and one row group per block of layers that was written at once. A stack that does not fit
+in memory is written and read block by block. The columns:
+
+====================  ======================  ======================================================
+column                type                    meaning
+====================  ======================  ======================================================
+``height_mm``         double                  absolute z of the layer
+``dropped``           int64                   rings without area that were left out
+``x``, ``y``          list<list<double>>      points of each ring, mm
+``closed``            list<bool>              false for an open path
+``edge_low``          list<list<int32>>       lower mesh vertex of the edge cut at each point (optional)
+``edge_high``         list<list<int32>>       upper mesh vertex (optional)
+``edge_t``            list<list<double>>      place of the point on that edge (optional)
+====================  ======================  ======================================================
+
+The schema's metadata hold ``ebamcheck.layers.version`` and ``ebamcheck.layers.labels`` (JSON: part,
+direction, backend, settings). Rings are in the canonical form of :class:`~ebamcheck.layers.stack.Layers`;
+numbers are restored bit for bit.
 """
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.columns_file import NUMBERS, open_table, readable, starts_of
-from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.layers import common_layer_interface, contour_table, dxf, slices_3mf, svg, vtp
-from ebamcheck.layers.batches import CONTOUR_COLUMNS, from_arrow, heights_of, layer_labels, to_arrow
+from ebamcheck.columns_file import (
+    NUMBERS,
+    Column,
+    ReadTable,
+    arrow_columns,
+    labelled,
+    labels_of,
+    open_table,
+    readable,
+    starts_of,
+)
+from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.layers import contour_files, slices_3mf, svg
+from ebamcheck.layers.common_layer_interface import read_cli, write_cli
 from ebamcheck.layers.stack import Layers, concatenate
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Ints
+
+VERSION = "1"  # version of the table; a reader refuses any other
+
+LABELS = ("part", "direction", "backend", "settings")
+
+LARGEST_LIST = 2**31 - 1
+"""Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""
+
+SMALLEST_BLOCK = 65536  # fewest points worth a thread that copies them
+
+_NUMBERS = pa.list_(pa.list_(pa.float64()))
+_VERTICES = pa.list_(pa.list_(pa.int32()))
+_POINTS = {"x": _NUMBERS, "y": _NUMBERS}
+_EDGES = {"edge_low": _VERTICES, "edge_high": _VERTICES, "edge_t": _NUMBERS}
+_KINDS = {
+    "height_mm": pa.float64(),
+    "dropped": pa.int64(),
+    **_POINTS,
+    "closed": pa.list_(pa.bool_()),
+    **_EDGES,
+}
+CONTOUR_COLUMNS = [name for name in _KINDS if name not in _EDGES]
+"""Columns that every table of contours must have."""
+
+
+def to_arrow(layers: Layers) -> pa.RecordBatch:
+    """Layers as a record batch, one row per layer; edge parameters are not copied, and too many points are refused."""
+    if len(layers.points) > LARGEST_LIST:
+        raise SettingsError(
+            f"{len(layers.points)} points are too many for one Arrow batch (limit {LARGEST_LIST}): "
+            "write the stack in blocks of layers"
+        )
+    nested = (layers.layer_starts, layers.ring_starts)
+    x, y = _apart(layers.points)
+    columns: dict[str, Column] = {
+        "height_mm": (layers.heights,),
+        "dropped": (layers.dropped,),
+        "x": (x, *nested),
+        "y": (y, *nested),
+        "closed": (layers.closed, layers.layer_starts),
+    }
+    if layers.edge is not None and layers.edge_t is not None:
+        low, high = _apart(layers.edge)
+        columns |= {
+            "edge_low": (low, *nested),
+            "edge_high": (high, *nested),
+            "edge_t": (layers.edge_t, *nested),
+        }
+    metadata = labelled(layers, "layers", VERSION, LABELS)
+    return pa.record_batch(arrow_columns(columns, _KINDS)).replace_schema_metadata(metadata)
+
+
+def from_arrow(batch: pa.RecordBatch | pa.Table, where: str = "record batch") -> Layers:
+    """Layers from a record batch, which may be a slice of a longer one, or a table; `where` is the source's name for messages."""
+    labels = layer_labels(batch.schema, where)
+    table = ReadTable(batch, where)
+    with_edges = any(name in batch.schema.names for name in _EDGES)
+    columns, (layer_starts, ring_starts) = table.alike(
+        _POINTS | (_EDGES if with_edges else {}),
+        "column {name!r} does not have the rings and points of column {first!r}",
+    )
+    points = np.empty((columns["x"].size, 2))
+    points[:, 0], points[:, 1] = columns["x"], columns["y"]
+    closed, (starts,) = table.nested("closed", _KINDS["closed"])
+    if not np.array_equal(starts, layer_starts):
+        raise InputError(f"{where}: column 'closed' does not have one entry for each ring of 'x'")
+    heights = heights_of(batch, where)
+    _check_finite(heights, points, where)
+    return Layers(
+        heights=heights,
+        points=points,
+        ring_starts=ring_starts,
+        layer_starts=layer_starts,
+        closed=closed,
+        edge=np.stack([columns["edge_low"], columns["edge_high"]], axis=1) if with_edges else None,
+        edge_t=columns["edge_t"].copy() if with_edges else None,
+        dropped=table.plain("dropped", _KINDS["dropped"]),
+        **labels,
+    )
+
+
+def heights_of(batch: pa.RecordBatch | pa.Table, where: str) -> NDArray[np.float64]:
+    """Heights of the layers alone, (L,) mm; raises :class:`InputError` where they are missing or of another type."""
+    return ReadTable(batch, where).plain("height_mm", _KINDS["height_mm"])
+
+
+def layer_labels(schema: pa.Schema, where: str) -> dict[str, Any]:
+    """Labels in a schema's metadata; raises :class:`InputError` if their version is not :data:`VERSION`."""
+    return labels_of(schema, "layers", VERSION, LABELS, where)
+
+
+def _apart(pairs: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """The two columns of (N, 2) `pairs`, (N,) each, copied in parallel."""
+    first, second = np.empty(len(pairs), pairs.dtype), np.empty(len(pairs), pairs.dtype)
+
+    def copy(start: int, stop: int) -> None:
+        first[start:stop] = pairs[start:stop, 0]
+        second[start:stop] = pairs[start:stop, 1]
+
+    run_blocks(copy, len(pairs), SMALLEST_BLOCK)
+    return first, second
+
+
+def _check_finite(heights: NDArray[np.float64], points: NDArray[np.float64], where: str) -> None:
+    if not np.isfinite(heights).all():
+        layer = int(np.flatnonzero(~np.isfinite(heights))[0])
+        raise InputError(f"{where}: height of layer {layer + 1} is {heights[layer]}: it must be finite")
+    if not np.isfinite(points).all():
+        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+        raise InputError(f"{where}: point {row} is {points[row].tolist()}: coordinates must be finite")
+
 
 # -- by suffix -------------------------------------------------------------------------------------
 
 
 def write_layers(layers: Layers, path: str | Path) -> None:
-    """Write layers in the format that the suffix names, one of :data:`FORMATS`.
-
-    Raises
-    ------
-    SettingsError
-        If the suffix is another one, or the file cannot be written.
-    """
+    """Write layers in the format that the suffix names, one of :data:`FORMATS`."""
     format_of(path).write(layers, path)
 
 
@@ -45,13 +180,6 @@ def read_layers(path: str | Path) -> Layers:
 
     Parquet has the stack bit for bit; the other formats have its contours and heights, in the precision that the format's module
     states.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or not what its suffix says.
-    SettingsError
-        If the suffix is another one.
     """
     layers = format_of(path).read(path)
     if not (np.isfinite(layers.points).all() and np.isfinite(layers.heights).all()):
@@ -60,13 +188,7 @@ def read_layers(path: str | Path) -> Layers:
 
 
 def format_of(path: str | Path) -> LayerFormat:
-    """Format that the suffix of a file names.
-
-    Raises
-    ------
-    SettingsError
-        If there is none of that suffix.
-    """
+    """Format that the suffix of a file names."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise SettingsError(
@@ -79,36 +201,15 @@ def format_of(path: str | Path) -> LayerFormat:
 
 
 def write_parquet(layers: Layers, path: str | Path) -> None:
-    """Write layers as one Parquet table; the file appears whole or not at all.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written.
-    """
+    """Write layers as one Parquet table; the file appears whole or not at all."""
     write_blocks([layers], path)
 
 
 def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
-    """Write consecutive blocks of one stack to a Parquet file, which appears when the last one is written.
+    """Write consecutive blocks of one stack to a Parquet file, which appears when the last is written; returns the number of layers.
 
-    Parameters
-    ----------
-    blocks
-        At least one; all of one slicer, and all with cut edges or all without. While one is made, another thread writes
-        the previous one, so two are in memory at a time.
-    path
-        The file.
-
-    Returns
-    -------
-    int
-        Number of layers written.
-
-    Raises
-    ------
-    SettingsError
-        If there is no block, the blocks differ in labels or columns, or the file cannot be written.
+    All are of one slicer, and all with cut edges or all without. While one is made, another thread writes the previous one, so two
+    are in memory at a time.
     """
     count = 0
     with replacing(path) as temporary, ExitStack() as opened:
@@ -137,32 +238,15 @@ def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
 
 
 def read_parquet(path: str | Path) -> Layers:
-    """Read layers from Parquet, every number bit for bit.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, truncated, not Parquet, of another version, or lacks a column.
-    """
+    """Read layers from Parquet, every number bit for bit."""
     with LayerFile(path) as file:
         return file.read()
 
 
 class LayerFile:
-    """A stack of layers in a Parquet file; only the requested blocks are read.
+    """A stack of layers in a Parquet file, held open until :meth:`close`; only the requested blocks are read.
 
-    Parameters
-    ----------
-    path
-        The file; held open until :meth:`close`.
-    edges
-        Whether to read the cut edges; contours alone are half the work.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, truncated, not Parquet or of another version; also from every method, if
-        a column is missing or its pages are damaged.
+    Without `edges` the contours alone are read, half the work. Every method raises :class:`InputError` for damaged pages.
     """
 
     def __init__(self, path: str | Path, edges: bool = True) -> None:
@@ -176,16 +260,9 @@ class LayerFile:
         self._starts = starts_of(np.array(sizes, np.int64))
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close the file."""
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -193,7 +270,6 @@ class LayerFile:
         self._file.close()
 
     def __len__(self) -> int:
-        """Return the number of layers."""
         return int(self._starts[-1])
 
     @property
@@ -245,11 +321,91 @@ class LayerFormat(NamedTuple):
 
 FORMATS: Mapping[str, LayerFormat] = {
     ".parquet": LayerFormat(write_parquet, read_parquet),
-    ".cli": LayerFormat(common_layer_interface.write_cli, common_layer_interface.read_cli),
+    ".cli": LayerFormat(write_cli, read_cli),
     ".svg": LayerFormat(svg.write_stack, svg.read_stack),
-    ".dxf": LayerFormat(dxf.write_stack, dxf.read_stack),
-    ".vtp": LayerFormat(vtp.write_stack, vtp.read_stack),
+    ".dxf": LayerFormat(contour_files.write_dxf, contour_files.read_dxf),
+    ".vtp": LayerFormat(contour_files.write_vtp, contour_files.read_vtp),
     ".3mf": LayerFormat(slices_3mf.write_stack, slices_3mf.read_stack),
-    ".csv": LayerFormat(contour_table.write_stack, contour_table.read_stack),
+    ".csv": LayerFormat(contour_files.write_csv, contour_files.read_csv),
 }
 """Formats of layers, by suffix."""
+
+
+SUFFIX, BLOCK = ".blocks", ".arrow"
+"""Suffixes of the folder of one stack's blocks, and of the file of one block."""
+
+WORTH = 5.0
+"""Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing."""
+
+
+class KeptBlocks:
+    """Blocks of one stack, in a folder beside its file, so that a killed run need not cut them again.
+
+    Each is a file of its own that appears whole or not at all. The format is Arrow's own, uncompressed: writing costs little more than
+    a copy in memory, and numbers are restored bit for bit. Of a slicer that cuts hardly slower than a block is written, only the
+    first two blocks are kept: the time of the first includes loading. `part` is the part's hash, `backend` the slicer's name.
+    """
+
+    def __init__(self, file: Path, part: str, backend: str) -> None:
+        self.folder = _folder_of(file)
+        self._labels = (part, backend)
+        self._write_s = 0.0
+
+    def read(self, heights: NDArray[np.float64]) -> Layers | None:
+        """Return the block at these heights (L,), mm; None if it is missing, damaged, or of another part or slicer."""
+        path = self._path(heights)
+        try:
+            with pa.OSFile(str(path), "rb") as file, pa.ipc.open_file(file) as reader:
+                layers = from_arrow(reader.get_batch(0), str(path))
+        except (OSError, pa.ArrowException, InputError):
+            return None
+        fits = np.array_equal(layers.heights, heights) and (layers.part, layers.backend) == self._labels
+        return layers if fits else None
+
+    def is_worth(self, cut_s: float) -> bool:
+        """Whether a block that took `cut_s` to cut is worth keeping, given how long the last one took to write."""
+        return cut_s >= WORTH * self._write_s
+
+    def write(self, layers: Layers) -> None:
+        """Keep a block; if there is no room on the disk, do nothing: it can be cut again."""
+        is_first = not self.folder.is_dir()
+        start = time.perf_counter()
+        batch = to_arrow(layers)
+        with contextlib.suppress(OSError, EbamcheckError):
+            self.folder.mkdir(exist_ok=True)
+            self._write(layers, batch)
+        self._write_s = 0.0 if is_first else time.perf_counter() - start
+
+    def _write(self, layers: Layers, batch: pa.RecordBatch) -> None:
+        with (
+            replacing(self._path(layers.heights)) as temporary,
+            pa.OSFile(str(temporary), "wb") as file,
+            pa.ipc.new_file(file, batch.schema) as writer,
+        ):
+            writer.write_batch(batch)
+
+    def remove(self) -> None:
+        """Remove all blocks."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, heights: NDArray[np.float64]) -> Path:
+        return self.folder / f"{float(heights[0]).hex()}{BLOCK}"
+
+
+def count_kept(file: Path) -> int:
+    """Number of blocks kept for the stack of a file."""
+    return sum(1 for _ in _folder_of(file).glob(f"[!.]*{BLOCK}"))
+
+
+def _folder_of(file: Path) -> Path:
+    return file.with_name(f".{file.name}{SUFFIX}")
+
+
+def kept_blocks(folder: Path) -> list[Path]:
+    """Folders with kept blocks, in a folder of layers."""
+    return list(folder.glob(f".*{SUFFIX}"))
+
+
+def resumable(folder: Path) -> list[Path]:
+    """Files from which a run can resume, in a folder of layers: whole stacks, and folders of kept blocks."""
+    return [*folder.glob("[!.]*.parquet"), *kept_blocks(folder)]

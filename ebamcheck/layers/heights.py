@@ -1,4 +1,4 @@
-"""Heights at which a part is cut, and blocks of them that fit in memory."""
+"""Heights at which a part is cut, those of its settings or given ones, and blocks of them that fit in memory."""
 
 from __future__ import annotations
 
@@ -9,18 +9,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.settings.config import Config
 
-Levels = NDArray[np.int32]
-
-LARGEST_STACK = 1_000_000
-"""Most layers of a stack: more come from a mistyped layer height."""
+LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped layer height
 
 LARGEST_BLOCK = 1024
 """Most layers of a block, however small their contours: rasters need memory for empty layers, too."""
-
-SMALLEST_BLOCK = 65536
-"""Fewest vertices or facets worth a thread."""
 
 
 def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
@@ -84,60 +79,22 @@ def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
     """Number of facets with ``min z <= h < max z`` at each height, (L,): those that a section at h + 0 cuts."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     order = np.argsort(planes, kind="stable")
-    rising, z = planes[order], np.ascontiguousarray(part.vertices[:, 2])
-    level = np.empty(z.size, np.int32)
-    run_blocks(lambda a, b: _levels(z, rising, level, a, b), z.size, SMALLEST_BLOCK)
-    changes = run_blocks(
-        lambda a, b: _level_changes(part.faces, level, planes.size, a, b), len(part.faces), SMALLEST_BLOCK
+    level = np.searchsorted(planes[order], part.vertices[:, 2])
+    a, b, c = level[part.faces.T]
+    # A facet is cut by the planes between the levels of its vertices.
+    begin, end = (
+        np.bincount(reach(reach(a, b), c), minlength=planes.size + 1) for reach in (np.minimum, np.maximum)
     )
     counts = np.empty(planes.size, np.int64)
-    counts[order] = np.cumsum(np.sum(changes, axis=0))[: planes.size]
+    counts[order] = np.cumsum(begin - end)[: planes.size]
     return counts
 
 
-@kernel
-def _levels(
-    z: NDArray[np.float64], planes: NDArray[np.float64], level: Levels, start: int, stop: int
-) -> None:
-    """Count the rising planes under each of the vertices ``[start, stop)``."""
-    for v in range(start, stop):
-        level[v] = np.searchsorted(planes, z[v])
-
-
-@kernel
-def _level_changes(
-    faces: NDArray[np.int32], level: Levels, planes: int, start: int, stop: int
-) -> NDArray[np.int64]:
-    """Count the facets ``[start, stop)`` that each plane cuts and the one below it does not, less the other way round.
-
-    A facet is cut by the planes between the levels of its vertices.
-    """
-    change = np.zeros(planes + 1, np.int64)
-    for f in range(start, stop):
-        a, b, c = level[faces[f, 0]], level[faces[f, 1]], level[faces[f, 2]]
-        change[min(a, b, c)] += 1
-        change[max(a, b, c)] -= 1
-    return change
-
-
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
-    """Borders (B + 1,) of consecutive blocks of layers, each small enough to be processed at once.
+    """Borders (B + 1,) from 0 to L of consecutive blocks of layers, each small enough to be processed at once.
 
-    An exact contour has one point per cut facet, so the memory of a block is known before anything is sliced.
-
-    Parameters
-    ----------
-    part
-        The part as placed.
-    heights
-        (L,) heights, mm.
-    most_points
-        Most points of a block; a single layer with more is a block of its own.
-
-    Returns
-    -------
-    numpy.ndarray
-        From 0 to L; ``[0, 0]`` if there is no layer.
+    An exact contour has one point per cut facet, so the memory of a block is known before anything is sliced. A single layer with
+    more than `most_points` is a block of its own; without a layer the borders are ``[0, 0]``.
     """
     ends = np.cumsum(crossing_counts(part, heights))
     borders = [0]
@@ -147,3 +104,30 @@ def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np
         fitting = int(np.searchsorted(ends, before + most_points, side="right"))
         borders.append(min(max(fitting, start + 1), start + LARGEST_BLOCK, ends.size))
     return np.array(borders if ends.size else [0, 0], dtype=np.int64)
+
+
+def cut_heights(part: Part, config: Config) -> Floats:
+    """Heights of the cuts by the settings, (L,) mm, checked to rise and to lie in the part."""
+    if not config.layers.heights_mm:
+        return layer_heights(part, config.layer_height_mm)
+    heights = checked_heights(config.layers.heights_mm)
+    if not is_rising(heights):
+        raise SettingsError("layers.heights_mm must rise from layer to layer: sort them and drop repeats")
+    return heights_within(part, heights, "layers.heights_mm")
+
+
+def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
+    """Return heights after checking that all of them cut the part; `named` tells messages where they were given.
+
+    A section is that at z = h + 0, so a cut at the lowest point is valid, and one at the highest is empty.
+    """
+    column = checked_heights(heights)
+    low, high = part.bounds[:, 2].tolist()
+    outside = np.flatnonzero((column < low) | (column > high))
+    if outside.size:
+        more = f" (and {outside.size - 1} more)" if outside.size > 1 else ""
+        raise SettingsError(
+            f"{named}: {column[outside[0]]:.10g} mm{more} is outside of the part {part.name!r}, which reaches from "
+            f"z = {low:.10g} to {high:.10g} mm"
+        )
+    return column

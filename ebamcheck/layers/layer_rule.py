@@ -28,8 +28,7 @@ LEVEL_MM = 0.01
 LEVEL_COS = float(np.cos(np.radians(0.5)))
 """Least share of a level facet's area that is seen from above: a small steep facet rises by little, too."""
 
-SAME_BORDER_MM = 1e-6
-"""A face this near to a border of layers lies on it."""
+SAME_BORDER_MM = 1e-6  # a face this near to a border of layers lies on it
 
 THIN_MM = 1e-6
 """Height of the slab over a cut of which the volume gives the area of the section: h + 0, and no facet's height."""
@@ -64,16 +63,9 @@ class LevelFace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LayerRule:
-    """What layers add to a solid and leave out.
+    """What layers add to a solid and leave out: metal beyond it, and solid without metal, of level faces, and of each layer as a whole.
 
-    Parameters
-    ----------
-    solid_mm3
-        Volume of what the layers stand for.
-    added_mm3, lacking_mm3
-        Metal beyond the solid, and solid without metal: of level faces, and of each layer as a whole beside them.
-    faces
-        Level faces within a layer, or over the last one, the gravest first.
+    The faces are those within a layer, or over the last one, the gravest first.
     """
 
     solid_mm3: float
@@ -96,26 +88,11 @@ def layer_rule(
     least_face_mm2: float,
     allowed_mm: float = 0.0,
 ) -> LayerRule:
-    """Hold layers of one section each against the solid.
+    """Hold layers of one section each against the solid; what lies under the lowest border counts neither here nor there.
 
-    Parameters
-    ----------
-    part
-        The part as placed.
-    cuts, borders, areas
-        Height (L,) at which each layer was cut, heights (L + 1,) of the borders between the layers in the part, mm, and area (L,)
-        of each section, mm2.
-    volumes
-        (L + 1,) volume of the solid in each layer and over the last one, mm3.
-    least_face_mm2
-        Level faces under this are not looked at one by one; their layer is, as a whole.
-    allowed_mm
-        Metal this high over or under a level face is wanted: the allowance for machining.
-
-    Returns
-    -------
-    LayerRule
-        What lies under the lowest border counts neither here nor there.
+    Layers are cut at `cuts` (L,), lie between `borders` (L + 1,), mm, and have sections of `areas` (L,), mm2; `volumes` (L + 1,) of
+    the solid are those in each layer and over the last one, mm3. Level faces under `least_face_mm2` are not looked at one by one;
+    their layer is, as a whole. Metal up to `allowed_mm` over or under a level face is wanted: the allowance for machining.
     """
     thickness = np.diff(borders)
     laid = areas * thickness

@@ -35,15 +35,10 @@ def keeping_locale() -> Iterator[None]:
 
 
 def write_stack(layers: Layers, path: str | Path) -> None:
-    """Write the closed contours as slices.
+    """Write the closed contours as slices; an empty stack, heights that do not rise and open paths are refused.
 
     The object has the facets of the part where the layers were cut from one in this process; else a box around the layers stands
     for it, and the file says that its mesh is a rough one.
-
-    Raises
-    ------
-    SettingsError
-        If the stack is empty, its heights do not rise, or it has open paths, which 3MF cannot hold.
     """
     import lib3mf
 
@@ -70,13 +65,7 @@ def write_stack(layers: Layers, path: str | Path) -> None:
 
 
 def read_stack(path: str | Path) -> Layers:
-    """Read the one stack of slices in a file.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is no 3MF, or holds none or several stacks of slices.
-    """
+    """Read the one stack of slices in a file."""
     import lib3mf
 
     try:
@@ -113,13 +102,7 @@ def _rings(one: Any) -> list[Floats]:
 
 
 def slice_heights(layers: Layers) -> tuple[float, Floats]:
-    """Bottom of the first slice and the top of each, mm, from the heights of the cuts.
-
-    Raises
-    ------
-    SettingsError
-        If there are fewer than two layers, or their heights do not rise.
-    """
+    """Bottom of the first slice and the top of each, mm, from the heights of the cuts."""
     cuts = layers.heights
     steps = np.diff(cuts)
     if cuts.size < 2 or (steps <= 0.0).any():
@@ -154,7 +137,6 @@ def _set_mesh(lib3mf: Any, body: Any, layers: Layers, bottom: float, top: float)
 
 
 def _box(layers: Layers, bottom: float, top: float) -> tuple[Floats, NDArray[np.int32]]:
-    """Corners and facets of the box around the layers."""
     if not len(layers.points):
         raise SettingsError("there is no contour on any layer: there is nothing to write as 3MF")
     x0, y0, x1, y1 = layers.bounds()

@@ -21,17 +21,13 @@ from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns, outline_svg
 
 if TYPE_CHECKING:
-    # Loaded only where polygons are made; most commands make none.
     import shapely
     from shapely.geometry.base import BaseGeometry
 
     from ebamcheck.mesh.part import Part
 
-UP = (0.0, 0.0, 1.0)
-"""Slicing direction of a part that is not rotated."""
-
-RINGS_A_BLOCK = 256
-"""Fewest rings worth a thread that brings them into canonical form."""
+UP = (0.0, 0.0, 1.0)  # slicing direction of a part that is not rotated
+RINGS_A_BLOCK = 256  # fewest rings worth a thread that brings them into canonical form
 
 KIND_COLOURS = {"outer": "#0072b2", "hole": "#d55e00", "open path": "#cc79a7"}
 """Okabe and Ito's colours, which colour-blind people can tell apart."""
@@ -61,7 +57,6 @@ class Ring:
         return "hole" if self.is_hole else "outer"
 
     def __len__(self) -> int:
-        """Return the number of points."""
         return len(self.points)
 
     def __repr__(self) -> str:
@@ -92,10 +87,7 @@ class Layer:
         stack = self.stack
         return tuple(
             Ring(
-                stack.ring(r),
-                bool(stack.closed[r]),
-                float(stack.ring_areas[r]),
-                float(stack.ring_lengths[r]),
+                stack.ring(r), bool(stack.closed[r]), float(stack.ring_areas[r]), float(stack.ring_lengths[r])
             )
             for r in stack.rings_of(self.index)
         )
@@ -118,11 +110,9 @@ class Layer:
         return self.stack.polygons(self.index)
 
     def __iter__(self) -> Iterator[Ring]:
-        """Go through the rings."""
         return iter(self.rings)
 
     def __len__(self) -> int:
-        """Return the number of rings."""
         return len(self.stack.rings_of(self.index))
 
     def plot(self, ax: Any = None, **style: Any) -> Any:
@@ -357,13 +347,7 @@ class Layers(LayerColumns[Layer]):
         return [part for polygon in found for part in valid_polygons(polygon)]
 
     def section(self, layer: int) -> BaseGeometry:
-        """Solid region of a layer as one valid geometry, made anew each time: who prepares it shares it with nobody.
-
-        Raises
-        ------
-        GeometryError
-            If a coordinate is not finite.
-        """
+        """Solid region of a layer as one valid geometry, made anew each time: who prepares it shares it with nobody."""
         from ebamcheck.geometry.regions import layer_section
 
         return layer_section(self.polygons(layer))
@@ -437,17 +421,8 @@ def canonical(
 ) -> Layers:
     """Bring raw rings into the canonical form of :class:`Layers`, which every backend returns.
 
-    Directions are left as they are: only the slicer knows which side is solid.
-
-    Parameters
-    ----------
-    heights, points, ring_starts, layer_starts, closed, edge, edge_t, **labels
-        Columns as in :class:`Layers`, in any order within a layer, with repeated points allowed.
-
-    Returns
-    -------
-    Layers
-        Without consecutive equal points and without rings that have no area; `dropped` counts the latter.
+    Columns are those of :class:`Layers`, in any order within a layer, with repeated points allowed. Directions are left as they are:
+    only the slicer knows which side is solid. `dropped` counts the rings without area, which are left out.
     """
     heights = np.ascontiguousarray(heights, dtype=np.float64)
     points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)
@@ -465,10 +440,11 @@ def canonical(
 
     def gathered(column: NDArray[Any]) -> NDArray[Any]:
         out = np.empty((int(new_ring_starts[-1]), *column.shape[1:]), column.dtype)
-        gather = canonical_form.gather_pairs if column.ndim == 2 else canonical_form.gather_numbers
 
         def fill(start: int, stop: int) -> None:
-            gather(points, ring_starts, first, order, new_ring_starts, column, out, start, stop)
+            canonical_form.gather(
+                points, ring_starts, first, order, new_ring_starts, column, out, start, stop
+            )
 
         run_blocks(fill, order.size, RINGS_A_BLOCK)
         return out
@@ -542,23 +518,45 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
     """Join consecutive blocks of one slicer into one stack; labels are those of the first block."""
     if not blocks:
         raise SettingsError("no layers to join: give at least one block")
-    ring_base = np.cumsum([0] + [b.closed.size for b in blocks])
-    point_base = np.cumsum([0] + [len(b.points) for b in blocks])
-    with_edges = all(b.edge is not None and b.edge_t is not None for b in blocks)
+    edges: dict[str, Any] = {}
+    if all(b.edge is not None and b.edge_t is not None for b in blocks):
+        edges["edge"] = joined([b.edge for b in blocks if b.edge is not None])
+        edges["edge_t"] = joined([b.edge_t for b in blocks if b.edge_t is not None])
+    return _joined(blocks, joined([b.points for b in blocks]), **edges)
+
+
+def stacked(blocks: Iterable[Layers]) -> Layers:
+    """Join consecutive blocks of layers, without their cut edges, as they come; each is released once its points are copied.
+
+    The column of points grows in place: memory touched for the first time is what costs time here, and the points are
+    never held twice.
+    """
+    points = np.empty((0, 2))
+    kept: list[Layers] = []
+    for block in blocks:
+        size = len(points)
+        # No view of it is taken before it is whole.
+        points.resize((size + len(block.points), 2), refcheck=False)
+        points[size:] = block.points
+        kept.append(replace(block, points=np.empty((0, 2))))
+    return _joined(kept, points)
+
+
+def _joined(blocks: Sequence[Layers], points: Floats, **edges: Any) -> Layers:
+    """Blocks of one stack with all their points (N, 2)."""
+    rings = np.cumsum([0] + [b.closed.size for b in blocks])
+    rows = np.cumsum([0] + [int(b.ring_starts[-1]) for b in blocks])
+    ring_starts = [b.ring_starts[1:] + row for b, row in zip(blocks, rows[:-1], strict=True)]
+    layer_starts = [b.layer_starts[1:] + ring for b, ring in zip(blocks, rings[:-1], strict=True)]
     return replace(
         blocks[0],
         heights=np.concatenate([b.heights for b in blocks]),
-        points=joined([b.points for b in blocks]),
-        ring_starts=np.concatenate(
-            [[0], *(b.ring_starts[1:] + p for b, p in zip(blocks, point_base[:-1], strict=True))]
-        ).astype(np.int64),
-        layer_starts=np.concatenate(
-            [[0], *(b.layer_starts[1:] + r for b, r in zip(blocks, ring_base[:-1], strict=True))]
-        ).astype(np.int64),
+        points=points,
+        ring_starts=np.concatenate([[0], *ring_starts]).astype(np.int64),
+        layer_starts=np.concatenate([[0], *layer_starts]).astype(np.int64),
         closed=np.concatenate([b.closed for b in blocks]),
-        edge=joined([b.edge for b in blocks if b.edge is not None]) if with_edges else None,
-        edge_t=joined([b.edge_t for b in blocks if b.edge_t is not None]) if with_edges else None,
         dropped=np.concatenate([b.dropped for b in blocks]),
+        **{"edge": None, "edge_t": None, **edges},
     )
 
 

@@ -23,20 +23,14 @@ from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.columns import index_of
 from ebamcheck.showing.markup import NAMESPACE, Markup, element, svg_file, text
 
-REDUCTION_PX = 0.2
-"""Largest distance of a drawn line from its points: well below what a screen shows."""
+REDUCTION_PX = 0.2  # largest distance of a drawn line from its points: well below what a screen shows
 MARGIN_PX = 16
-TITLE_PX = 28
-"""Room above the drawing for its title."""
-FOOT_PX = 30
-"""Room under the drawing for the scale bar."""
-SMALLEST_EXTENT_MM = 1e-6
-"""A layer of one point is drawn as if it were this large."""
-LARGEST_HEIGHT = 4.0
-"""Ratio of height to width beyond which a tall, narrow layer is drawn at a smaller scale."""
+TITLE_PX = 28  # room above the drawing for its title
+FOOT_PX = 30  # room under the drawing for the scale bar
+SMALLEST_EXTENT_MM = 1e-6  # a layer of one point is drawn as if it were this large
+LARGEST_HEIGHT = 4.0  # ratio of height to width beyond which a tall, narrow layer is drawn at a smaller scale
 SHEET_LAYERS = 16
-HEIGHT = "data-height-mm"
-"""Attribute of the group of a layer in a file for exchange."""
+HEIGHT = "data-height-mm"  # attribute of the group of a layer in a file for exchange
 
 SOLID = "#9fc3e8"
 RING = "#1b4f82"
@@ -71,46 +65,16 @@ class _View:
 
 
 def layer_svg(
-    layers: Layers,
-    layer: int,
-    *,
-    width_px: int = 800,
-    box: Box | None = None,
-    title: str | None = None,
-    points: bool = False,
+    layers: Layers, layer: int, *, width_px: int = 800, box: Box | None = None, title: str | None = None
 ) -> str:
-    """Draw one layer: solid region, rings, open paths, scale bar and counts.
+    """Draw one layer as an SVG document: solid region, rings, open paths, scale bar and counts.
 
-    Parameters
-    ----------
-    layers
-        A stack.
-    layer
-        Index of the layer; a negative one counts from the top.
-    width_px
-        Width of the picture.
-    box
-        xmin, ymin, xmax, ymax to show, mm; None: the layer itself.
-    title
-        Text above the drawing; None: layer, height and counts.
-    points
-        Mark every contour point (of the layer, not of the reduced drawing).
-
-    Returns
-    -------
-    str
-        An SVG document.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such layer or the width is too small.
+    A negative `layer` counts from the top. `box` is what is shown (xmin, ymin, xmax, ymax, mm; None: the layer itself), `title` the text
+    above it (None: layer, height and counts).
     """
     k = index_of(layer, len(layers))
     view = _view(box or _layer_box([(layers, k)]), width_px, MARGIN_PX, TITLE_PX)
     body = _region(layers, k, view)
-    if points:
-        body += _marks(layers, k, view)
     body += _scale_bar(view)
     return _document(body, view, width_px, _title(layers, k) if title is None else title)
 
@@ -123,20 +87,7 @@ def overlay_svg(
     box: Box | None = None,
     title: str | None = None,
 ) -> str:
-    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend.
-
-    Parameters
-    ----------
-    stacks
-        Stacks with the same heights, by name in the legend.
-    layer, width_px, box, title
-        As in :func:`layer_svg`; the box is by default that of all of them together.
-
-    Raises
-    ------
-    SettingsError
-        If there is no stack, or one of them has no such layer.
-    """
+    """Draw one layer of several slicers on top of each other, each with its own colour and dash, and a legend; see :func:`layer_svg`."""
     if not stacks:
         raise SettingsError("no stacks to draw over each other: give at least one")
     chosen = [(layers, index_of(layer, len(layers))) for layers in stacks.values()]
@@ -157,16 +108,8 @@ def sheet_svg(
 ) -> str:
     """Draw up to `most` layers, evenly chosen from the stack, side by side at one scale.
 
-    Parameters
-    ----------
-    exact
-        Hold all contours of all layers in millimetres with every digit, each layer in a group with its height; those that were
-        not chosen are hidden.
-
-    Raises
-    ------
-    SettingsError
-        If the stack has no layers.
+    With `exact` it holds all contours of all layers in millimetres with every digit, each layer in a group with its height; those that were
+    not chosen are hidden.
     """
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
@@ -206,13 +149,7 @@ def write_stack(layers: Layers, path: str | Path) -> None:
 
 
 def read_stack(path: str | Path) -> Layers:
-    """Read the contours of an SVG that :func:`write_stack` wrote, every number bit for bit.
-
-    Raises
-    ------
-    InputError
-        If the file is missing or holds no such layers.
-    """
+    """Read the contours of an SVG that :func:`write_stack` wrote, every number bit for bit."""
     try:
         root = ElementTree.parse(path).getroot()
         groups = [group for group in root.iter(f"{{{NAMESPACE}}}g") if group.get(HEIGHT)]
@@ -262,7 +199,6 @@ def _data(points: Floats, end: str) -> str:
 
 
 def _region(layers: Layers, k: int, view: _View) -> list[Markup]:
-    """The solid region of a layer, its rings and its open paths."""
     # Outer rings and holes have opposite directions, so the nonzero rule fills the solid, and overlapping
     # shells stay solid where even-odd would leave a hole.
     rings = [r for r in layers.rings_of(k) if layers.closed[r]]
@@ -288,19 +224,6 @@ def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank:
     ]
 
 
-def _marks(layers: Layers, k: int, view: _View) -> list[Markup]:
-    """A dot at each contour point: a path of zero-length lines with round ends."""
-    dots = []
-    for r in layers.rings_of(k):
-        points = layers.ring(r)
-        x = view.left_px + (points[:, 0] - view.box[0]) * view.px_per_mm
-        y = view.top_px + (view.box[3] - points[:, 1]) * view.px_per_mm
-        dots += [f"M{a:.2f},{b:.2f}h0" for a, b in zip(x.tolist(), y.tolist(), strict=True)]
-    if not dots:
-        return []
-    return [_path("".join(dots), RING, 3, class_="points", stroke_linecap="round")]
-
-
 def _scale_bar(view: _View) -> list[Markup]:
     """A bar of 1, 2 or 5 times a power of ten millimetres, about a fifth of the drawing."""
     target_mm = max(view.width_px, 60.0) / view.px_per_mm / 5.0
@@ -309,10 +232,7 @@ def _scale_bar(view: _View) -> list[Markup]:
     x0, y = view.left_px, view.top_px + view.height_px + 18
     x1 = x0 + length_mm * view.px_per_mm
     bar = f"M{x0:.2f},{y - 4:.2f}v8M{x0:.2f},{y:.2f}H{x1:.2f}M{x1:.2f},{y - 4:.2f}v8"
-    return [
-        _path(bar, "#333", 1.5, class_="scale"),
-        text(x1 + 6, y + 4, f"{length_mm:g} mm", 12),
-    ]
+    return [_path(bar, "#333", 1.5, class_="scale"), text(x1 + 6, y + 4, f"{length_mm:g} mm", 12)]
 
 
 def _legend(names: Sequence[str]) -> list[Markup]:
@@ -327,7 +247,6 @@ def _legend(names: Sequence[str]) -> list[Markup]:
 
 
 def _path(data: str, colour: str, width_px: float, **style: Any) -> Markup:
-    """A line along path data."""
     return element("path", d=data, fill="none", stroke=colour, stroke_width=f"{width_px:g}", **style)
 
 
@@ -358,7 +277,6 @@ def _layer_box(chosen: Sequence[tuple[Layers, int]]) -> Box:
 
 
 def _widened(box: Box) -> Box:
-    """The box widened to have extent in both directions; without points, a millimetre about the origin."""
     if math.isnan(box[0]):
         return (-0.5, -0.5, 0.5, 0.5)
     x0, y0, x1, y1 = box

@@ -18,7 +18,7 @@ from ebamcheck.checks.heat_again import BeadHeat, FollowedHeat, highest_entry_k,
 from ebamcheck.checks.interpass_checks import within_range
 from ebamcheck.checks.text_heat import sections_of_text, text_beads
 from ebamcheck.errors import EbamcheckError
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part

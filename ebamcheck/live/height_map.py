@@ -26,7 +26,7 @@ from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.height_map import HeightMapSettings
+from ebamcheck.settings.stages import HeightMapSettings
 
 RIM_BEADS = 0.5
 """Width of the border, over the bead width, on which the flank of a bead lies."""

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.mesh.topology import (
-    EdgeGroups,
-    Index,
-    body_labels,
-    direction_balance,
-    duplicates,
-    edge_groups,
-)
+from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
@@ -37,14 +30,9 @@ ASIDE = 1e-6
 NO_VOLUME = 1e-12
 """Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
 
-SAME = 1e-6
-"""Share by which volumes differ that are the same."""
-
-POINTS_OF_A_BODY = 4096
-"""Most facets of a body at which it is looked whether it lies in another."""
-
-IN_FACET = (0.3512, 0.2871, 0.3617)
-"""Where on a facet: on no line that a regular mesh has."""
+SAME = 1e-6  # share by which volumes differ that are the same
+POINTS_OF_A_BODY = 4096  # most facets of a body at which it is looked whether it lies in another
+IN_FACET = (0.3512, 0.2871, 0.3617)  # where on a facet: on no line that a regular mesh has
 
 MOST_PAIRS = 20_000
 """Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any."""
@@ -52,8 +40,7 @@ MOST_PAIRS = 20_000
 MOST_CUT_FACETS = 2_000_000
 """Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union."""
 
-MOST_LISTED = 100
-"""Most relations that are listed."""
+MOST_LISTED = 100  # most relations that are listed
 
 
 @dataclass(frozen=True)
@@ -91,30 +78,18 @@ class Relation:
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Bodies of a part.
-
-    Parameters
-    ----------
-    label
-        (F,) body of each facet, from 0; -1 for a facet with a repeated corner.
-    volumes
-        (B,) signed volume of each, mm3.
-    relations
-        How bodies lie to each other: those first of which something may be lost.
-    volume_mm3
-        Volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum.
-    signed_mm3
-        Sum of the signed volumes.
-    known
-        Whether that is the volume of the union; else it is the signed sum, because there were too many or too odd bodies.
-    """
+    """Bodies of a part, and how they lie to each other: those first of which something may be lost."""
 
     label: Index
+    """(F,) body of each facet, from 0; -1 for a facet with a repeated corner."""
     volumes: Floats
+    """(B,) signed volume of each, mm3."""
     relations: tuple[Relation, ...]
     volume_mm3: float
+    """Volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum."""
     signed_mm3: float
     known: bool = True
+    """Whether that is the volume of the union; else it is the signed sum, because there were too many or too odd bodies."""
 
 
 def bodies_of(mesh: Mesh, groups: EdgeGroups | None = None) -> Bodies:
@@ -198,12 +173,7 @@ def body_boxes(mesh: Mesh, body: Index, bodies: int) -> tuple[Floats, Floats]:
     return lower, np.maximum.reduceat(np.maximum(np.maximum(a, b), c), starts)
 
 
-def outermost(
-    negative: Bools,
-    volumes: Floats,
-    lower: Floats,
-    upper: Floats,
-) -> Bools:
+def outermost(negative: Bools, volumes: Floats, lower: Floats, upper: Floats) -> Bools:
     """Bodies of negative volume (B,) that are no cavity of another body, by their boxes (B, 3)."""
     result = negative.copy()
     solid = np.flatnonzero(volumes > 0)
@@ -236,12 +206,7 @@ class _Look:
         known = self.known and volume is not None
         relations = sorted(self._relations(inside, overlapping), key=lambda r: (not r.lost, r.body))
         return Bodies(
-            self.label,
-            self.volumes,
-            tuple(relations),
-            signed if volume is None else volume,
-            signed,
-            known,
+            self.label, self.volumes, tuple(relations), signed if volume is None else volume, signed, known
         )
 
     def _related(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -10,14 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.mesh.bodies import (
-    MOST_LISTED,
-    NO_VOLUME,
-    Relation,
-    bodies_of,
-    body_volumes,
-    inside_out_bodies,
-)
+from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
 from ebamcheck.numeric.kernels import kernel
@@ -33,11 +26,8 @@ COUNTS = (
 )  # fmt: skip
 """Figures of an inspection that :func:`defects` counts."""
 
-FACETS_AT_ONCE = 1 << 18
-"""Facets of which the area is looked at together, to bound the working memory."""
-
-BOX_ROOM = 1e-9
-"""Share by which a volume may be over that of its box: rounding of a block."""
+FACETS_AT_ONCE = 1 << 18  # facets of which the area is looked at together, to bound the working memory
+BOX_ROOM = 1e-9  # share by which a volume may be over that of its box: rounding of a block
 
 
 @dataclass(frozen=True)

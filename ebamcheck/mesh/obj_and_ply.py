@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ebamcheck.errors import InputError
 from ebamcheck.mesh.reading import checked_finite, numbers_of, polygon_corners
 
-SURFACES = (b"surf", b"curv", b"curv2", b"cstype")
-"""Keywords of free-form geometry, which is no mesh."""
+SURFACES = (b"surf", b"curv", b"curv2", b"cstype")  # keywords of free-form geometry, which is no mesh
 
 _REFERENCE = re.compile(rb"([+-]?\d{1,18})(/[+-]?\d*){0,2}")
 _KEYWORD = re.compile(rb"[A-Za-z_#][\w#]*")
@@ -103,8 +102,7 @@ TYPES = {
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
 MOST_HEADER_BYTES = 1 << 16
-MOST_CORNERS = 100_000
-"""Most corners of a facet: more come from a damaged file."""
+MOST_CORNERS = 100_000  # most corners of a facet: more come from a damaged file
 
 
 @dataclass(frozen=True)
@@ -234,7 +232,6 @@ def _read_ascii(body: bytes, elements: list[Element], _: str, name: str) -> dict
 
 
 def _ascii_columns(rows: list[list[bytes]], element: Element, name: str) -> Columns:
-    """Columns of one kind of element from the words of its lines."""
     places = [0] * len(rows)
     columns: Columns = {}
     for prop in element.properties:
@@ -263,7 +260,6 @@ def _ascii_columns(rows: list[list[bytes]], element: Element, name: str) -> Colu
 
 
 def _read_binary(body: bytes, elements: list[Element], order: str, name: str) -> dict[str, Columns]:
-    """Columns of every kind of element."""
     found, at = dict[str, Columns](), 0
     for element in elements:
         columns, at = _binary_columns(body, at, element, order, name)
@@ -282,7 +278,8 @@ def _binary_columns(body: bytes, at: int, element: Element, order: str, name: st
             fields.append((f"n{i}", order + prop.count_kind))
         fields.append((f"v{i}", order + prop.kind, (sizes[i],)))
     kind = np.dtype(fields)
-    if element.count * _least_bytes(element) > len(body) - at:
+    least_bytes = sum(np.dtype(p.count_kind or p.kind).itemsize for p in element.properties)
+    if element.count * least_bytes > len(body) - at:
         raise _truncated(name, element, f"{len(body) - at} bytes are left for them")
     same = element.count * kind.itemsize <= len(body) - at
     table = np.frombuffer(body, kind, element.count if same else 0, at)
@@ -292,18 +289,10 @@ def _binary_columns(body: bytes, at: int, element: Element, order: str, name: st
             raise _truncated(name, element, f"{len(body) - at} bytes are left for them")
         return _mixed_columns(body, at, element, order, name)
     columns = {
-        prop.name: (
-            table[f"v{i}"].astype(np.float64).reshape(-1),
-            np.full(element.count, sizes[i], np.int64),
-        )
+        prop.name: (table[f"v{i}"].astype(np.float64).reshape(-1), np.full(element.count, sizes[i], np.int64))
         for i, prop in enumerate(element.properties)
     }
     return columns, at + element.count * kind.itemsize
-
-
-def _least_bytes(element: Element) -> int:
-    """Size in bytes of an element whose lists are empty."""
-    return sum(np.dtype(p.count_kind or p.kind).itemsize for p in element.properties)
 
 
 def _first_sizes(body: bytes, at: int, element: Element, order: str) -> list[int]:

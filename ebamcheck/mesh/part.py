@@ -60,8 +60,9 @@ class Mesh:
 
 
 SMALLEST_EXTENT_MM = 1.0
-LARGEST_EXTENT_MM = 10_000.0
-"""Range of usual extents: outside it, a wrong unit is more likely than such a part."""
+LARGEST_EXTENT_MM = (
+    10_000.0  # range of usual extents: outside it, a wrong unit is more likely than such a part
+)
 
 MOST_ROWS = 8192
 """Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine

@@ -32,10 +32,9 @@ from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import FROM_PARTS, Part, Vector
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.settings.base import Angle, Between, Place, Section
+from ebamcheck.settings.base import Angle, Between, Place, Section, known_as
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.slicing import Component, PartSettings
-from ebamcheck.settings.units import known_as
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -105,8 +104,7 @@ def _middle(part: Part) -> tuple[float, float]:
 
 PLATE_SUFFIX = ".toml"
 
-MOST_PARTS = 10_000
-"""Most parts on a plate: more come from a mistyped number of copies."""
+MOST_PARTS = 10_000  # most parts on a plate: more come from a mistyped number of copies
 
 
 class PlateEntry(Section):

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
 
-READ = (".stl", ".obj", ".ply", ".3mf")
-"""Suffixes of the mesh files that are read."""
+READ = (".stl", ".obj", ".ply", ".3mf")  # suffixes of the mesh files that are read
 
 EXPORT = (
     "export it from your CAD system as STL (binary, in mm) with a chord tolerance of 0.01 mm or less and a fine angle; "
@@ -48,8 +47,7 @@ MESHES = {
 }
 """Suffixes of mesh formats that are not read, by the names of the formats."""
 
-PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")
-"""Suffixes of NC programs."""
+PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")  # suffixes of NC programs
 
 
 def how_to_read(suffix: str) -> str:
@@ -112,7 +110,7 @@ def numbers_of(tokens: list[bytes], where: str) -> NDArray[np.float64]:
             raise ValueError
         return np.array(tokens, dtype=np.bytes_).astype(np.float64) if tokens else np.zeros(0)
     except ValueError:
-        bad = next(token for token in tokens if not _is_number(token))
+        bad = next(token for token in tokens if not is_number(token))
         token = bad[:40].decode("ascii", "replace")
         raise InputError(f"{where}: {token!r} is not a number{decimal_comma(token)}") from None
 
@@ -130,7 +128,8 @@ def decimal_comma(token: str) -> str:
     return ": it has a decimal comma: export the file with decimal points, or replace the commas"
 
 
-def _is_number(token: bytes) -> bool:
+def is_number(token: bytes) -> bool:
+    """Whether a token is a decimal number; Python would read ``1_0`` as ten."""
     try:
         float(token)
     except ValueError:

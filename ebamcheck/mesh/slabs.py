@@ -39,24 +39,15 @@ from ebamcheck.mesh.stl import (
 )
 from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups
 from ebamcheck.mesh.welding import weld
-from ebamcheck.settings.units import UNITS_MM, unit_named
+from ebamcheck.settings.base import UNITS_MM, unit_named
 
-BLOCK = 1 << 18
-"""Facets read at once: 13 MB."""
-
-MOST_FACETS = 2**31 - 1
-"""Most facets of a file: their numbers have 32 bits."""
-
-HEAD_BYTES = 4096
-"""Bytes examined of a file that is no binary STL, to tell what it is."""
-
-COLUMN_BLOCK = 1 << 22
-"""Facets of which the heights are looked at together, to bound the working memory."""
+BLOCK = 1 << 18  # facets read at once: 13 MB
+MOST_FACETS = 2**31 - 1  # most facets of a file: their numbers have 32 bits
+HEAD_BYTES = 4096  # bytes examined of a file that is no binary STL, to tell what it is
+COLUMN_BLOCK = 1 << 22  # facets of which the heights are looked at together, to bound the working memory
 
 Singles = NDArray[np.float32]
 Index = NDArray[np.int32]
-
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
@@ -77,7 +68,6 @@ class FacetFile:
     """Size and modification time of the file when it was read."""
 
     def __len__(self) -> int:
-        """Return the number of facets."""
         return len(self.low)
 
     def corners(self, numbers: Index) -> Singles:
@@ -271,7 +261,6 @@ class Division:
     """Facets cut, summed over all layers: the number of points of their exact contours."""
 
     def __len__(self) -> int:
-        """Return the number of slabs."""
         return len(self.layers) - 1
 
     def slab(self, k: int) -> Slab:
@@ -319,7 +308,9 @@ def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Di
 
     A slab has all facets within `reach_mm` of its borders: as far as slicers and comparison look from a height.
     """
-    begins, crossing = layer_counts(file, heights)
+    begun = file.counted(file.low, heights, "left")
+    # Facets that begin at each height, and those cut there (at z = h + 0).
+    begins, crossing = np.diff(begun, prepend=0), begun - file.counted(file.high, heights, "left")
     layers = slab_layers(begins, crossing, min(slabs, heights.size))
     _, sizes = _reaching(file, heights, layers, reach_mm)
     # Layers between two bodies are joined to those below: a slab without facets would be no mesh.
@@ -334,12 +325,6 @@ def _reaching(file: FacetFile, heights: Floats, layers: Ints, reach_mm: float) -
     borders = np.concatenate([[-np.inf], between, [np.inf]])
     begun = file.counted(file.low, borders[1:] + reach_mm, "left")
     return borders, begun - file.counted(file.high, borders[:-1] - reach_mm, "right")
-
-
-def layer_counts(file: FacetFile, heights: Floats) -> tuple[Ints, Ints]:
-    """Numbers of facets that begin at each height and of those cut there (at z = h + 0), (L,) each."""
-    begun = file.counted(file.low, heights, "left")
-    return np.diff(begun, prepend=0), begun - file.counted(file.high, heights, "left")
 
 
 def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:

@@ -15,14 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
-from ebamcheck.mesh.reading import decimal_comma, how_to_read
+from ebamcheck.mesh.reading import decimal_comma, how_to_read, is_number
 from ebamcheck.numeric.kernels import kernel
 
 HEADER_BYTES = 84
 FACET_BYTES = 50
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-NORMAL_HALVES = 6
-"""Number of 16-bit words in the normal of a facet."""
+NORMAL_HALVES = 6  # number of 16-bit words in the normal of a facet
 LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IGNORECASE)
@@ -139,11 +138,7 @@ def _names_ended(data: bytes) -> bytes:
 
     A facet is distinguished from a word of the name by the number after ``facet normal``.
     """
-    return _SOLID_BEHIND.sub(_ended, _NAME_END.sub(_ended, data))
-
-
-def _ended(name: re.Match[bytes]) -> bytes:
-    return name[1] + b"\x0b"
+    return _SOLID_BEHIND.sub(b"\\1\x0b", _NAME_END.sub(b"\\1\x0b", data))
 
 
 # -- ASCII: one compiled pass finds every number, one vectorised pass converts them ------------------
@@ -259,20 +254,12 @@ def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
     try:
         values = tokens.astype(np.float64)
     except ValueError:
-        bad = next(i for i, token in enumerate(tokens) if not _is_number(token))
+        bad = next(i for i, token in enumerate(tokens) if not is_number(token))
         _refuse_number(text, name, int(starts[bad]), "is not a number")
     too_large = np.flatnonzero(~(np.abs(values) <= LARGEST_FLOAT32))
     if too_large.size:
         _refuse_number(text, name, int(starts[too_large[0]]), "is beyond the range of STL's 32-bit numbers")
     return values.astype(np.float32).reshape(-1, 3, 3)
-
-
-def _is_number(token: bytes) -> bool:
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
 
 
 def _refuse_ascii(

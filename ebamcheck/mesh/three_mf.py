@@ -24,22 +24,16 @@ from ebamcheck.mesh.part import FROM_FILE, FROM_FORMAT
 from ebamcheck.mesh.reading import checked_finite
 from ebamcheck.printable import printable
 from ebamcheck.scratch import scratch_folder
-from ebamcheck.settings.units import known_as
+from ebamcheck.settings.base import known_as
 
-MOST_ENTRIES = 10_000
-"""Most files in the archive."""
-
-MOST_BYTES = 2 << 30
-"""Most bytes of all files in it, unpacked: about twenty million facets."""
+MOST_ENTRIES = 10_000  # most files in the archive
+MOST_BYTES = 2 << 30  # most bytes of all files in it, unpacked: about twenty million facets
 
 MOST_RATIO, FREE_BYTES = 200, 256 << 20
 """Meshes shrink to between a fifth and a fiftieth. An archive of more than that many bytes that shrinks far more holds no mesh."""
 
-MOST_COPIES = 100_000
-"""Most placed meshes: more come from components that contain each other over and over."""
-
-CHUNK = 1 << 22
-"""Bytes that are unpacked at a time."""
+MOST_COPIES = 100_000  # most placed meshes: more come from components that contain each other over and over
+CHUNK = 1 << 22  # bytes that are unpacked at a time
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
@@ -408,7 +402,6 @@ def read_3mf(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], 
 
 
 def _why(done: subprocess.CompletedProcess[bytes], seconds: int) -> str:
-    """Say how the process ended."""
     if done.returncode == -signal.SIGXCPU:
         return f"lib3mf takes more than {seconds} s of processor time for it"
     if done.returncode < 0:

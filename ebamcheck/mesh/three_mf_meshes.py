@@ -16,8 +16,7 @@ import lib3mf
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_FACETS = 30_000_000
-"""Most facets of all placed meshes together."""
+MOST_FACETS = 30_000_000  # most facets of all placed meshes together
 
 FARTHEST = 2.0**28
 """Farthest that a mesh is moved, in its own size: there the rounding of its place becomes coarser than that of its file."""

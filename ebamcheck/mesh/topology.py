@@ -96,12 +96,7 @@ def _group(faces: Index, vertex_count: int) -> tuple[Index, Index]:
 
 
 @kernel
-def twins(
-    vertices: NDArray[np.float64],
-    faces: Index,
-    half_edges: Index,
-    starts: Index,
-) -> Index:
+def twins(vertices: NDArray[np.float64], faces: Index, half_edges: Index, starts: Index) -> Index:
     """Half-edge across each half-edge (3 F,), :data:`NO_TWIN` at an open one.
 
     Two facets at an edge are each other's neighbours, whatever way they are turned. More are paired
@@ -209,13 +204,11 @@ def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: 
 
 @kernel
 def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Scalar product of two vectors (3,)."""
     return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 @kernel
 def _normalise(vector: NDArray[np.float64]) -> None:
-    """Give a vector (3,) the length 1; one that has none becomes NaN."""
     length = math.sqrt(_dot(vector, vector))
     for k in range(3):
         vector[k] = np.true_divide(vector[k], length)

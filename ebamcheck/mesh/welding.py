@@ -16,11 +16,8 @@ from ebamcheck.numeric.kernels import kernel, run_blocks
 SHARE = 4096
 """Approximate number of corners of a share: with their hash table they fit in the second-level cache of a core."""
 
-MOST_SHARES = 1024
-"""Most shares: writing to more streams at once costs more than it saves."""
-
-SMALLEST_BLOCK = 16384
-"""Fewest corners worth a thread."""
+MOST_SHARES = 1024  # most shares: writing to more streams at once costs more than it saves
+SMALLEST_BLOCK = 16384  # fewest corners worth a thread
 
 EMPTY = -1
 
@@ -73,7 +70,6 @@ def _bits(corners: Corners, keys: Keys, i: int, c: int) -> np.uint64:
 
 @kernel
 def _hash(x: np.uint64, y: np.uint64, z: np.uint64) -> np.uint64:
-    """Mix the bits of three numbers."""
     mixed = (x * np.uint64(0x9E3779B97F4A7C15)) ^ (y * np.uint64(0xC2B2AE3D27D4EB4F))
     mixed = (mixed ^ (mixed >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
     mixed = (mixed ^ (z * np.uint64(0x94D049BB133111EB))) * np.uint64(0xFF51AFD7ED558CCD)

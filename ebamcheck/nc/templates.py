@@ -36,7 +36,7 @@ from ebamcheck.nc.increments import increments_of, to_increment
 from ebamcheck.nc.tilt_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import wire_speed_mm_s
 
 LONGEST_BLOCK = 200
 """Characters of a block that every software version of the control takes."""

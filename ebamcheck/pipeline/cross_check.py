@@ -18,8 +18,7 @@ from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.consensus import EVERY_AGREEMENT
 from ebamcheck.comparison.independence import EvidenceRule
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.layers.blocks import count_kept, kept_blocks
-from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.files import LayerFile, count_kept, kept_blocks
 from ebamcheck.layers.heights import layer_blocks
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.choice import primary_backend

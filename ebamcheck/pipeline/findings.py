@@ -36,8 +36,7 @@ from ebamcheck.result import Check, Place, Severity
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.process_window import outside_window, unusual_layers
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import outside_window, unusual_layers, wire_speed_mm_s
 from ebamcheck.slicers.isolation import Outcome
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"

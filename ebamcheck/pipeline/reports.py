@@ -15,8 +15,8 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.installed import distribution_of, is_house
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.points import distribution_of, is_house
 from ebamcheck.plugins.processes import die_with, one_line, run_limited
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST, TIMINGS, RunFolder
 from ebamcheck.record.signing import SIGNATURES
@@ -65,9 +65,9 @@ def _write_apart(point: EntryPoint, folder: Path, note: Note) -> None:
         copy = Path(temporary) / "run"
         shutil.copytree(folder, copy, symlinks=True)
         arguments = ["ebamcheck.pipeline.reports", point.name, point.value, str(copy)]
-        ended = run_limited(arguments, Path(temporary), TIME_S, MEMORY_MB)
-        if ended.why or not (Path(temporary) / DONE).is_file():
-            note(f"{whose} was lost: {ended.why or 'it ended the process with code 0'}")
+        lost = run_limited(arguments, Path(temporary), TIME_S, MEMORY_MB)
+        if lost or not (Path(temporary) / DONE).is_file():
+            note(f"{whose} was lost: {lost or 'it ended the process with code 0'}")
             return
         for refused in _take(copy, folder):
             note(f"{whose}: {refused}")

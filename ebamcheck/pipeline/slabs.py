@@ -23,9 +23,8 @@ from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.consensus import joined, shifted
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.files import LayerFile
-from ebamcheck.layers.heights import layer_blocks
+from ebamcheck.layers.heights import cut_heights, layer_blocks
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slabs import Division, FacetFile, Slab, SlabInspection, divided, facet_count, read_once
 from ebamcheck.numeric.rings import Floats, Ints

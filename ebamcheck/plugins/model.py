@@ -69,13 +69,7 @@ class Model(Protocol):
 
 
 def models(names: Sequence[str] | None = None) -> dict[str, Model]:
-    """Find the installed models, all or those named, by name.
-
-    Raises
-    ------
-    SettingsError
-        If a name is not installed.
-    """
+    """Find the installed models, all or those named, by name."""
     found = {name: m for name, m in registry.load_plugins(registry.MODELS).items() if isinstance(m, Model)}
     if names is None:
         return found

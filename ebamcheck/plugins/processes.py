@@ -10,8 +10,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 MARK = "EBAMCHECK_PROCESS"
 """Variable of the environment that a process and all its descendants carry, those that left its group, too."""
@@ -19,29 +19,33 @@ MARK = "EBAMCHECK_PROCESS"
 ROUNDS = 5
 """Looks at all processes in search of marked ones: one that forks while it is sought is found in the next."""
 
-POLL_S = 0.05
-"""How often time and memory are looked at."""
-
-LAST_WORDS_BYTES = 4096
-"""How much of what a process has written to its standard error is read for a message."""
+POLL_S = 0.05  # how often time and memory are looked at
+LAST_WORDS_BYTES = 4096  # how much of what a process has written to its standard error is read for a message
 
 LARGEST_SAID_BYTES = 64_000_000
 """What a process may write to its standard output and error before it is ended: a flood fills the disk."""
 
-PR_SET_PDEATHSIG = 1
-"""Number of Linux's request, from <linux/prctl.h>."""
+PR_SET_PDEATHSIG = 1  # number of Linux's request, from <linux/prctl.h>
 
 
-@dataclass(frozen=True)
-class Ended:
-    """How a process came to its end: why it was lost, in words; empty where it ended by itself with code 0."""
+def started(
+    arguments: Sequence[str], folder: Path, said: Path, **streams: Any
+) -> tuple[subprocess.Popen[bytes], str]:
+    """Start a Python module, whose last argument is the id of this process; returns it and the mark that it and its children carry.
 
-    why: str = ""
-
-
-def new_mark() -> str:
-    """A value for :data:`MARK` that no other process has."""
-    return os.urandom(16).hex()
+    It leads a session of its own. Temporary files go to `folder`, and what it writes to the terminal to the file `said`.
+    """
+    mark = os.urandom(16).hex()
+    with said.open("wb") as told:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", *arguments, str(os.getpid())],
+            stdout=told,
+            stderr=told,
+            start_new_session=True,
+            env={**os.environ, "TMPDIR": str(folder), MARK: mark},
+            **streams,
+        )
+    return process, mark
 
 
 def die_with(parent: int) -> None:
@@ -64,15 +68,7 @@ def has_ended(process: subprocess.Popen[bytes]) -> bool:
 
 
 def end_with_children(process: subprocess.Popen[bytes], mark: str = "") -> None:
-    """End a process that leads its group, running or ended, and what it started.
-
-    Parameters
-    ----------
-    process
-        Leader of a session of its own.
-    mark
-        Its :data:`MARK`: whoever carries it is ended, too, though it has left the group. Empty: the group alone.
-    """
+    """End a process that leads its group, running or ended, and what it started: with its mark, those that left the group, too."""
     if process.returncode is None:
         # Once it is reaped its number may be another's.
         with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -114,35 +110,22 @@ def one_line(text: str, longest: int = 200) -> str:
     return " ".join(shown.split())[:longest]
 
 
-def run_limited(arguments: Sequence[str], folder: Path, time_s: float, memory_mb: float) -> Ended:
-    """Run a Python module in a process of its own, and end it with its children.
+def run_limited(arguments: Sequence[str], folder: Path, time_s: float, memory_mb: float) -> str:
+    """Run a Python module in a process of its own, and end it with its children; returns why it was lost, if it was.
 
-    Parameters
-    ----------
-    arguments
-        The module, and what it is told; the id of this process comes last.
-    folder
-        Where it works; temporary files, and a file ``said`` of what it writes to the terminal, go there.
-    time_s, memory_mb
-        Beyond these, of wall clock and of resident memory, it is ended.
+    The id of this process is its last argument. It works in `folder`, where temporary files go, and a file ``said`` of what it
+    writes to the terminal. Beyond the limits of wall clock and of resident memory it is ended.
     """
-    mark, said = new_mark(), folder / "said"
-    with said.open("wb") as told:
-        process = subprocess.Popen(
-            [sys.executable, "-P", "-m", *arguments, str(os.getpid())],
-            stdin=subprocess.DEVNULL,
-            stdout=told,
-            stderr=told,
-            cwd=folder,
-            start_new_session=True,
-            env={**os.environ, "TMPDIR": str(folder), MARK: mark},
-        )
+    said = folder / "said"
+    process, mark = started(arguments, folder, said, stdin=subprocess.DEVNULL, cwd=folder)
     why = ""
     try:
         why = _watched(process, said, time_s, memory_mb)
     finally:
         end_with_children(process, mark)
-    return Ended(why or _code_in_words(process.returncode, said))
+    if not why and process.returncode:
+        why = f"it ended the process {code_in_words(process.returncode)}{last_words(said)}"
+    return why
 
 
 def size_of(file: Path) -> int:
@@ -168,13 +151,6 @@ def _watched(process: subprocess.Popen[bytes], said: Path, time_s: float, memory
             return f"it wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal"
         time.sleep(POLL_S if time.monotonic() - started > 1.0 else POLL_S / 5.0)
     return ""
-
-
-def _code_in_words(code: int, said: Path) -> str:
-    """How a process ended that was not ended by us; nothing for code 0."""
-    if code == 0:
-        return ""
-    return f"it ended the process {code_in_words(code)}{last_words(said)}"
 
 
 def code_in_words(code: int) -> str:

@@ -16,11 +16,9 @@ from typing import Any, cast
 
 from ebamcheck.backend import BackendSettings, Probe, Slicer
 from ebamcheck.errors import BackendMissing, SettingsError
-from ebamcheck.installed import entry_points
-from ebamcheck.plugins.answers import Answer, ask, slicer_answer
-from ebamcheck.plugins.points import BrokenPlugin, broken, is_house, sorted_out
+from ebamcheck.installed import BrokenPlugin, broken, entry_points, is_house, sorted_out
 from ebamcheck.plugins.processes import one_line
-from ebamcheck.plugins.stranger import StrangerSlicer, stranger
+from ebamcheck.plugins.strangers import Answer, StrangerSlicer, ask, slicer_answer, stranger
 from ebamcheck.plugins.trial import SLICER_ATTRIBUTES as SLICER_ATTRIBUTES
 from ebamcheck.plugins.trial import checked_settings, checked_slicer, lineage, probed
 from ebamcheck.showing.short_text import did_you_mean
@@ -32,14 +30,13 @@ CONTROLS = "ebamcheck.controls"
 CHECKS = "ebamcheck.checks"
 ORDERS = "ebamcheck.orders"
 COMMANDS = "ebamcheck.commands"
-IMPORTED = (MODELS, REPORTS, CONTROLS, CHECKS, ORDERS, COMMANDS)
-"""Groups whose plugins are no slicers."""
-
-AT_ONCE = 4
-"""Strangers that are asked side by side."""
-
-_STRAYS = (Exception, SystemExit, GeneratorExit)
-"""What a plugin may raise that is not the user's own interrupt."""
+IMPORTED = (MODELS, REPORTS, CONTROLS, CHECKS, ORDERS, COMMANDS)  # groups whose plugins are no slicers
+AT_ONCE = 4  # strangers that are asked side by side
+_STRAYS = (
+    Exception,
+    SystemExit,
+    GeneratorExit,
+)  # what a plugin may raise that is not the user's own interrupt
 
 
 class BrokenPluginWarning(UserWarning):
@@ -71,13 +68,7 @@ def load_plugins(group: str) -> dict[str, Any]:
 
 
 def load(point: EntryPoint) -> Any:
-    """Load one plugin in this process, a stranger's once it has come through a process of its own.
-
-    Raises
-    ------
-    SettingsError
-        If it does not load; the message says why, and no more.
-    """
+    """Load one plugin in this process, a stranger's once it has come through a process of its own; the error says why it does not load."""
     if not is_house(point) and (wrong := _trial(point)):
         raise SettingsError(wrong)
     try:
@@ -169,13 +160,7 @@ def _loaded_slicer(name: str) -> Slicer | None:
 
 
 def forget(kept: bool = False) -> None:
-    """Forget what was found, so that slicers installed since are found, too.
-
-    Parameters
-    ----------
-    kept
-        Ask strangers anew now, whatever is kept of them on disk.
-    """
+    """Forget what was found, so that slicers installed since are found, too; `kept` asks strangers anew now, whatever is kept on disk."""
     for known in (_slicer_points, _answer, _slicer_or_why, _loaded_slicer, probe, _trial):
         known.cache_clear()
     if kept:
@@ -218,13 +203,7 @@ def one_method(a: str, b: str) -> bool:
 
 
 def loaded_slicer(name: str) -> Slicer:
-    """Load a slicer into this process, whoever made it: for workers, which have no other task, and for its author.
-
-    Raises
-    ------
-    BackendMissing
-        If there is none of that name, or it does not load.
-    """
+    """Load a slicer into this process, whoever made it: for workers, which have no other task, and for its author."""
     if name not in _slicer_points():
         raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(slicers()) or 'none'}")
     try:

@@ -27,8 +27,7 @@ SLICER_ATTRIBUTES = (
     "probe", "error_bound_mm", "height_bound_mm", "prepare",
 )  # fmt: skip
 
-TOLD_ATTRIBUTES = SLICER_ATTRIBUTES[:6]
-"""Attributes that are plain values."""
+TOLD_ATTRIBUTES = SLICER_ATTRIBUTES[:6]  # attributes that are plain values
 
 Tell = Callable[..., None]
 

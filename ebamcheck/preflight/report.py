@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.mesh.inspection import Inspection, inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part

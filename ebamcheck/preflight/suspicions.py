@@ -8,8 +8,8 @@ import numpy as np
 
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.result import Check
+from ebamcheck.settings.base import UNITS_MM
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.units import UNITS_MM
 
 FEW_BEADS = 3.0
 """A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""

@@ -21,7 +21,6 @@ from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import read_json, write_json
-from ebamcheck.layers import blocks as layer_blocks
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.record.form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
@@ -235,7 +234,7 @@ def _clear(folder: Path, keep_layers: bool) -> None:
     """Remove what lies in an unfinished folder; of what can be gone on with, whole layers and blocks of layers stay."""
     if _is_whole(folder):
         raise SettingsError(f"{folder}: holds a whole run that another process has just finished: try again")
-    kept = set(layer_blocks.resumable(folder / LAYERS)) if keep_layers else set()
+    kept = set(layer_files.resumable(folder / LAYERS)) if keep_layers else set()
     for entry in [*folder.iterdir(), *(folder / LAYERS).glob("*")]:
         if entry in kept or (kept and entry == folder / LAYERS):
             continue

@@ -17,8 +17,8 @@ from pydantic.fields import FieldInfo
 
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.regular_file import regular_file
-from ebamcheck.settings.selection import MachineChoice
-from ebamcheck.settings.wording import wanted
+from ebamcheck.settings.slicing import MachineChoice
+from ebamcheck.settings.text import wanted
 from ebamcheck.showing.short_text import did_you_mean
 
 _Kind = TypeVar("_Kind", bound=BaseModel)
@@ -45,23 +45,10 @@ def checked(
     keys: str = "",
     error: type[EbamcheckError] = SettingsError,
 ) -> _Kind:
-    """Check values against a kind of settings.
+    """Check values against a kind of settings, or of all sections of them.
 
-    Parameters
-    ----------
-    kind
-        Settings, or all sections of them.
-    where
-        What they were given in, for the message.
-    keys
-        Where a user finds the keys that there are; empty: the message lists them.
-    error
-        What is raised.
-
-    Raises
-    ------
-    EbamcheckError
-        Naming the first key that is unknown or missing, or whose value is wrong.
+    A message begins with `where` they were given, and names the first key that is unknown or missing, or whose value is wrong. `keys`
+    is where a user finds the keys that there are; empty: the message lists them. `error` is raised.
     """
     try:
         return kind.model_validate(values)
@@ -153,7 +140,6 @@ def _place(kind: type[BaseModel], loc: tuple[int | str, ...]) -> _Place:
 
 
 def _told(place: _Place, first: Mapping[str, Any]) -> str:
-    """Say what is wrong with a value: which key, what it takes, and what was given."""
     given = first.get("input")
     shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
     if first["type"] == "extra_forbidden":

@@ -13,22 +13,20 @@ from pydantic import SerializationInfo, SerializerFunctionWrapHandler, model_ser
 
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.checking import checked, read_toml
-from ebamcheck.settings.curves import CurveSettings
-from ebamcheck.settings.height_map import HeightMapSettings
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
-from ebamcheck.settings.material import MaterialSettings
+from ebamcheck.settings.materials import MaterialSettings
 from ebamcheck.settings.opcua import OpcuaSettings
-from ebamcheck.settings.preheat import PreheatSettings
 from ebamcheck.settings.process import ProcessSettings
-from ebamcheck.settings.scan import ScanSettings
-from ebamcheck.settings.selection import MachineSections, RegressionSettings
 from ebamcheck.settings.slicing import (
     ComparisonSettings,
     LayerSettings,
+    MachineSections,
     PartSettings,
+    RegressionSettings,
     SlicingSettings,
     WorkSettings,
 )
+from ebamcheck.settings.stages import CurveSettings, HeightMapSettings, PreheatSettings, ScanSettings
 from ebamcheck.showing import short_text
 
 
@@ -94,7 +92,6 @@ class Config(Section):
         return values
 
     def __repr__(self) -> str:
-        """Name the settings that are not the default ones."""
         base, values = Config.model_construct().model_dump(), self.model_dump()
         changed = [
             f"{section}.{name} = {value!r}"

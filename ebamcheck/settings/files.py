@@ -17,8 +17,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.config import Config, validated
-from ebamcheck.settings.explained import explanations
-from ebamcheck.settings.text import WIDTH, as_toml, told_beside, value_text
+from ebamcheck.settings.text import WIDTH, as_toml, explanations, told_beside, value_text
 from ebamcheck.showing.short_text import did_you_mean
 
 
@@ -34,13 +33,7 @@ class Merged:
 
 
 def write_new(path: Path, config: Config) -> None:
-    """Write all settings into a file that is not there yet.
-
-    Raises
-    ------
-    SettingsError
-        If the file is there, or cannot be written.
-    """
+    """Write all settings into a file that is not there yet."""
     if path.exists():
         raise SettingsError(
             f"{path}: is there, and what was set in it would be lost: `ebamcheck config --merge {path}` adds new keys "
@@ -51,14 +44,7 @@ def write_new(path: Path, config: Config) -> None:
 
 
 def merge(path: Path) -> Merged:
-    """Add to a settings file the keys that it does not have, with their explanations; nothing in it is changed.
-
-    Raises
-    ------
-    SettingsError
-        If the file is missing, is no TOML, holds a value that is out of range, or cannot be written; then it stays as
-        it was.
-    """
+    """Add to a settings file the keys that it does not have, with their explanations; where that fails it stays as it was."""
     made = merged(_read(path), path)
     if made.added:
         with replacing(path) as temporary:
@@ -67,15 +53,7 @@ def merge(path: Path) -> Merged:
 
 
 def merged(text: str, path: Path) -> Merged:
-    """Text of a settings file with the keys that it does not have.
-
-    Parameters
-    ----------
-    text
-        TOML; of a ``pyproject.toml`` its table ``tool.ebamcheck``.
-    path
-        The file, for messages.
-    """
+    """Text of a settings file, or of the table ``tool.ebamcheck`` of a ``pyproject.toml``, with the keys that it does not have."""
     try:
         document: Any = tomlkit.parse(text)
     except TOMLKitError as error:
@@ -104,7 +82,6 @@ def merged(text: str, path: Path) -> Merged:
 
 
 def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
-    """Add the keys that a section of a file does not have."""
     is_new = name not in root
     table = tomlkit.table() if is_new else root[name]
     there = "" if is_new else table.as_string()
@@ -137,7 +114,6 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
 
 
 def _unknown(root: Mapping[str, Any]) -> list[str]:
-    """Keys of a file that are none of ours."""
     found = []
     for name, table in root.items():
         if name not in Config.model_fields:

@@ -136,13 +136,7 @@ def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
 
 
 def checked_window(config: Config) -> None:
-    """Refuse settings outside of the process window.
-
-    Raises
-    ------
-    SettingsError
-        That names the first such setting, its value, the limit and what to do.
-    """
+    """Refuse settings outside of the process window."""
     for found in outside_window(config):
         raise SettingsError(f"{found.text}: {found.remedy}")
 
@@ -211,3 +205,19 @@ def _broken(value: float, limits: tuple[float, float]) -> float | None:
 
 def _beyond(value: float, limit: float) -> str:
     return "over" if value > limit else "under"
+
+
+def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
+    """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
+
+    Examples
+    --------
+    >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
+    33.33
+    """
+    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2(config)
+
+
+def wire_mm2(config: Config) -> float:
+    """Section of the wire."""
+    return 0.25 * math.pi * config.process.wire_diameter_mm**2

@@ -1,11 +1,17 @@
-"""Cuts a part block by block into a file of layers, in whatever process it is, and tells how it goes."""
+"""Cuts a part block by block into a file of layers, in whatever process it is, and tells how it goes; and does so in this one.
+
+A process of its own is what ends a crash, a hang or a flood of memory. Kernels of this project (and shapely), tested on hostile
+meshes, have none of these to fear, and an interpreter takes longer to come up than most parts take to be cut.
+"""
 
 from __future__ import annotations
 
 import itertools
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +19,13 @@ from numpy.typing import NDArray
 from ebamcheck.backend import BackendSettings, Prepared, Slicer
 from ebamcheck.errors import BackendFailed, EbamcheckError, SettingsError
 from ebamcheck.layers import files as layer_files
-from ebamcheck.layers.blocks import KeptBlocks
+from ebamcheck.layers.files import KeptBlocks
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
+from ebamcheck.plugins import registry
 from ebamcheck.slicers.layer_forms import form_fault
+from ebamcheck.slicers.outcome import Limits, Outcome, bounds_fault
 
 
 class NotLayers(Exception):
@@ -36,18 +44,8 @@ def cut(
 ) -> bool:
     """Slice in this process; whether it came to an end, and not to a failure that it told.
 
-    Parameters
-    ----------
-    slicer, part, settings
-        The slicer, and the part as placed.
-    heights, borders
-        Strictly increasing heights (L,), mm, and the borders of the blocks in which they are cut.
-    file
-        Where the layers go.
-    tell
-        Takes events as keywords: those of :mod:`ebamcheck.slicers.worker_events`.
-    kept
-        Blocks that an earlier process has left; none where they are not kept.
+    Heights (L,) strictly increase; `borders` are those of the blocks in which they are cut. `tell` takes the events of
+    :mod:`ebamcheck.slicers.outcome` as keywords; `kept` are blocks that an earlier process has left.
     """
     start = slicer_time()
     try:
@@ -112,3 +110,68 @@ def _blocks(
 def slicer_time() -> float:
     """Seconds of a clock that stands still while this process compiles kernels."""
     return time.perf_counter() - compiling.seconds()
+
+
+FACET_BYTES, POINT_BYTES = 400.0, 160.0
+"""Memory of a facet and of a point in a block, at most, with the mesh sorted and the layers in canonical form."""
+
+SHARE = 0.25
+"""Of the memory that a backend may hold, what it may come to here; beyond it somebody watches from outside."""
+
+
+class _OutOfTime(Exception):
+    """The backend has used up its time."""
+
+
+def may_run_here(name: str) -> bool:
+    """Whether a backend says that it may share a process, and is of this house, whose word counts."""
+    return not registry.is_stranger(name) and not getattr(registry.slicer(name), "isolated", True)
+
+
+def fits_here(part: Part, block_points: int, limits: Limits) -> bool:
+    """Whether a part is so small that its memory need not be watched."""
+    most = FACET_BYTES * len(part.faces) + POINT_BYTES * block_points
+    return most < SHARE * 1e6 * limits.memory_mb
+
+
+def cut_here(
+    part: Part,
+    heights: NDArray[np.float64],
+    name: str,
+    settings: BackendSettings,
+    folder: Path,
+    limits: Limits,
+    borders: NDArray[np.int64],
+) -> Outcome:
+    """Slice with one backend into ``NAME.parquet`` in this process; see :func:`isolation.slice_all`.
+
+    Time is looked at whenever layers are done.
+    """
+    told: dict[str, Any] = {}
+    start = slicer_time()
+
+    def tell(**event: Any) -> None:
+        if "done" not in event:
+            told.update(event)
+        elif slicer_time() - start > limits.time_s:
+            raise _OutOfTime
+
+    slicer = registry.available_slicer(name)
+    outcome = Outcome(
+        name,
+        probe=registry.probe(name),
+        error_bound_mm=float(slicer.error_bound_mm(part, settings)),
+        height_bound_mm=float(slicer.height_bound_mm(part, settings)),
+    )
+    if fault := bounds_fault(asdict(outcome), float(part.size.max())):
+        return replace(outcome, failure="crashed", why=fault)
+    file = folder / f"{name}.parquet"
+    try:
+        done = cut(slicer, part, settings, heights, borders, file, tell)
+    except _OutOfTime:
+        why = f"took over {limits.time_s:g} s (slicing.time_limit_s)"
+        return replace(outcome, failure="timed out", why=why)
+    if "unwritable" in told:
+        raise SettingsError(told["unwritable"])
+    told.pop("written", None)
+    return replace(outcome, file=file if done else None, **told)

@@ -27,36 +27,31 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words
+from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words, has_ended, last_words, size_of
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.layer_forms import file_fault
-from ebamcheck.slicers.outcome import Failure
-from ebamcheck.slicers.outcome import Limits as Limits
-from ebamcheck.slicers.outcome import Outcome as Outcome
-from ebamcheck.slicers.worker import write_part
-from ebamcheck.slicers.worker_events import (
+from ebamcheck.slicers.outcome import (
     CHUNK_BYTES,
     FLOOD_BYTES,
     FLOOD_BYTES_S,
     LONGEST_LINE_BYTES,
     MOST_CHUNKS,
+    Failure,
     NoEvent,
     bounds_fault,
     event_of,
     probe_of,
 )
+from ebamcheck.slicers.outcome import Limits as Limits
+from ebamcheck.slicers.outcome import Outcome as Outcome
+from ebamcheck.slicers.worker import write_part
 from ebamcheck.slicers.worker_pool import Worker, WorkerPool, longest_first
 
 DEFAULT_LIMITS = Limits()
 
-KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")
-"""Signals that come from outside."""
-
-POLL_S = 0.05
-"""How often memory and time of the workers are looked at."""
-
-CHILDREN_S = 1.0
-"""How often processes that a worker has started are looked for."""
+KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")  # signals that come from outside
+POLL_S = 0.05  # how often memory and time of the workers are looked at
+CHILDREN_S = 1.0  # how often processes that a worker has started are looked for
 
 
 def slice_isolated(
@@ -81,13 +76,7 @@ def bounds_of(outcomes: Mapping[str, Outcome]) -> dict[str, tuple[float, float]]
 def declared_bounds(
     part: Part, backends: Mapping[str, BackendSettings], limits: Limits = DEFAULT_LIMITS
 ) -> dict[str, tuple[float, float]]:
-    """Error bound and height bound of a part, mm, by backend; strangers are asked in processes of their own.
-
-    Raises
-    ------
-    BackendFailed
-        If a stranger does not tell them, or they promise nothing.
-    """
+    """Error bound and height bound of a part, mm, by backend; strangers are asked in processes of their own."""
     asked = {name: settings for name, settings in backends.items() if registry.is_stranger(name)}
     found: dict[str, tuple[float, float]] = {}
     if asked:
@@ -119,46 +108,21 @@ def slice_all(
     bounds_only: bool = False,
     meanwhile: Callable[[], None] | None = None,
 ) -> dict[str, Outcome]:
-    """Slice with several backends, each in its own process.
+    """Slice with several backends, each in its own process; returns one outcome for every name, in the order given.
 
-    Parameters
-    ----------
-    part, heights
-        The part as placed and strictly increasing heights (L,), mm.
-    backends
-        Settings of each backend to run, by name.
-    target
-        Folder for the layers, one file ``NAME.parquet`` a backend that comes to an end.
-    limits
-        Time and resident memory of each process, and how many run side by side.
-    progress
-        Called with a backend's name and the layers done since the last call.
-    borders
-        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`) that a backend cuts and writes one after the
-        other; all at once if None.
-    pool
-        Workers that were spawned early, to hide the time of their imports; spawned here if None.
-    keep_blocks
-        Keep every block that is cut until the file is whole, and take those that a killed process left in `target`.
-    bounds_only
-        Ask for the bounds of this part alone; outcomes have no file.
-    meanwhile
-        Called once, when the first of them are at work; it has to be short, for nothing watches them while it runs.
-
-    Returns
-    -------
-    dict
-        One outcome for every name, in the order given; none of them raises.
-
-    Raises
-    ------
-    SettingsError
-        If layers cannot be written to `target` (no permission, disk full).
+    Heights (L,), mm, strictly increase; layers go to `target`, one file ``NAME.parquet`` a backend that comes to an end. `progress` takes
+    a backend's name and the layers done since its last call. The blocks between `borders`
+    (:func:`~ebamcheck.layers.heights.layer_blocks`) are cut and written one after the other; with `keep_blocks` they are kept until
+    the file is whole, and those that a killed process left in `target` are taken. `pool` has workers that were spawned early, to
+    hide the time of their imports. With `bounds_only` outcomes have no file. `meanwhile` is called once, when the first backends are at
+    work; it has to be short, for nothing watches them while it runs. Only a `target` that cannot be written raises.
     """
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
         pool = pool or opened.enter_context(WorkerPool())
-        _write_work(pool.folder, part, heights, borders)
+        write_part(pool.folder, part)
+        np.save(pool.folder / "heights.npy", heights)
+        np.save(pool.folder / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
         waiting = longest_first(backends)
         running: list[Worker] = []
         most = limits.processes or max(1, thread_count())
@@ -175,7 +139,7 @@ def slice_all(
                 _listen(running, progress)
                 for worker in list(running):
                     _enforce(worker, limits)
-                    if worker.has_ended():
+                    if has_ended(worker.process):
                         running.remove(worker)
                         outcomes[worker.name] = _collect(worker, part, heights, limits)
         finally:
@@ -184,15 +148,6 @@ def slice_all(
                 worker.close()
                 _discard(worker)
     return {name: outcomes[name] for name in backends}
-
-
-def _write_work(
-    folder: Path, part: Part, heights: NDArray[np.float64], borders: NDArray[np.int64] | None
-) -> None:
-    """Write what every worker needs, once."""
-    write_part(folder, part)
-    np.save(folder / "heights.npy", heights)
-    np.save(folder / "borders.npy", np.array([0, heights.size]) if borders is None else borders)
 
 
 def _started(
@@ -204,7 +159,6 @@ def _started(
     keep_blocks: bool,
     bounds_only: bool,
 ) -> Worker:
-    """Give the worker of a backend its order."""
     worker = pool.worker(name)
     worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
     file = target.absolute() / f"{name}.parquet"
@@ -228,7 +182,7 @@ def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | No
             selector.register(worker.events, selectors.EVENT_READ, worker)
         ready = selector.select(POLL_S)
     # Each of them is heard, however much one tells.
-    silent = [key.data.has_ended() or not _take_in(key.data, progress) for key, _ in ready]
+    silent = [has_ended(key.data.process) or not _take_in(key.data, progress) for key, _ in ready]
     if ready and all(silent):
         # A closed pipe is always ready; its worker is about to end.
         time.sleep(POLL_S)
@@ -279,21 +233,18 @@ def _enforce(worker: Worker, limits: Limits) -> None:
     except psutil.Error:
         return
     worker.peak_mb = max(worker.peak_mb, resident)
+    # What a stranger says of its compiling counts for nothing.
+    compiled_s = 0.0 if worker.stranger else float(worker.told.get("compile_s", 0.0))
     if resident > limits.memory_mb:
         worker.lose("out of memory", _over_memory(resident, limits))
-    elif time.monotonic() - worker.started - _compiled_s(worker) > limits.time_s:
+    elif time.monotonic() - worker.started - compiled_s > limits.time_s:
         worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
-    elif worker.said_bytes() > LARGEST_SAID_BYTES:
+    elif size_of(worker.errors) > LARGEST_SAID_BYTES:
         worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
 
 
 def _over_memory(held_mb: float, limits: Limits) -> str:
     return f"held {held_mb:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
-
-
-def _compiled_s(worker: Worker) -> float:
-    """Time that compiling took, which is no slicer's; what a stranger says of it counts for nothing."""
-    return 0.0 if worker.stranger else float(worker.told.get("compile_s", 0.0))
 
 
 def _resident_mb(worker: Worker) -> float:
@@ -322,9 +273,7 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: L
         error_bound_mm=_finite(told.get("error_bound_mm", 0.0)),
         height_bound_mm=_finite(told.get("height_bound_mm", 0.0)),
         **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
-        prepare_s=told.get("prepare_s", 0.0),
-        slice_s=told.get("slice_s", 0.0),
-        compile_s=told.get("compile_s", 0.0),
+        **{name: told.get(name, 0.0) for name in ("prepare_s", "slice_s", "compile_s")},
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
     )
     failure, why = _failure(worker, part, heights)
@@ -355,9 +304,9 @@ def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[
     if code < 0:
         ended = code_in_words(code)
         kind: Failure = "killed" if ended.split()[-1] in KILLS else "crashed"
-        return kind, f"its process was ended {ended}{worker.last_words()}"
+        return kind, f"its process was ended {ended}{last_words(worker.errors)}"
     if code > 0 or not (told.get("written") or worker.bounds_only):
-        return "crashed", f"its process ended with code {code}{worker.last_words()}"
+        return "crashed", f"its process ended with code {code}{last_words(worker.errors)}"
     fault = bounds_fault(told, float(part.size.max()))
     if not fault and not worker.bounds_only:
         fault = file_fault(worker.file, part, heights, whole=worker.stranger)

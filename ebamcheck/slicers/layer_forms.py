@@ -21,17 +21,7 @@ mistake of units is that large, and squares of such numbers overflow."""
 
 
 def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
-    """What is wrong with the layers of a slicer, in one line; empty if nothing.
-
-    Parameters
-    ----------
-    layers
-        What it returned.
-    part
-        The part that it was given.
-    heights
-        (L,) mm, that it was asked for.
-    """
+    """What is wrong with the layers that a slicer returned for a part at heights (L,), mm, in one line; empty if nothing."""
     if not isinstance(layers, Layers):
         return f"it returned {type(layers).__name__}, not Layers"
     checks = (_column_faults(layers), _height_faults(layers, heights), _ring_faults(layers))
@@ -47,16 +37,9 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
 
 
 def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool) -> str:
-    """What is wrong with a file of layers, in one line; empty if nothing.
+    """What is wrong with a worker's file of layers, in one line; empty if nothing.
 
-    Parameters
-    ----------
-    file
-        Parquet, as a worker has written it.
-    part, heights
-        What the worker was given.
-    whole
-        Read every layer: of a stranger's worker even what it has checked itself is not believed.
+    With `whole` every layer is read: of a stranger's worker even what it has checked itself is not believed.
     """
     try:
         with LayerFile(file) as stack:

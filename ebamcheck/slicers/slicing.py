@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -25,7 +24,7 @@ from ebamcheck.plugins import registry
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.slicing import SlicingSettings
 from ebamcheck.showing import short_text
-from ebamcheck.slicers.here import cut_here, fits_here, may_run_here
+from ebamcheck.slicers.cutting import cut_here, fits_here, may_run_here
 from ebamcheck.slicers.outcome import Limits, Outcome
 
 if TYPE_CHECKING:
@@ -111,38 +110,10 @@ def slice_to_file(
     pool: WorkerPool | None = None,
     **settings: Any,
 ) -> Outcome:
-    """Cut a part into a file of layers, in a process of the backend's own.
+    """Cut a part into a file of layers, which appears when it is whole, in a process of the backend's own.
 
-    A backend of this project's own kernels cuts in this process, unless the part is very large.
-
-    Parameters
-    ----------
-    part
-        The part as placed.
-    heights
-        (L,) heights, mm. Rising ones into Parquet are cut and written block by block.
-    path
-        The file, ``.parquet``, ``.cli`` or ``.svg``; it appears when it is whole.
-    backend
-        Name in the registry; the default is the available exact slicer of the highest priority.
-    limits
-        Time and memory that the backend may use.
-    block_points
-        Points of an exact contour that are in memory at a time.
-    pool
-        Workers that were spawned early, to hide the time of their imports.
-    **settings
-        The backend's own settings.
-
-    Returns
-    -------
-    Outcome
-        With the counts of rings, open paths and points, and the times.
-
-    Raises
-    ------
-    BackendMissing, BackendFailed, SettingsError
-        As :func:`slice_part`; and if the file cannot be written.
+    A backend of this project's own kernels cuts in this process, unless the part is very large. Rising heights into Parquet are cut and
+    written block by block, each of at most `block_points` points of an exact contour. Errors are those of :func:`slice_part`.
     """
     name, path = backend or registry.default_backend(), Path(path)
     wanted = checked_heights(heights)
@@ -170,11 +141,7 @@ def slice_to_file(
     layer_files.write_layers(layers, path)
     closed = int(np.count_nonzero(layers.closed))
     return replace(
-        outcome,
-        file=path,
-        rings=closed,
-        open_paths=layers.closed.size - closed,
-        points=len(layers.points),
+        outcome, file=path, rings=closed, open_paths=layers.closed.size - closed, points=len(layers.points)
     )
 
 
@@ -247,16 +214,9 @@ class Slicing:
         )
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Free what the slicer holds."""
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from ebamcheck.layers.blocks import KeptBlocks
+from ebamcheck.layers.files import KeptBlocks
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.numeric.kernels import bring_up
@@ -28,8 +28,7 @@ from ebamcheck.plugins.processes import die_with
 from ebamcheck.plugins.trial import probed
 from ebamcheck.slicers.cutting import cut
 
-TOLD_EVERY_S = 0.05
-"""Progress is told no more often than this."""
+TOLD_EVERY_S = 0.05  # progress is told no more often than this
 
 
 class Order(TypedDict):
@@ -53,15 +52,8 @@ def write_part(folder: Path, part: Part) -> None:
     """Write a part as plain columns, the fastest that another process can read."""
     np.save(folder / "vertices.npy", part.vertices)
     np.save(folder / "faces.npy", part.faces)
-    labels = {
-        "name": part.name,
-        "source": part.source,
-        "source_sha256": part.source_sha256,
-        "units": part.units,
-        "units_from": part.units_from,
-        "direction": list(part.direction),
-        "sha256": part.sha256,
-    }
+    names = ("name", "source", "source_sha256", "units", "units_from", "direction", "sha256")
+    labels = {name: getattr(part, name) for name in names}
     (folder / "part.json").write_text(json.dumps(labels), encoding="utf-8")
 
 
@@ -77,7 +69,6 @@ def read_part(folder: Path) -> Part:
 
 
 def _work(order: Order, tell: Callable[..., None]) -> None:
-    """Slice in this process and tell the parent how it goes."""
     folder, file = Path(order["folder"]), Path(order["file"])
     slicer = registry.loaded_slicer(order["backend"])
     probe = probed(slicer)

@@ -6,24 +6,15 @@ import contextlib
 import json
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Self
 
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.processes import (
-    MARK,
-    end_with_children,
-    has_ended,
-    last_words,
-    new_mark,
-    size_of,
-)
+from ebamcheck.plugins.processes import end_with_children, started
 from ebamcheck.scratch import scratch_folder
 
 if TYPE_CHECKING:
@@ -81,32 +72,17 @@ class Worker:
         """End the process and everything that it started; of one that has ended, what it has left behind."""
         end_with_children(self.process, self.mark if self.stranger else "")
 
-    def has_ended(self) -> bool:
-        """Whether the process has ended; :meth:`end` is still to be called."""
-        return has_ended(self.process)
-
     def close(self) -> None:
         """Close the pipes to the process."""
         self.events.close()
         if self.process.stdin is not None:
             self.process.stdin.close()
 
-    def said_bytes(self) -> int:
-        """Size of what it wrote to its standard output and error."""
-        return size_of(self.errors)
-
-    def last_words(self) -> str:
-        """Last line that the worker wrote to its standard error, for a message."""
-        return last_words(self.errors)
-
 
 class WorkerPool:
-    """Workers, and the folder where they find their work; those that got none are ended with it.
+    """Workers, and the folder where they find their work; those that got no order are ended with it.
 
-    Parameters
-    ----------
-    ahead
-        Names of backends whose workers are started at once; others are when they are asked for.
+    The workers of backends in `ahead` are started at once, others when they are asked for.
     """
 
     def __init__(self, ahead: Iterable[str] = ()) -> None:
@@ -117,16 +93,9 @@ class WorkerPool:
         self._idle = {name: self._start(name) for name in dict.fromkeys(ahead)}
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End the workers that got no order, and remove the folder."""
+    def __exit__(self, *_: object) -> None:
         self.dismiss()
         self._opened.close()
 
@@ -145,21 +114,12 @@ class WorkerPool:
     def _start(self, name: str) -> Worker:
         read, write = os.pipe()
         self._count += 1
-        errors, mark = self.folder / f"stderr-{self._count}", new_mark()
         # What a worker that is killed leaves behind goes with the pool's own folder; one that clears its folder for
         # temporary files takes nothing from the others.
-        own = self.folder / f"tmp-{self._count}"
+        errors, own = self.folder / f"stderr-{self._count}", self.folder / f"tmp-{self._count}"
         own.mkdir()
-        with errors.open("wb") as told:
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "ebamcheck.slicers.worker", name, str(write), str(os.getpid())],
-                stdin=subprocess.PIPE,
-                stdout=told,
-                stderr=told,
-                pass_fds=(write,),
-                start_new_session=True,
-                env={**os.environ, "TMPDIR": str(own), MARK: mark},
-            )
+        arguments = ["ebamcheck.slicers.worker", name, str(write)]
+        process, mark = started(arguments, own, errors, stdin=subprocess.PIPE, pass_fds=(write,))
         os.close(write)
         os.set_blocking(read, False)
         return Worker(name, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)

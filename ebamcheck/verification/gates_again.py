@@ -27,8 +27,8 @@ from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import plain, sha256_of_json
-from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.files import LayerFile
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part

@@ -15,7 +15,7 @@ from ebamcheck.checks.plate_record import plate_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
-from ebamcheck.layers.cuts import cut_heights
+from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part

@@ -16,7 +16,7 @@ from ebamcheck.nc.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import (
+from ebamcheck.settings.process_window import (
     wire_mm2,
     wire_speed_mm_s,
 )

@@ -16,7 +16,7 @@ from ebamcheck.mesh.part import (
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.settings.units import UNITS_MM
+from ebamcheck.settings.base import UNITS_MM
 
 MOST_REACH = 10.0
 """Largest distance, in tolerances, at which a vertex is taken while its group grows: the plane of a small group is uncertain

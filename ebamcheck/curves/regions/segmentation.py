@@ -23,7 +23,7 @@ from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.numeric.sorting import stable_order
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
 """Kinds of region: freely curved; flat; flat between straight rulings at which the surface continues to turn."""

@@ -19,7 +19,7 @@ from ebamcheck.curves.vertex_normals import SurfaceNormals, surface_normals
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, edge_groups, twins
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 
 KINDS = ("plane", "cylinder", "cone", "sphere", "torus", "quadric", "ruled", "freeform")
 

@@ -3,6 +3,10 @@
 A program of others cuts a part from bottom to top at one layer height. Heights of equal steps are planes of one
 lattice, and the whole lattice is cut and kept, so that the next block of the same stack is there already. A height
 that belongs to no lattice is one of a single plane.
+
+A part is placed for such a program magnified across the plane as the program needs it, and stretched along z so that a plane of the
+lattice lies in the middle of every layer: then no layer height has to be rounded to what the program can read. A small mark in layer 0,
+below the part, and one above it keep the program from moving the part down and from leaving layers out.
 """
 
 from __future__ import annotations
@@ -21,14 +25,14 @@ from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.numeric.kernels import worker_threads
 from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
 
 SAME_PLANE_MM = 1e-9
 """Heights nearer than this are the same plane: heights ``bottom + (k + 0.5) * step`` are rounded."""
 
-LEAST_RUN = 3
-"""Heights of equal step that make a lattice: any two heights have one step."""
+LEAST_RUN = 3  # heights of equal step that make a lattice: any two heights have one step
 
 PLANES_A_RUN = 2000
 """Planes of a lattice for each height that is asked of it. A program cuts some hundred planes in the time of starting
@@ -65,18 +69,10 @@ def same_plane_mm(heights: Floats) -> Floats:
 
 
 def lattices_of(heights: Floats, least_mm: float, greatest_mm: float) -> list[Lattice]:
-    """Lattices that hold all heights of a part.
+    """Lattices that hold all of strictly increasing heights (L,), mm, of a part between its ends.
 
-    Parameters
-    ----------
-    heights
-        (L,) strictly increasing heights, mm, between `least_mm` and `greatest_mm`, the ends of the part.
-
-    Returns
-    -------
-    list of Lattice
-        Each goes from the bottom of the part to its top. One that would have far more planes than are asked of it
-        is left as single planes, whose step is the height of the part.
+    Each goes from the bottom of the part to its top. One that would have far more planes than are asked of it is left as single
+    planes, whose step is the height of the part.
 
     Examples
     --------
@@ -122,14 +118,7 @@ Cut = Callable[[Lattice], Layers]
 class LatticeStack:
     """A part that is cut by lattices, held ready; what a lattice gave is kept for the blocks that follow.
 
-    Parameters
-    ----------
-    part
-        The part as placed.
-    labels
-        Labels of its layers.
-    cut
-        Cuts it at the planes of a lattice; may be called from several threads.
+    `cut` cuts the part at the planes of a lattice, and may be called from several threads; its layers get the `labels`.
     """
 
     def __init__(self, part: Part, labels: dict[str, Any], cut: Cut) -> None:
@@ -205,3 +194,104 @@ class LatticeStack:
 
 def _silent(done: int) -> None:
     """Progress that nobody asked for."""
+
+
+LAYERS_OF_A_SINGLE = 16
+"""Layers over the height of a part of which one single plane is wanted: coordinates then lose no bit to the margins."""
+
+MARK_SHARE = 2.0**-10  # side of a mark over the smaller side of the part
+
+MARK_LAYERS = 0.6
+"""Height of a mark over that of a layer: the lower one is cut in the middle of layer 0, the upper one nowhere."""
+
+MARK = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+MARK_FACETS = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)])
+"""A tetrahedron with facets counter-clockwise seen from outside."""
+
+HALF_STEP = 2.0**-25  # largest rounding of a 32-bit float, over its value
+
+
+@dataclass(frozen=True)
+class Placement:
+    """A part and the planes that are wanted as a program gets them: magnified across the plane by `scale`, with layers `layer` high on a bed at z = 0."""
+
+    part: Part
+    lattice: Lattice
+    scale: float
+    layer: float
+
+    @property
+    def step_mm(self) -> float:
+        """Height of a layer in the part, mm."""
+        return (
+            self.lattice.step_mm if self.lattice.count > 1 else float(self.part.size[2]) / LAYERS_OF_A_SINGLE
+        )
+
+    @property
+    def first_layer(self) -> int:
+        """Layer in whose middle the lattice begins; the part stands above the middle of layer 0."""
+        return math.floor((self.lattice.first_mm - float(self.part.bounds[0, 2])) / self.step_mm) + 1
+
+    @property
+    def layer_count(self) -> int:
+        """Layers from the bed to the upper mark."""
+        above_mm = float(self.part.bounds[1, 2]) - self.lattice.first_mm
+        return self.first_layer + math.floor(above_mm / self.step_mm) + 2
+
+    def triangles(self) -> Floats:
+        """Corners of all facets and of the two marks, (F + 8, 3, 3)."""
+        placed = self.part.triangles - (*self.part.bounds[0, :2].tolist(), self.lattice.first_mm)
+        placed *= (self.scale, self.scale, self.layer / self.step_mm)
+        placed[:, :, 2] += (self.first_layer + 0.5) * self.layer
+        side = MARK_SHARE * self.scale * float(self.part.size[:2].min())
+        mark = (MARK * (side, side, MARK_LAYERS * self.layer))[MARK_FACETS]
+        top = (0.0, 0.0, (self.layer_count - 0.25) * self.layer)
+        return np.concatenate([placed, mark, mark + top])
+
+    def layers(self, found: dict[int, list[Floats]], **labels: Any) -> Layers:
+        """Make layers of rings by the program's layer; a ring that ends where it begins is closed, another open."""
+        wanted = [found.get(self.first_layer + k, []) for k in range(self.lattice.count)]
+        rings = [ring for layer in wanted for ring in layer]
+        points = np.concatenate(rings) if rings else np.zeros((0, 2))
+        return canonical(
+            self.lattice.heights,
+            points / self.scale + self.part.bounds[0, :2],
+            np.concatenate([[0], np.cumsum([len(ring) for ring in rings], dtype=np.int64)]),
+            np.concatenate([[0], np.cumsum([len(layer) for layer in wanted], dtype=np.int64)]),
+            np.array([bool((ring[0] == ring[-1]).all()) for ring in rings], np.bool_),
+            **labels,
+        )
+
+
+def scale_to(part: Part, size: float) -> float:
+    """Power of two that takes the larger side of a part across the plane to between half of a size and that size."""
+    side = float(part.size[:2].max())
+    exponent = math.frexp(size / side)[1] - 1 if side > 0.0 else 0
+    return math.ldexp(1.0, max(-200, min(200, exponent)))
+
+
+def coordinate_rounding_mm(part: Part) -> float:
+    """Largest rounding of a coordinate across the plane to 32 bits and back, mm."""
+    return HALF_STEP * float(part.size[:2].max()) + 4.0 * EPSILON * float(np.abs(part.bounds).max())
+
+
+def height_rounding_mm(part: Part) -> float:
+    """Largest rounding of a height to 32 bits, mm: a lattice has a plane at every half of the part at least."""
+    largest = float(np.abs(part.bounds).max())
+    return HALF_STEP * 2.0 * float(part.size[2]) + SAME_PLANE_MM + 8.0 * EPSILON * largest
+
+
+def refuse_what_is_mended(part: Part, program: str) -> None:
+    """Raise :class:`BackendFailed` for parts that a program would mend in silence: its slices were of another part."""
+    groups = edge_groups(part.faces, len(part.vertices))
+    uneven = int(np.count_nonzero(np.diff(groups.starts) % 2))
+    if uneven:
+        raise BackendFailed(
+            f"part {part.name!r} is open: {uneven} edges have an odd number of facets, and {program} would close them in "
+            "its own way; mend the mesh or use another backend"
+        )
+    if part.volume < 0.0:
+        raise BackendFailed(
+            f"part {part.name!r} has a negative volume ({part.volume:.6g} mm3), and {program} would turn it; turn its "
+            "facets (--fix-orientation) or use another backend"
+        )

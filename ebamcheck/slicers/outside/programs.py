@@ -12,7 +12,7 @@ import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,11 +26,8 @@ from ebamcheck.settings.base import Between
 VERSION_LIMIT_S = 20.0
 """Time that a program may take to tell its version: the first start after a boot reads it from a slow disk."""
 
-TAIL_BYTES = 8192
-"""How much of the end of a program's output is kept for messages."""
-
-LONGEST_REASON = 200
-"""Characters of a program's own words in an error message."""
+TAIL_BYTES = 8192  # how much of the end of a program's output is kept for messages
+LONGEST_REASON = 200  # characters of a program's own words in an error message
 
 
 class ProgramSettings(BackendSettings):
@@ -42,20 +39,9 @@ class ProgramSettings(BackendSettings):
 
 @dataclass(frozen=True)
 class Program:
-    """A program of others.
+    """A program of others: its executable on the search path, or as the variable names it, and the Debian package that has it.
 
-    Parameters
-    ----------
-    name
-        What to call it in messages.
-    command
-        Name of its executable on the search path.
-    variable
-        Environment variable that names the executable where it is not on the search path.
-    package
-        Debian package that has it.
-    version_arguments, version_pattern
-        How it is asked for its version, and a pattern whose first group is the version in its answer.
+    `version_arguments` ask for its version, which is the first group of `version_pattern` in the answer.
     """
 
     name: str
@@ -99,20 +85,7 @@ class Program:
         return Probe(True, versions={self.name: version})
 
     def run(self, arguments: Sequence[str | Path], folder: Path, time_limit_s: float) -> str:
-        """Run it in a folder, which also is its home, and wait for its end.
-
-        Returns
-        -------
-        str
-            The end of what it wrote to its standard output and error.
-
-        Raises
-        ------
-        BackendMissing
-            If it is not installed.
-        BackendFailed
-            If it does not start, fails or runs over the limit; in one line, with its own last words.
-        """
+        """Run it in a folder, which also is its home; returns the end of what it wrote, or raises in one line, with its own last words."""
         code, said = _run([str(self.path()), *map(str, arguments)], folder, time_limit_s)
         if code is None:
             raise BackendFailed(f"{self.name} was ended: it took over {time_limit_s:g} s (time_limit_s)")
@@ -130,17 +103,10 @@ class Program:
         return f": {lines[-1][:LONGEST_REASON]}" if lines else ""
 
 
-@contextlib.contextmanager
-def working_folder() -> Iterator[Path]:
-    """Give a new folder that is gone afterwards, with all that a program left in it."""
-    with scratch_folder() as folder:
-        yield folder
-
-
 @cache
 def _version(program: Program, path: Path) -> str:
     """Version that a program tells; it may well end with an error code when it is asked."""
-    with working_folder() as folder:
+    with scratch_folder() as folder:
         code, said = _run([str(path), *program.version_arguments], folder, VERSION_LIMIT_S)
     found = re.search(program.version_pattern, said)
     if found is None:

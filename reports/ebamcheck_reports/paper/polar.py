@@ -13,7 +13,7 @@ from ebamcheck.curves import Curves, contour_error, error_reduction, fit, polar_
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins.model import models
-from ebamcheck.settings.curves import CurveSettings
+from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.charts import Series, line_chart

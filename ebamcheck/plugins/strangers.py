@@ -1,8 +1,13 @@
-"""Known answers of plugins: what a separate process found out about each, kept on disk until its code changes."""
+"""Plugins of other distributions: what a separate process found out about each, and their slicers as seen here.
+
+Answers are kept on disk until a plugin's code changes. Of a stranger's slicer this process knows what it has declared, and none of its code.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import importlib.util
 import json
 import math
 import os
@@ -11,19 +16,54 @@ import tempfile
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, NoReturn
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.backend import CoplanarRule, Probe
-from ebamcheck.errors import SettingsError
-from ebamcheck.plugins.points import code_stamp, distribution_of
+from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
+from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.installed import distribution_of
 from ebamcheck.plugins.processes import one_line, run_limited
 from ebamcheck.plugins.trial import ANSWERS, QUESTION, Question
 from ebamcheck.version import __version__
+
+CODE_SUFFIXES = (".py", ".so", ".pyd", ".pth")  # files whose change makes what is known of a plugin stale
+MOST_FILES = 5000  # files of a plugin that are looked at; of a larger one nothing is kept
+
+
+def code_stamp(point: EntryPoint) -> str:
+    """Hash of names, sizes and times of the files of a plugin's package; nothing is imported.
+
+    Empty where they cannot be told: what is known of such a plugin is not kept.
+    """
+    top = str(point.value).split(":")[0].split(".")[0].strip()
+    try:
+        spec = importlib.util.find_spec(top)
+    except Exception:  # finders of others may raise anything
+        return ""
+    if spec is None:
+        return "none"
+    files: list[Path] = []
+    if spec.origin and Path(spec.origin).is_file():
+        files.append(Path(spec.origin))
+    for folder in spec.submodule_search_locations or ():
+        for file in Path(folder).rglob("*"):
+            if file.suffix in CODE_SUFFIXES:
+                files.append(file)
+            if len(files) > MOST_FILES:
+                return ""
+    lines = []
+    for file in sorted(set(files)):
+        with suppress(OSError):
+            status = file.stat()
+            lines.append(f"{file} {status.st_size} {status.st_mtime_ns}")
+    return hashlib.sha256("\n".join(lines).encode("utf-8", "surrogateescape")).hexdigest() if lines else ""
+
 
 TIME_VARIABLE = "EBAMCHECK_PLUGIN_TIME_S"
 """Variable of the environment that takes the place of :data:`TRIAL_TIME_S`."""
@@ -31,11 +71,8 @@ TIME_VARIABLE = "EBAMCHECK_PLUGIN_TIME_S"
 TRIAL_TIME_S = 60.0
 """Time to import a plugin and to ask it what it is: a large one that has never been imported takes 20 s."""
 
-TRIAL_MEMORY_MB = 4096.0
-"""Resident memory of a plugin that does no work yet."""
-
-LARGEST_ANSWER_BYTES = 1_000_000
-"""Answers are a few lines; what is longer is none."""
+TRIAL_MEMORY_MB = 4096.0  # resident memory of a plugin that does no work yet
+LARGEST_ANSWER_BYTES = 1_000_000  # answers are a few lines; what is longer is none
 
 FAILURE_KEPT_S = 600.0
 """A failure is believed for so long where the plugin's code stays the same: what it lacked may be installed since."""
@@ -111,13 +148,7 @@ class Answer(BaseModel):
 
 
 def ask(point: EntryPoint, kind: str, values: Mapping[str, Any] | None = None) -> tuple[dict[str, Any], str]:
-    """Ask a plugin in a process of its own.
-
-    Returns
-    -------
-    tuple
-        All that it told, by name, and what went wrong: empty if nothing.
-    """
+    """Ask a plugin in a process of its own; returns all that it told, by name, and what went wrong: empty if nothing."""
     question: Question = {
         "kind": kind,
         "group": str(point.group),
@@ -128,15 +159,14 @@ def ask(point: EntryPoint, kind: str, values: Mapping[str, Any] | None = None) -
     with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as folder:
         (Path(folder) / QUESTION).write_text(json.dumps(question), encoding="utf-8")
         arguments = ["ebamcheck.plugins.trial", folder]
-        ended = run_limited(arguments, Path(folder), _time_s(), TRIAL_MEMORY_MB)
+        lost = run_limited(arguments, Path(folder), _time_s(), TRIAL_MEMORY_MB)
         told = _told(Path(folder) / ANSWERS)
     if "failure" in told:
         return told, one_line(str(told["failure"]))
-    return told, ended.why or ("" if told.get("done") is True else "it ended the process with code 0")
+    return told, lost or ("" if told.get("done") is True else "it ended the process with code 0")
 
 
 def _time_s() -> float:
-    """Limit of a trial."""
     text = os.environ.get(TIME_VARIABLE, "")
     with contextlib.suppress(ValueError):
         if not text or float(text) > 0.0:
@@ -180,7 +210,6 @@ def ask_slicer(point: EntryPoint) -> Answer:
 
 
 def _probe(told: Mapping[str, Any], wrong: str) -> dict[str, Any]:
-    """The probe's answer, or why there is none."""
     if "probe" not in told:
         why = wrong or "it told nothing"
         raised = "ended the process" not in why and ": " in why
@@ -210,15 +239,7 @@ def _first(error: ValidationError) -> str:
 
 
 def slicer_answer(point: EntryPoint, fresh: bool = False) -> Answer:
-    """What a stranger's slicer is: as kept on disk, or asked for now.
-
-    Parameters
-    ----------
-    point
-        Its entry point.
-    fresh
-        Ask, whatever is kept.
-    """
+    """What a stranger's slicer is: as kept on disk, or asked for now, and always if `fresh`."""
     key, stamp = _key(point), _stamp(point)
     kept = {} if fresh or not stamp else _kept()
     if (found := _sound(kept.get(key), stamp)) is not None:
@@ -277,3 +298,87 @@ def _keep(key: str, stamp: str, answer: Answer) -> None:
         with _KEEPING, replacing(cache_file()) as temporary:
             plugins = {**_kept(), key: record}
             temporary.write_text(json.dumps({"format": CACHE_FORMAT, "plugins": plugins}), encoding="utf-8")
+
+
+class StrangerSettings(BackendSettings):
+    """Settings that the slicer itself has checked in a process of its own."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+    _defaults: dict[str, Any] = PrivateAttr(default_factory=dict)
+
+    def model_dump(self, **options: Any) -> dict[str, Any]:
+        """Settings as plain values; ``exclude_defaults`` leaves out what is the slicer's own default."""
+        found = super().model_dump(**options)
+        if not options.get("exclude_defaults"):
+            return found
+        return {k: v for k, v in found.items() if k not in self._defaults or self._defaults[k] != v}
+
+
+def stranger_settings(values: Mapping[str, Any], defaults: Mapping[str, Any] | None) -> StrangerSettings:
+    """Settings that a slicer has checked, with its own defaults."""
+    made = StrangerSettings(**{str(k): v for k, v in values.items()})
+    made._defaults = dict(defaults or {})
+    return made
+
+
+@dataclass(frozen=True)
+class StrangerSlicer:
+    """What a slicer of another distribution has told of itself.
+
+    It satisfies :class:`~ebamcheck.backend.Slicer` in form. What would run its code is refused:
+    :mod:`ebamcheck.slicers.isolation` runs it in a process of its own.
+    """
+
+    name: str
+    summary: str
+    exact: bool
+    priority: int
+    coplanar_rule: CoplanarRule
+    inside_rule: str
+    answer: Answer
+    point: EntryPoint
+    Settings: ClassVar[type[BackendSettings]] = StrangerSettings
+
+    @property
+    def distribution(self) -> str:
+        """Name and version of the distribution that it comes with."""
+        return " ".join(distribution_of(self.point)).strip()
+
+    def probe(self) -> Probe:
+        """What its probe has answered."""
+        return self.answer.probe()
+
+    def checked(self, values: Mapping[str, Any]) -> BackendSettings:
+        """Have it check settings; raises :class:`SettingsError` naming the first that is wrong."""
+        if not values and self.answer.defaults is not None:
+            return stranger_settings(self.answer.defaults, self.answer.defaults)
+        told, wrong = ask(self.point, "settings", values)
+        if isinstance(told.get("wrong"), str):
+            raise SettingsError(told["wrong"])
+        if wrong or not isinstance(told.get("settings"), dict):
+            raise SettingsError(f"backend {self.name!r} did not check its settings: {wrong or 'no answer'}")
+        return stranger_settings(told["settings"], self.answer.defaults)
+
+    def error_bound_mm(self, *_: object) -> NoReturn:
+        """Refuse: see the class."""
+        self._refuse()
+
+    def height_bound_mm(self, *_: object) -> NoReturn:
+        """Refuse: see the class."""
+        self._refuse()
+
+    def prepare(self, *_: object) -> NoReturn:
+        """Refuse: see the class."""
+        self._refuse()
+
+    def _refuse(self) -> NoReturn:
+        raise BackendFailed(
+            f"backend {self.name!r} of {self.distribution or 'another distribution'} runs in a process of its own only: "
+            "slice with ebamcheck.slice or `ebamcheck slice`"
+        )
+
+
+def stranger(point: EntryPoint, answer: Answer) -> StrangerSlicer:
+    """The slicer of an answer that has attributes."""
+    assert answer.attributes is not None
+    return StrangerSlicer(**answer.attributes.model_dump(), answer=answer, point=point)

@@ -1,0 +1,361 @@
+"""Contours in files of points that other programs read: CSV, DXF of release 12, and VTK PolyData.
+
+**CSV** has the columns ``layer`` (from 1), ``height_mm``, ``ring`` (from 0 in each layer), ``closed`` (0 or 1), ``x_mm`` and
+``y_mm``; a layer without a contour has one row, whose last four fields are empty. Numbers have the shortest digits that read back to
+the same bits. Outer rings run counter-clockwise, holes clockwise.
+
+**DXF** has one polyline a ring at its height, and one DXF layer a layer. Outer rings, holes and open paths have the colours 5 (blue),
+1 (red) and 6 (magenta). The units of the drawing are millimetres; release 12 itself has no word for that. Heights stand in comments
+as well, so that layers without a contour are read back.
+
+**VTK** (``.vtp``), which ParaView and pyvista read, has facets of a part or contours of a stack. Numbers stand appended in base64 with
+a header of 64 bits, so that the file is XML throughout (VTK file formats, 'XML File Formats').
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pc
+from numpy.typing import NDArray
+
+from ebamcheck.atomic_file import replacing
+from ebamcheck.errors import InputError
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric.rings import Floats, Ints
+
+TYPES = {
+    "layer": pa.int64(),
+    "height_mm": pa.float64(),
+    "ring": pa.int64(),
+    "closed": pa.int64(),
+    "x_mm": pa.float64(),
+    "y_mm": pa.float64(),
+}
+
+
+def stack_of_rings(
+    heights: Floats, ring_layer: Ints, sizes: Ints, closed: NDArray[np.bool_], points: Floats
+) -> Layers:
+    """Stack of the rings of a file, in any order: layer, number of points and whether closed (R,) of each, and all their points (N, 2), mm."""
+    order = np.argsort(ring_layer, kind="stable")
+    starts = np.concatenate([[0], np.cumsum(sizes)])
+    rows = np.concatenate(
+        [np.arange(starts[r], starts[r + 1]) for r in order.tolist()] or [np.zeros(0, np.int64)]
+    )
+    layer_starts = np.concatenate([[0], np.cumsum(np.bincount(ring_layer, minlength=len(heights)))])
+    ring_starts = np.concatenate([[0], np.cumsum(sizes[order])])
+    return canonical(heights, points[rows], ring_starts, layer_starts, closed[order])
+
+
+def write_csv(layers: Layers, path: str | Path) -> None:
+    """Write the contours as CSV."""
+    sizes, layer = np.diff(layers.ring_starts), layers.ring_layer
+    empty = np.flatnonzero(np.diff(layers.layer_starts) == 0)
+    where = np.concatenate([np.repeat(layer, sizes), empty])
+    order = np.argsort(where, kind="stable")
+    of_points: dict[str, NDArray[Any]] = {
+        "ring": np.repeat(np.arange(len(sizes)) - layers.layer_starts[layer], sizes),
+        "closed": np.repeat(layers.closed, sizes),
+        "x_mm": layers.points[:, 0],
+        "y_mm": layers.points[:, 1],
+    }
+    columns = {"layer": pa.array(where[order] + 1), "height_mm": pa.array(layers.heights[where[order]])}
+    for name, values in of_points.items():
+        padded = np.concatenate([values, np.zeros(len(empty))])[order]
+        columns[name] = pa.array(padded, TYPES[name], mask=order >= len(layers.points), safe=False)
+    with replacing(path) as temporary:
+        pc.write_csv(pa.table(columns), temporary)
+
+
+def read_csv(path: str | Path) -> Layers:
+    """Read contours from CSV."""
+    try:
+        table = pc.read_csv(
+            path, convert_options=pc.ConvertOptions(column_types=TYPES, include_columns=list(TYPES))
+        )
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
+        raise InputError(
+            f"{path}: is no table of contours with the columns {', '.join(TYPES)}: {error}"
+        ) from None
+    held = {name: table[name].to_numpy() for name in ("layer", "height_mm")}
+    layer, first = np.unique(held["layer"], return_index=True)
+    if not np.array_equal(layer, np.arange(1, len(layer) + 1)):
+        raise InputError(f"{path}: the layers are not numbered 1, 2, 3, ...: number all of them")
+    heights = held["height_mm"][first]
+    if not np.array_equal(heights[held["layer"] - 1], held["height_mm"]):
+        raise InputError(f"{path}: the points of one layer have several heights: give each layer one")
+    rows = table.filter(table["ring"].is_valid())
+    if any(rows[name].null_count for name in TYPES):
+        raise InputError(
+            f"{path}: a point lacks a number: fill in all fields, or leave `ring` to `y_mm` empty"
+        )
+    of_layer, ring, closed = (rows[name].to_numpy() for name in ("layer", "ring", "closed"))
+    points = np.column_stack([rows["x_mm"].to_numpy(), rows["y_mm"].to_numpy()])
+    begins = np.flatnonzero(
+        np.diff(of_layer, prepend=0).astype(bool) | np.diff(ring, prepend=-1).astype(bool)
+    )
+    sizes = np.diff(np.append(begins, len(ring)))
+    return stack_of_rings(heights, of_layer[begins] - 1, sizes, closed[begins] != 0, points)
+
+
+OUTER, HOLE, OPEN = 5, 1, 6
+"""Colours of the AutoCAD colour index."""
+
+DECIMALS = 6  # a nanometre: far under what is compared
+HEIGHT = "ebamcheck height"  # begins a comment that holds the height of a layer
+
+UNITS_MM = {0: 1.0, 1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0}
+"""Millimetres of the drawing units that ``$INSUNITS`` of later releases names; 0: it names none."""
+
+HEAD = "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n0\nENDSEC\n"
+VERTEX = f"0\nVERTEX\n8\n%s\n10\n%.{DECIMALS}f\n20\n%.{DECIMALS}f\n30\n%.{DECIMALS}f\n"
+
+
+def write_dxf(layers: Layers, path: str | Path) -> None:
+    """Write the contours; the DXF layer of layer 7 is ``LAYER_0007``."""
+    names = [f"LAYER_{k:04d}" for k in range(1, len(layers) + 1)]
+    with replacing(path) as temporary, temporary.open("w", encoding="ascii", newline="\r\n") as file:
+        file.write("".join(f"999\n{HEIGHT} {height:.{DECIMALS}f}\n" for height in layers.heights.tolist()))
+        file.write(HEAD + _table(names) + "0\nSECTION\n2\nENTITIES\n")
+        for ring, layer in enumerate(layers.ring_layer.tolist()):
+            file.write(_polyline(layers, ring, names[layer], float(layers.heights[layer])))
+        file.write("0\nENDSEC\n0\nEOF\n")
+
+
+def _table(names: list[str]) -> str:
+    rows = "".join(f"0\nLAYER\n2\n{name}\n70\n0\n62\n7\n6\nCONTINUOUS\n" for name in names)
+    return f"0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nLAYER\n70\n{len(names)}\n{rows}0\nENDTAB\n0\nENDSEC\n"
+
+
+def _polyline(layers: Layers, ring: int, name: str, height_mm: float) -> str:
+    closed = bool(layers.closed[ring])
+    colour = OPEN if not closed else HOLE if layers.ring_areas[ring] < 0.0 else OUTER
+    head = (
+        f"0\nPOLYLINE\n8\n{name}\n62\n{colour}\n66\n1\n10\n0.0\n20\n0.0\n"
+        f"30\n{height_mm:.{DECIMALS}f}\n70\n{int(closed)}\n"
+    )
+    # All points of the ring are written by one format.
+    points = layers.ring(ring)
+    values = np.empty((len(points), 4), object)
+    values[:, 0], values[:, 1:3], values[:, 3] = name, points, height_mm
+    return head + VERTEX * len(points) % tuple(values.reshape(-1).tolist()) + f"0\nSEQEND\n8\n{name}\n"
+
+
+def read_dxf(path: str | Path) -> Layers:
+    """Read polylines of a text DXF (POLYLINE and LWPOLYLINE) as the contours of the layers at their heights."""
+    try:
+        lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    try:
+        codes, texts = np.array(lines[::2], np.int64), np.char.strip(np.array(lines[1::2], np.str_))
+        if len(codes) != len(texts) or not len(codes) or (codes[-1], texts[-1]) != (0, "EOF"):
+            raise ValueError("it does not end with EOF")
+        return _stack_of_groups(codes, texts)
+    except ValueError as error:
+        raise InputError(f"{path}: is no text DXF with contours at heights: {error}") from None
+
+
+def _stack_of_groups(codes: Ints, texts: NDArray[np.str_]) -> Layers:
+    """Contours of the groups of a file: codes, and the texts that belong to them."""
+    begins = codes == 0
+    entity = np.cumsum(begins) - 1
+    kind = texts[begins][entity]
+    is_ring = begins & np.isin(kind, ("POLYLINE", "LWPOLYLINE"))
+    ring, light, vertex = np.cumsum(is_ring) - 1, kind == "LWPOLYLINE", kind == "VERTEX"
+    if (texts[(codes == 42) & (light | vertex)].astype(np.float64) != 0.0).any():
+        raise ValueError("a polyline has bulges: draw it with straight segments")
+    at = (codes == 10) & (light | vertex)
+    points = np.column_stack(
+        [texts[(codes == code) & (light | vertex)].astype(np.float64) for code in (10, 20)]
+    )
+    closed, level = np.zeros(ring[-1] + 1, np.bool_), np.zeros(ring[-1] + 1)
+    flags = (codes == 70) & (light | (kind == "POLYLINE"))
+    closed[ring[flags]] = texts[flags].astype(np.int64) & 1 != 0
+    raised = (codes == 38) & light | (codes == 30) & vertex
+    level[ring[raised]] = texts[raised].astype(np.float64)
+    if (level[ring[raised]] != texts[raised].astype(np.float64)).any():
+        raise ValueError("a polyline does not lie at one height")
+    unit = texts[1:][(codes[:-1] == 9) & (texts[:-1] == "$INSUNITS")].astype(np.int64)
+    if not np.isin(unit, tuple(UNITS_MM)).all():
+        raise ValueError(f"$INSUNITS {unit[0]} is no known unit: draw in millimetres")
+    scale = UNITS_MM[int(unit[0])] if len(unit) else 1.0
+    comments = texts[codes == 999].tolist()
+    said = [float(text.removeprefix(HEIGHT)) for text in comments if text.startswith(HEIGHT)]
+    heights = np.unique(np.concatenate([said, level]))
+    sizes = np.bincount(ring[at], minlength=len(level))
+    return stack_of_rings(heights * scale, np.searchsorted(heights, level), sizes, closed, points * scale)
+
+
+VTK_TYPES = {"<f8": "Float64", "<i8": "Int64", "<i4": "Int32", "|u1": "UInt8"}
+
+READABLE = {
+    **{name: dtype for dtype, name in VTK_TYPES.items()},
+    "Float32": "<f4",
+    "UInt32": "<u4",
+    "UInt64": "<u8",
+    "Int8": "|i1",
+}
+
+
+def write_part(part: Part, path: str | Path) -> None:
+    """Write the facets of a part."""
+    count = len(part.faces)
+    cells = part.faces.astype("<i8").reshape(-1), 3 * np.arange(1, count + 1)
+    _write_polydata(path, part.vertices, "Polys", cells, {})
+
+
+def write_vtp(layers: Layers, path: str | Path) -> None:
+    """Write every contour as a polyline at its height, with ``layer`` (from 1), ``area_mm2`` and ``closed`` of each."""
+    sizes = np.diff(layers.ring_starts)
+    heights = np.repeat(layers.heights[layers.ring_layer], sizes)
+    # A closed line ends at the point where it starts.
+    first, past = layers.ring_starts[:-1][layers.closed], layers.ring_starts[1:][layers.closed]
+    rows = np.insert(np.arange(len(layers.points)), past, first)
+    figures = {
+        "layer": (layers.ring_layer + 1).astype("<i8"),
+        "area_mm2": layers.ring_areas,
+        "closed": layers.closed.astype("u1"),
+    }
+    _write_polydata(
+        path,
+        np.column_stack([layers.points, heights]),
+        "Lines",
+        (rows, np.cumsum(sizes + layers.closed)),
+        figures,
+        {"height_mm": heights},
+        layers.heights,
+    )
+
+
+def read_vtp(path: str | Path) -> Layers:
+    """Read the polylines of a file as the contours of the layers at their heights.
+
+    Arrays may stand as text or in base64, appended or in place, without compression. A line that ends where it starts is closed.
+    """
+    try:
+        root = ElementTree.parse(path).getroot()
+        if root.get("compressor") or root.get("type") != "PolyData":
+            raise ValueError("it is compressed, or no PolyData: save it as PolyData without compression")
+        points = _array(root, "Points/DataArray").reshape(-1, 3)
+        rows, ends = (
+            _array(root, f"Lines/DataArray[@Name='{name}']").astype(np.int64)
+            for name in ("connectivity", "offsets")
+        )
+        said = root.find(".//FieldData/DataArray[@Name='height_mm']")
+        return _stack_of_lines(
+            points[rows], np.diff(ends, prepend=0), np.zeros(0) if said is None else _values(root, said)
+        )
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (ElementTree.ParseError, ValueError, IndexError, LookupError) as error:
+        raise InputError(f"{path}: is no VTK PolyData with contours at heights: {error}") from None
+
+
+def _stack_of_lines(points: NDArray[np.float64], sizes: Ints, said: NDArray[np.float64]) -> Layers:
+    """Contours of lines, one after the other; heights of layers without one are said besides."""
+    if (sizes < 2).any() or sizes.sum() != len(points):
+        raise ValueError("a line has fewer than two points, or the offsets of lines do not rise")
+    first = np.cumsum(sizes) - sizes
+    level = points[first, 2]
+    if (np.repeat(level, sizes) != points[:, 2]).any():
+        raise ValueError("a line does not lie at one height")
+    closed = (points[first] == points[first + sizes - 1]).all(axis=1) & (sizes > 2)
+    kept = np.ones(len(points), np.bool_)
+    kept[(first + sizes - 1)[closed]] = False
+    heights = np.unique(np.concatenate([said, level]))
+    return stack_of_rings(heights, np.searchsorted(heights, level), sizes - closed, closed, points[kept, :2])
+
+
+def _array(root: ElementTree.Element, place: str) -> NDArray[Any]:
+    array = root.find(f".//Piece/{place}")
+    if array is None:
+        raise ValueError(f"it has no {place}")
+    return _values(root, array)
+
+
+def _values(root: ElementTree.Element, array: ElementTree.Element) -> NDArray[Any]:
+    dtype = READABLE[array.get("type", "")]
+    text = "".join((array.text or "").split())
+    if array.get("format") == "ascii":
+        return np.array((array.text or "").split(), dtype)
+    if array.get("format") == "appended":
+        appended = root.find("AppendedData")
+        if appended is None or appended.get("encoding") != "base64":
+            raise ValueError("its appended data are not in base64: save them so")
+        text = (appended.text or "").strip()[1 + int(array.get("offset", "")) :]
+    width = 8 if root.get("header_type") == "UInt64" else 4
+    length = int.from_bytes(base64.b64decode(text[: 4 * -(-width // 3)])[:width], "little")
+    data = base64.b64decode(text[: 4 * -(-(width + length) // 3)])[width:]
+    return np.frombuffer(data, dtype, count=length // np.dtype(dtype).itemsize)
+
+
+def _write_polydata(
+    path: str | Path,
+    points: NDArray[np.float64],
+    kind: str,
+    cells: tuple[Ints, Ints],
+    cell_data: Mapping[str, NDArray[Any]],
+    point_data: Mapping[str, NDArray[Any]] | None = None,
+    heights: NDArray[np.float64] | None = None,
+) -> None:
+    appended: list[bytes] = []
+    length = 0
+
+    def array(name: str, values: NDArray[Any], components: int = 1, more: str = "") -> str:
+        nonlocal length
+        little = np.ascontiguousarray(values, values.dtype.newbyteorder("<"))
+        data = little.tobytes()
+        encoded = base64.b64encode(len(data).to_bytes(8, "little") + data)
+        offset, length = length, length + len(encoded)
+        appended.append(encoded)
+        return (
+            f'<DataArray type="{VTK_TYPES[little.dtype.str]}" Name={quoteattr(name)} NumberOfComponents="{components}"{more} '
+            f'format="appended" offset="{offset}"/>'
+        )
+
+    counts = " ".join(
+        f'NumberOf{name}="{len(cells[1]) if name == kind else 0}"'
+        for name in ("Verts", "Lines", "Strips", "Polys")
+    )
+    connectivity, offsets = (np.asarray(column, np.int64) for column in cells)
+    lines = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
+        "<PolyData>",
+        "<FieldData>",
+        *([] if heights is None else [array("height_mm", heights, more=f' NumberOfTuples="{len(heights)}"')]),
+        "</FieldData>",
+        f'<Piece NumberOfPoints="{len(points)}" {counts}>',
+        "<PointData>",
+        *(array(name, column) for name, column in (point_data or {}).items()),
+        "</PointData>",
+        "<CellData>",
+        *(array(name, column) for name, column in cell_data.items()),
+        "</CellData>",
+        "<Points>",
+        array("Points", points, 3),
+        "</Points>",
+        f"<{kind}>",
+        array("connectivity", connectivity),
+        array("offsets", offsets),
+        f"</{kind}>",
+        "</Piece>",
+        "</PolyData>",
+        '<AppendedData encoding="base64">',
+    ]
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write("\n".join(lines).encode() + b"\n_")
+        file.writelines(appended)
+        file.write(b"\n</AppendedData>\n</VTKFile>\n")
