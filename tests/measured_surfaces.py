@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.map_files import HeightMap
 from ebamcheck.live.metal_so_far import MetalSoFar

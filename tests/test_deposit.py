@@ -12,9 +12,10 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, _outside, deposit_checks
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS, _outside, deposit_checks
+from ebamcheck.checks.thin_walls import narrow_bead
 from ebamcheck.checks.wire_checks import wire_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.control import control as control_named
@@ -25,7 +26,6 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, nominal_wire_speed_mm_s
 from ebamcheck.writing.bead_ends import planned_path
 from ebamcheck.writing.events import COLUMNS, event_totals, process_events
-from ebamcheck.writing.thin_walls import narrow_bead
 
 DISC = shapely.Point(3, -8).buffer(45, 64)
 PARTS = {

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS
+from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS
 from ebamcheck.checks.remedies import OTHERWISE, REMEDIES, layer_of, told
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate

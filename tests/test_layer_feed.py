@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from parts import box
 from slicers_here import runs_cut_here as runs_cut_here
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.heat.melting import melting_heat_j_kg
 from ebamcheck.live.building import Building
 from ebamcheck.live.heat_so_far import HeatSoFar

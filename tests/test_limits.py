@@ -49,35 +49,35 @@ ELSEWHERE = {
 
 NO_LIMITS = {
     "how finely something is looked at": """
-        bare_parts.MARGIN bead_checks.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
+        bare_parts.MARGIN bead_checks.CRUMB bead_checks.BEAD_STEP_MM clearance.PLACES metal.STEP_SHARE
         hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
-        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM outside_check.STEP_MM overfill.CELLS overhang.OUTLINE_STEP_MM
+        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM outside_check.STEP_MM overhang.OUTLINE_STEP_MM
         overhang.INNER_STEP_MM overhang.FIRST_ASKED overhang.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
         standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
-        tilt_checks.STEP_DEG text_heat.LONGEST_S
-        bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS end_gaps.REACH_BEADS
+        table.STEP_DEG text_heat.LONGEST_S
+        metal_rules.SPANS metal.AT_ONCE metal_rules.LEAST_BEADS end_gaps.REACH_BEADS
         narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
         mesh_sections.LINES_PER_BEAD mesh_sections.MOST_LINES mesh_sections.OFF_GRID mesh_sections.AT_ONCE part_file.AT_ONCE
         between_cuts.LEAST_MM2 between_cuts.MOST_SPANS between_cuts.FINEST
-        solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE stages.SAMPLING_MM turned.STEP_MM
-        turned.MOST_PLACES""",
+        solid_metal.CUTS_OF_A_LAYER solid_metal.CUTS_AT_ONCE stages.SAMPLING_MM table.STEP_MM
+        table.MOST_PLACES""",
     "units, forms of files, and how much of something is told": """
-        consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING
-        deposit_checks.SMALL_KG header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
-        metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
+        consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
+        header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
+        metal.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
         matching.APART_MM certificate_form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
         noticed_in_program.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT report_writers.TIME_S
         report_writers.MEMORY_MB report_writers.LARGEST_REPORT_BYTES report_writers.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
-        toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
+        toolchain.GIT_TIMEOUT_S table.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
-        bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
-        turned.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
-    "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
+        bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH table.LEAST_MM2
+        table.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
+    "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """
         loose_limits.MOST_SLACK noticed_in_program.STEEP_DEG noticed_in_program.ROUNDING_MM noticed_in_program.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",

@@ -29,7 +29,7 @@ from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
 from ebamcheck.scan.heat import interpass
-from ebamcheck.settings import process, wire_speed
+from ebamcheck.settings import process, process_window
 from ebamcheck.settings.config import Config
 from ebamcheck.writing import inputs, tracks, wire
 
@@ -41,8 +41,8 @@ FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_wrong_section_of_the_wire_is_found(factor, monkeypatch, tmp_path):
-    right = wire_speed.wire_mm2
-    monkeypatch.setattr(wire_speed, "wire_mm2", lambda config: factor * right(config))
+    right = process_window.wire_area_mm2
+    monkeypatch.setattr(process_window, "wire_area_mm2", lambda config: factor * right(config))
     assert "metal" in Made(tmp_path, FRAME).failed()
 
 

@@ -8,8 +8,8 @@ import shapely
 from prism_program import CONFIG, Made
 from shapely import affinity
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import NARROW, deposit_checks
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import NARROW, deposit_checks
 from ebamcheck.checks.narrow_features import narrow_features, narrow_places
 from ebamcheck.pipeline.noticed_in_program import of_metal, of_narrow
 from ebamcheck.settings.config import Config

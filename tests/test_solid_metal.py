@@ -9,7 +9,7 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
-from ebamcheck.checks.deposit_checks import SOLID
+from ebamcheck.checks.metal_rules import SOLID
 from ebamcheck.layers.cuts import cut_heights
 from ebamcheck.layers.layer_rule import layer_rule, level_faces, section_areas
 from ebamcheck.mesh.volumes import volumes_between

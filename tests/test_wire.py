@@ -6,9 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
-from ebamcheck.writing.wire import WIDTH_DIGITS, rounded_widths, width_limits_mm
+from ebamcheck.settings.process_window import wire_speed_mm_s
+from ebamcheck.writing.wire import WIDTH_DIGITS, rounded_widths
 
 UNIT_MM = 10.0**-WIDTH_DIGITS
 

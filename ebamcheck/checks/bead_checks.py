@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 
 import numpy as np
 import shapely
@@ -12,11 +13,12 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.bare_parts import widest_part
-from ebamcheck.checks.bead_wire import bead_wire_check
 from ebamcheck.checks.checks import Check, CheckGroup, count_check, lines_of, row_faults
 from ebamcheck.checks.end_gaps import end_gaps_check
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
+from ebamcheck.checks.metal import Deposit
+from ebamcheck.checks.metal_rules import bead_wire_check
 from ebamcheck.geometry.raster import covered_fraction
 from ebamcheck.geometry.regions import ground, inset
 from ebamcheck.layers.stack import Layers
@@ -54,7 +56,11 @@ LEAST_GAP_LIMIT = 0.15
 
 
 def bead_checks(
-    nc: NCProgram, config: Config, z_of: Floats, layers: Layers | None = None
+    nc: NCProgram,
+    config: Config,
+    z_of: Floats,
+    layers: Layers | None = None,
+    laid: Callable[[], Deposit] | None = None,
 ) -> list[CheckGroup]:
     """Checks of the beads by the text alone, and of the coverage of the sections where `layers` are given.
 
@@ -62,6 +68,8 @@ def bead_checks(
     ----------
     z_of
         (L,) Z of each of the `layers` in the program.
+    laid
+        Lays the metal of the program, with what its places ask for; None: the wire of beads is not judged.
     """
     groups: list[CheckGroup] = [
         lambda: [_spacing(nc, config, z_of, layers), _once(nc), *form_checks(nc, config)]
@@ -70,7 +78,7 @@ def bead_checks(
         groups += [
             lambda: [_coverage(nc, config, z_of, layers)],
             lambda: [_gaps(nc, config, z_of, layers)],
-            lambda: [bead_wire_check(nc, config, z_of, layers)],
+            lambda: [] if laid is None else [bead_wire_check(nc, laid(), config)],
             lambda: [end_gaps_check(nc, config, layers)],
         ]
     return groups

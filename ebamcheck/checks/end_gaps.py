@@ -14,9 +14,8 @@ import pandas as pd
 import shapely
 from scipy.spatial import cKDTree
 
-from ebamcheck.checks.bead_metal import wanted_region
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit import STEP_SHARE
+from ebamcheck.checks.metal import STEP_SHARE, wanted_region
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.checks.bead_metal import wire_section_mm2
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.heat_again import melting_power_w
+from ebamcheck.checks.metal import wire_section_mm2
 from ebamcheck.checks.window_checks import layer_steps_mm
 from ebamcheck.nc.increments import power_slack_w
 from ebamcheck.nc.motions import NCProgram

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import shapely
 
-from ebamcheck.checks.bead_metal import wanted_region
 from ebamcheck.checks.checks import Check
+from ebamcheck.checks.metal import wanted_region
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer

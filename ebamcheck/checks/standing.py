@@ -1,7 +1,7 @@
 """What stands while a program runs: the height of base plate, clamps and beads over a grid, motion by motion.
 
 A bead stands as high as the tool ran, as wide as it is nominally; the metal's own unevenness is judged by
-:mod:`ebamcheck.checks.deposit`. The tool is a tip, the end of the wire, and above it the head, a cylinder around the
+:mod:`ebamcheck.checks.metal`. The tool is a tip, the end of the wire, and above it the head, a cylinder around the
 tool's axis. What a motion meets is what stood when it began: a bead does not support itself.
 """
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,8 +15,6 @@ from ebamcheck.checks.bead_end_checks import bead_end_checks, ramp_check
 from ebamcheck.checks.checks import Check, CheckGroup, checks_of
 from ebamcheck.checks.clearance import clearance_checks
 from ebamcheck.checks.consumables import consumables_checks
-from ebamcheck.checks.deposit import Deposit, deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.checks.event_checks import (
     increment_check,
     released_checks,
@@ -31,8 +30,9 @@ from ebamcheck.checks.interpass_checks import (
     wait_check,
 )
 from ebamcheck.checks.matching import Matching, matched, matching_checks, tracks_known
+from ebamcheck.checks.metal import Deposit, deposit
+from ebamcheck.checks.metal_rules import deposit_checks, overfill_check
 from ebamcheck.checks.outside_check import outside_check
-from ebamcheck.checks.overfill import overfill_check
 from ebamcheck.checks.path_checks import (
     closure_check,
     contour_checks,
@@ -44,9 +44,9 @@ from ebamcheck.checks.preheat_checks import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import Evidence, section_check
 from ebamcheck.checks.state_checks import far_away, state_checks
+from ebamcheck.checks.table import tilt_checks
 from ebamcheck.checks.text_checks import text_checks
 from ebamcheck.checks.text_heat import known_sections
-from ebamcheck.checks.tilt_checks import tilt_checks
 from ebamcheck.checks.window_checks import window_check
 from ebamcheck.checks.wire_checks import wire_check
 from ebamcheck.checks.word_checks import words_check
@@ -90,7 +90,7 @@ def verify_program(
     smooth: Layers | None = None,
     beads: bool = False,
     metal: bool = False,
-    laid: Deposit | None = None,
+    laid: Callable[[], Deposit] | None = None,
     heat: bool = False,
     before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
@@ -122,7 +122,7 @@ def verify_program(
     metal
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
     laid
-        That metal, where it was laid already: it is checked, and not laid a second time.
+        Gives that metal, where it is laid elsewhere; with what its places ask for, where `beads` are checked.
     heat
         Work out a balance of the part's heat from the times, waits and power of the text, and check each bead's entry.
     before
@@ -191,17 +191,27 @@ def verify_program(
                 config.curves.section_tolerance_mm if section_tolerance_mm is None else section_tolerance_mm
             )
             groups.append(lambda: _section_checks(nc, layers, smooth, z_of, offset, config, most))
-            if metal or laid is not None:
-                groups.append(
-                    lambda: deposit_checks(
-                        nc, deposit(nc, layers, z_of, config) if laid is None else laid, config
-                    )
-                )
+            laid = laid or _once(lambda: deposit(nc, layers, z_of, config, asked=beads))
+            if metal:
+                groups.append(lambda: deposit_checks(nc, laid(), config))
             if path is None:
                 groups.append(lambda: [overfill_check(nc, z_of, config, layers)])
         if beads:
-            groups += bead_checks(nc, config, z_of, layers)
+            groups += bead_checks(nc, config, z_of, layers, laid)
     return checks_of(groups)
+
+
+def _once(make: Callable[[], Deposit]) -> Callable[[], Deposit]:
+    """Lay the metal at the first call, whichever check asks for it, and give it back at each further one."""
+    lock, made = Lock(), list[Deposit]()
+
+    def found() -> Deposit:
+        with lock:
+            if not made:
+                made.append(make())
+            return made[0]
+
+    return found
 
 
 def _planned_shares(plan: ScanColumns) -> Floats:

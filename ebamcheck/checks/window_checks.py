@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.checks.bead_metal import bead_height_mm, wire_section_mm2
 from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.metal import bead_height_mm, wire_section_mm2
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config

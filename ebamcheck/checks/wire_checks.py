@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from ebamcheck.checks.bead_metal import bead_sections_mm2
 from ebamcheck.checks.checks import Check, worst_check
+from ebamcheck.checks.metal import bead_sections_mm2
+from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
@@ -15,7 +16,6 @@ from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_parts import path_points
 from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.tracks import Toolpath
-from ebamcheck.writing.wire import width_limits_mm
 
 NAME = "mass balance"
 

@@ -10,7 +10,8 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal_rules import MetalBelow
+from ebamcheck.checks.table import stands_of
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layer_numbers import index_of_number
@@ -23,7 +24,6 @@ from ebamcheck.live.metal_so_far import MetalSoFar
 from ebamcheck.live.publishing import tilted
 from ebamcheck.live.relaying import Relayered, check_height, relayer
 from ebamcheck.nc.files import preheat_name
-from ebamcheck.pipeline.turned import stands_of
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
 

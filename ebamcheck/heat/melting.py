@@ -7,6 +7,8 @@ import numpy as np
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.feed_along import along_window
+from ebamcheck.settings.process_window import MOST_SPACINGS, wire_speed_mm_s
 
 WIDER = 1.0005
 """Width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program."""
@@ -86,3 +88,22 @@ def scheduled_share(config: Config, height_mm: float) -> float | None:
         return None
     heights, shares = np.array(schedule, np.float64).T
     return float(np.interp(height_mm, heights, shares))
+
+
+def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
+    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed, of the pool, and of the
+    metal that the full power melts, which a bead gets where it needs it.
+
+    Where the feed follows along the path, those of wire and feed together, at the share of the power of the layer.
+    """
+    process = config.process
+    per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
+    slow, fast = along_window(config, power_share)
+    melts_mm3_s = min(melted_mm3_s(config), process.power_w / process.metal_energy_j_mm3[0])
+    most = min(
+        process.wire_speed_max_mm_s / (per_mm * slow),
+        MOST_SPACINGS * process.hatch_spacing_mm,
+        melts_mm3_s / (process.travel_speed_mm_s * thickness_mm),
+    )
+    least = process.wire_speed_min_mm_s / (per_mm * fast)
+    return least, max(least, most)

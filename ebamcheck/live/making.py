@@ -23,6 +23,7 @@ from ebamcheck.backend import BackendSettings
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.marked import marked_validated
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.table import Stands, turned_checks
 from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.curves import fit_for_program
 from ebamcheck.curves.per_part import keep_surface_of
@@ -52,7 +53,6 @@ from ebamcheck.pipeline.stages import (
     smooth_sections,
     written,
 )
-from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, verify_program
 from ebamcheck.scan.order.orders import needs_heat

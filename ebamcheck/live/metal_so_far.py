@@ -14,9 +14,8 @@ import pandas as pd
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.checks.verification import read_checked
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import Layers

@@ -19,13 +19,13 @@ from ebamcheck.mesh.on_table import on_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import LONGEST_NAME
-from ebamcheck.nc.tilt_rules import checked_tilt
+from ebamcheck.nc.special_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
 from ebamcheck.settings.text import values_as_toml
 from ebamcheck.version import __version__
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.tilt_text import Tilt, tilt_of
+from ebamcheck.writing.table import Tilt, tilt_of
 
 CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
 """Files of a published layer, and the folder of its program."""

@@ -9,12 +9,11 @@ from functools import cached_property
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.increments import increments_of, to_increment
 from ebamcheck.nc.numbers import plain
-from ebamcheck.nc.preheat_rules import checked_preheating
 from ebamcheck.nc.profile import templates_of
+from ebamcheck.nc.special_rules import checked_preheating, checked_tilt
 from ebamcheck.nc.template_rules import checked_templates
-from ebamcheck.nc.tilt_rules import checked_tilt
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import wire_speed_mm_s
 
 LONGEST_BLOCK = 200
 """Characters of a block that every software version of the control takes."""

@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import BETWEEN
+from ebamcheck.checks.metal_rules import BETWEEN
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.checks.heat_again import highest_entry_k
 from ebamcheck.checks.interpass_checks import AGAIN, COLD, HEAT_CHECKS, INTERPASS, within_range
 from ebamcheck.checks.melting_check import MELTING
+from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS, OF_THE_MESH, of_deposit
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison import Finding as Disagreement
 from ebamcheck.comparison.doubt import doubted_layers

@@ -18,7 +18,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import HEIGHTS, SECTIONS
+from ebamcheck.checks.metal_rules import HEIGHTS, SECTIONS
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Bools, Floats, Ints

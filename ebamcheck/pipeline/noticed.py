@@ -13,7 +13,7 @@ from ebamcheck.nc.control import control
 from ebamcheck.preflight.suspicions import of_bodies, suspicions
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import wire_speed_mm_s
 from ebamcheck.slicers.isolation import Outcome
 
 

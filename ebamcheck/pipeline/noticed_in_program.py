@@ -11,8 +11,8 @@ import pandas as pd
 
 from ebamcheck.checks.checks import Check
 from ebamcheck.checks.consumables import consumed
-from ebamcheck.checks.deposit_checks import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
 from ebamcheck.checks.interpass_checks import INTERPASS, within_range
+from ebamcheck.checks.metal_rules import BETWEEN, HEIGHTS, NARROW, PART_FILE, SECTIONS, SOLID
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.process_checks import seam_turns
 from ebamcheck.checks.remedies import (

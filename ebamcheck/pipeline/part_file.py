@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import PART_FILE
+from ebamcheck.checks.metal_rules import PART_FILE
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.plates import PlatePart

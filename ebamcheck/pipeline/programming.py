@@ -12,11 +12,10 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.atomic_file import COMPRESSION
-from ebamcheck.checks.deposit import Deposit, deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.checks.marked import marked_validated
 from ebamcheck.checks.matching import matched
-from ebamcheck.checks.metal_field import FIELD_FILE, write_field
+from ebamcheck.checks.metal import FIELD_FILE, Deposit, deposit, write_field
+from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.checks.remedies import told
 from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
@@ -175,7 +174,7 @@ def _write_events(job: Job, path: Toolpath, plan: ScanPlan) -> dict[str, float]:
 def _laid(job: Job, program: NCProgram, witness: Layers) -> Deposit:
     """Lay the metal of the program over the sections of the witness."""
     z_of = deposition_heights(witness.heights, job.config.layer_height_mm, job.config.base_mm)
-    return deposit(program, witness, z_of, job.config)
+    return deposit(program, witness, z_of, job.config, asked=True)
 
 
 def _weighed(job: Job, program: NCProgram, witness: Layers, found: Deposit) -> list[Check]:
@@ -215,8 +214,8 @@ def _verified(
     program, _ = matched(read_program(files.main, config), laid.path)
     job.add_finding(*noticed_in_program.of_seams(program, heights, config))
     job.add_finding(*noticed_in_program.of_consumables(program, config))
-    feeds = aside.submit(side_by_side, program, sections.contours, config)
     metal = aside.submit(_laid, job, program, witness)
+    feeds = aside.submit(side_by_side, program, sections.contours, config)
     times = aside.submit(build_times_s, program, config, known_sections(laid.plan, witness))
     checks = verify_program(
         program,
@@ -226,6 +225,7 @@ def _verified(
         path=laid.path,
         layers=witness,
         beads=True,
+        laid=metal.result,
         heat=True,
         sha256=files.sha256,
         smooth=smooth_sections(sections.curves, config),

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit_checks import SOLID, of_deposit
+from ebamcheck.checks.metal_rules import SOLID, of_deposit
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part

@@ -16,15 +16,13 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from ebamcheck.checks.bead_wire import NAME as WIRE_OF_BEADS
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import OF_THE_MESH, of_deposit
 from ebamcheck.checks.end_gaps import NAME as ENDS_OF_BEADS
 from ebamcheck.checks.entry_check import NAME as ENTRY
 from ebamcheck.checks.hatch_form import CROSSINGS, LINES
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
-from ebamcheck.checks.metal_field import FIELD_FILE
+from ebamcheck.checks.metal import FIELD_FILE, deposit
+from ebamcheck.checks.metal_rules import OF_THE_MESH, WIRE_OF_BEADS, of_deposit
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.verification import read_checked
 from ebamcheck.comparison import Comparison
@@ -437,7 +435,7 @@ def text_again(
     if nc is None:
         return TextAgain([readable], plan, tables)
     z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
-    laid = deposit(nc, fresh, z_of, config)
+    laid = deposit(nc, fresh, z_of, config, asked=True)
     checks = verify_program(
         nc,
         config=config,
@@ -447,7 +445,8 @@ def text_again(
         layers=fresh,
         smooth=smooth,
         beads=True,
-        laid=laid,
+        metal=True,
+        laid=lambda: laid,
         heat=True,
         heights=fresh.heights,
         sha256={file["name"]: file["sha256"] for file in record["files"]},

@@ -18,9 +18,8 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ebamcheck.checks.deposit import Deposit
 from ebamcheck.checks.matching import matched
-from ebamcheck.checks.metal_field import FIELD_FILE, field_table
+from ebamcheck.checks.metal import FIELD_FILE, Deposit, field_table
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.kinematics import side_by_side

@@ -11,6 +11,7 @@ from typing import Any
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.header_checks import Truth
+from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -26,7 +27,6 @@ from ebamcheck.pipeline.placement import cut_heights, placed_part
 from ebamcheck.pipeline.plate_record import plate_checks
 from ebamcheck.pipeline.solid_metal import with_solid
 from ebamcheck.pipeline.stages import smooth_sections
-from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import Check, read_program, verify_file
 from ebamcheck.record.certificate import find_certificate, find_record, read_certificate

@@ -16,7 +16,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import ARC_SEGMENTS
-from ebamcheck.heat.melting import melted_mm3_s
+from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.pools import pooled
@@ -25,9 +25,6 @@ from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import along_window
-from ebamcheck.settings.process_window import MOST_SPACINGS
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
 from ebamcheck.writing.bead_parts import (
     ROUNDING_MM,
     Parts,
@@ -71,25 +68,6 @@ POOL_SHARE = 1.0 / 12.0
 
 WIDTH_DIGITS = 4
 """Decimals of a width, mm: a hundred-thousandth of the metal."""
-
-
-def width_limits_mm(config: Config, thickness_mm: float, power_share: float = 1.0) -> tuple[float, float]:
-    """Least and greatest width that a bead can lay in a layer of this height: limits of the wire feed, of the pool, and of the
-    metal that the full power melts, which a bead gets where it needs it.
-
-    Where the feed follows along the path, those of wire and feed together, at the share of the power of the layer.
-    """
-    process = config.process
-    per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)
-    slow, fast = along_window(config, power_share)
-    melts_mm3_s = min(melted_mm3_s(config), process.power_w / process.metal_energy_j_mm3[0])
-    most = min(
-        process.wire_speed_max_mm_s / (per_mm * slow),
-        MOST_SPACINGS * process.hatch_spacing_mm,
-        melts_mm3_s / (process.travel_speed_mm_s * thickness_mm),
-    )
-    least = process.wire_speed_min_mm_s / (per_mm * fast)
-    return least, max(least, most)
 
 
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:

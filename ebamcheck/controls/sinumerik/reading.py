@@ -21,9 +21,9 @@ from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.recognition import StateChange, Templates
 from ebamcheck.nc.recorder import LINE_OF_T, NAN, NO_CENTRE, Recorder
-from ebamcheck.nc.table import AXIS_EVENT, NONE, frame_after
+from ebamcheck.nc.table import NONE, frame_after, on_part
 from ebamcheck.nc.template_rules import checked_templates
-from ebamcheck.nc.turned_table import on_part
+from ebamcheck.nc.timeline import AXIS_EVENT
 from ebamcheck.nc.words import (
     NUMBER,
     SKIP,

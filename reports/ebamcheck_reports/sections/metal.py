@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, OF_THE_MESH
-from ebamcheck.checks.metal_field import FIELD_FILE, read_field
+from ebamcheck.checks.metal import FIELD_FILE, read_field
+from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS, OF_THE_MESH
 from ebamcheck.showing.markup import inline
 from ebamcheck_reports import metal_picture
 from ebamcheck_reports.charts import Series, line_chart

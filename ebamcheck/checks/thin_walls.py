@@ -17,8 +17,7 @@ from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.heat.melting import least_power_share
 from ebamcheck.scan.islands.regions import CRUMB, split_thin
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import line_energy_j_mm
-from ebamcheck.settings.wire_speed import wire_speed_mm_s
+from ebamcheck.settings.process_window import line_energy_j_mm, wire_speed_mm_s
 
 
 @dataclass(frozen=True)
