@@ -25,8 +25,8 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.chance_parts import chance_part, kind_of
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.geometry.regions import eroded, split_thin, valid_polygons

@@ -8,8 +8,8 @@ from functools import cache
 import numpy as np
 from limit_cases import Case, Subject, cube, upwards
 
-from ebamcheck.checks.tilt_checks import tilt_checks
-from ebamcheck.nc.table import TableColumns
+from ebamcheck.checks.table import tilt_checks
+from ebamcheck.nc.motions import TableColumns
 from ebamcheck.program import Check
 
 AXIS = {
@@ -84,9 +84,7 @@ def judge(name: str):
 
 
 CASES: tuple[Case, ...] = (
-    upwards("table limits", "tilt_checks.LIMIT_DEG machine.rotary", turned_to, judge=judge("table limits")),
-    upwards("frame", "turned_table.SAME_PLACE_MM", put_aside, judge=judge("frame")),
-    upwards(
-        "table height", "tilt_checks.PLACE_MM machine.clearance_mm", turned_at, judge=judge("table height")
-    ),
+    upwards("table limits", "table.LIMIT_DEG machine.rotary", turned_to, judge=judge("table limits")),
+    upwards("frame", "table.SAME_PLACE_MM", put_aside, judge=judge("frame")),
+    upwards("table height", "table.PLACE_MM machine.clearance_mm", turned_at, judge=judge("table height")),
 )

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.curves import Curves
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.inputs import deposition_heights

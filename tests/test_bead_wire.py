@@ -7,7 +7,8 @@ import pytest
 import shapely
 from prism_program import Made
 
-from ebamcheck.checks.bead_wire import NAME, bead_wire_check, most_off
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import WIRE_OF_BEADS, bead_wire_check, most_off
 from ebamcheck.nc.roles import by_height, by_section
 
 LAYERS = 22
@@ -23,8 +24,8 @@ def tapered(tmp_path_factory):
 
 
 def checked(made, nc):
-    check = bead_wire_check(nc, made.config, made.z, made.layers)
-    assert check.name == NAME
+    check = bead_wire_check(nc, deposit(nc, made.layers, made.z, made.config, asked=True), made.config)
+    assert check.name == WIRE_OF_BEADS
     return check
 
 

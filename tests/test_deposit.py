@@ -12,9 +12,9 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import DEPOSIT_CHECKS, _outside, deposit_checks
 from ebamcheck.checks.matching import matched
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS, _outside, deposit_checks
 from ebamcheck.checks.narrow_features import narrow_bead
 from ebamcheck.checks.value_checks import wire_check
 from ebamcheck.layers.stack import from_polygons

@@ -16,7 +16,7 @@ import pytest
 import shapely
 from shapely import affinity
 
-from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.inputs import deposition_heights
@@ -194,10 +194,10 @@ def outcome(config: Config, folder, part=PART):
         texts = [(files.folder / name).read_text() for name in files.names]
         yield list(files.names), [re.sub(r"(?im)^.*sha-256.*$", "", text) for text in texts]
         nc = read_program(files.main, config)
-        found = deposit(nc, layers, deposition_heights(heights, config.layer_height_mm), config)
+        found = deposit(nc, layers, deposition_heights(heights, config.layer_height_mm), config, asked=True)
         checks = verify_program(
             nc, config=config, curves=beads, plan=plan, path=planned_path(beads, plan, config), layers=layers,
-            beads=True, heat=True, laid=found,
+            beads=True, metal=True, heat=True, laid=lambda: found,
         )  # fmt: skip
         yield [(c.name, c.passed, c.value, c.limit, c.text) for c in checks]
         yield list(findings.heat_findings(plan, config))

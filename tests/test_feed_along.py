@@ -12,7 +12,7 @@ from measured_surfaces import SIZE, level_metal, map_of, surface_of
 from parts import box
 from planted_faults import Text
 
-from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.value_checks import wire_check
 from ebamcheck.live.height_map import figures_of, in_cells
 from ebamcheck.live.heights import at_layer_feed, has_room

@@ -12,7 +12,7 @@ from live_boxes import failed_checks, maker_of, run_of_box
 from measured_surfaces import SIZE, level_metal, map_of, surface_of, write_csv
 from slicers_here import runs_cut_here as runs_cut_here
 
-from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
 from ebamcheck.live.height_map import figures_of, in_cells

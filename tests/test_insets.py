@@ -9,7 +9,7 @@ import pytest
 import shapely
 import shapely.affinity
 
-from ebamcheck.checks.deposit import _reaches_mm
+from ebamcheck.checks.metal import _reaches_mm
 from ebamcheck.geometry.regions import eroded, is_inset, valid_polygons
 from ebamcheck.metal import target_of
 from ebamcheck.nc.depths import depth_lines

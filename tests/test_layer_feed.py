@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from parts import box
 from slicers_here import runs_cut_here as runs_cut_here
 
-from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.heat.melting import melting_heat_j_kg
 from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prism_program import Made
 
-from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.metal.pools import pooled
 
 ANGLE = 2.0 * np.pi * np.arange(48) / 48

@@ -63,14 +63,14 @@ NO_LIMITS = {
         mesh_checks.CUTS_OF_A_LAYER mesh_checks.CUTS_AT_ONCE stages.SAMPLING_MM turned.STEP_MM
         turned.MOST_PLACES""",
     "units, forms of files, and how much of something is told": """
-        consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS deposit.NO_SECTION deposit_checks.ROUNDING
-        deposit_checks.SMALL_KG header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
-        metal_field.FORMAT metal_zones.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
+        consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
+        header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
+        metal.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
         matching.APART_MM certificate_form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
         findings.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT reports.TIME_S
         reports.MEMORY_MB reports.LARGEST_REPORT_BYTES reports.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
-        toolchain.GIT_TIMEOUT_S turned.FAR_MM""",
+        toolchain.GIT_TIMEOUT_S table.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM

@@ -9,9 +9,8 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.metal import Surface
 from ebamcheck.program import read_program

@@ -40,8 +40,8 @@ FRAME = shapely.box(0, 0, 60, 40).difference(shapely.box(24, 14, 38, 26))
 
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_wrong_section_of_the_wire_is_found(factor, monkeypatch, tmp_path):
-    right = process_window.wire_mm2
-    monkeypatch.setattr(process_window, "wire_mm2", lambda config: factor * right(config))
+    right = process_window.wire_area_mm2
+    monkeypatch.setattr(process_window, "wire_area_mm2", lambda config: factor * right(config))
     assert "metal" in Made(tmp_path, FRAME).failed()
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from PIL import Image
 
-from ebamcheck.checks.metal_field import LayerField
+from ebamcheck.checks.metal import LayerField
 from ebamcheck.metal import target_of
 from ebamcheck_reports.metal_picture import BLUE, COLOURS, RED, draw
 

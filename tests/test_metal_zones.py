@@ -9,14 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.metal_zones import (
-    NO_ZONES,
-    ZONES,
-    zone_figures,
-    zone_limit,
-    zone_off,
-)
+from ebamcheck.checks.metal import NO_ZONES, ZONES, deposit, zone_figures, zone_limit, zone_off
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.metal import Surface, levelled, reachable, target_of
 from ebamcheck.numeric.rings import Floats

@@ -8,8 +8,8 @@ import shapely
 from prism_program import CONFIG, Made
 from shapely import affinity
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import NARROW, deposit_checks
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import NARROW, deposit_checks
 from ebamcheck.checks.narrow_features import narrow_features, narrow_places
 from ebamcheck.pipeline.findings import metal_findings, narrow_findings
 from ebamcheck.settings.config import Config

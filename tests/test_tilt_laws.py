@@ -8,16 +8,15 @@ from nc_stack import stack
 from parts import box
 from scipy.spatial.transform import Rotation
 
+from ebamcheck.checks.table import mounting_checks
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.on_table import on_table
-from ebamcheck.nc.table import NONE, frame_after
-from ebamcheck.nc.turned_table import table_at
+from ebamcheck.nc.table import NONE, frame_after, table_at
 from ebamcheck.nc.words import WordError
-from ebamcheck.pipeline.turned import mounting_checks
 from ebamcheck.program import read_program, write_program
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.tilt import RotaryAxis
-from ebamcheck.writing.tilt_text import positions_of, table_motion
+from ebamcheck.writing.table import positions_of, table_motion
 
 
 def axis(name="A", line=(1, 0, 0), point=(0, 0, 0), **given):

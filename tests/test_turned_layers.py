@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts import box, sphere
 
+from ebamcheck.checks.table import _half_plane, _highest, stands_of
 from ebamcheck.errors import InputError
 from ebamcheck.mesh.part import Part
-from ebamcheck.pipeline.turned import _half_plane, _highest, stands_of
 from ebamcheck.settings.config import Config
 
 

@@ -13,10 +13,9 @@ import pandas as pd
 import shapely
 from scipy.spatial import cKDTree
 
-from ebamcheck.checks.bead_metal import wanted_region
 from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.deposit import STEP_SHARE
 from ebamcheck.checks.event_checks import retract_check
+from ebamcheck.checks.metal import STEP_SHARE, wanted_region
 from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.checks.value_checks import own_shares
 from ebamcheck.layers.stack import Layers

@@ -11,17 +11,15 @@ import numpy as np
 from ebamcheck.checks import remedies as do
 from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks, repeated_blocks
 from ebamcheck.checks.bead_end_checks import bead_end_checks, end_gaps_check, ramp_check
-from ebamcheck.checks.bead_wire import bead_wire_check
 from ebamcheck.checks.checks import Check, checks_of
 from ebamcheck.checks.clearance import clearance_checks
 from ebamcheck.checks.consumables import consumables_checks
-from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.checks.event_checks import increment_check, released_checks, value_check, wait_height_check
 from ebamcheck.checks.header_checks import header_checks
 from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
-from ebamcheck.checks.overfill import overfill_check
+from ebamcheck.checks.metal_rules import bead_wire_check, deposit_checks, overfill_check
 from ebamcheck.checks.path_checks import (
     closure_check,
     contour_checks,
@@ -33,8 +31,8 @@ from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import section_checks
 from ebamcheck.checks.state_checks import state_checks
 from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.table import tilt_checks
 from ebamcheck.checks.text_checks import text_checks, words_check
-from ebamcheck.checks.tilt_checks import tilt_checks
 from ebamcheck.checks.value_checks import window_check, wire_check
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
@@ -102,8 +100,13 @@ def _matching(subject: Subject) -> list[Check]:
 
 
 def _metal(subject: Subject) -> list[Check]:
-    assert subject.metal is not None
-    return deposit_checks(subject.nc, subject.metal, subject.config)
+    assert subject.deposit is not None
+    return deposit_checks(subject.nc, subject.deposit, subject.config)
+
+
+def _wire(subject: Subject) -> list[Check]:
+    assert subject.deposit is not None
+    return [bead_wire_check(subject.nc, subject.deposit, subject.config)]
 
 
 def _mesh(subject: Subject) -> list[Check]:
@@ -173,7 +176,7 @@ RULES = (
     }, needs=("beads", "heights")),
     Rule(coverage_check, {"coverage": do.HATCH}, needs=("beads", "layers")),
     Rule(gaps_check, {"gaps": do.HATCH}, needs=("beads", "layers")),
-    Rule(lambda s: [bead_wire_check(s.nc, s.config, s.z_of, s.witness)], {"wire of beads": do.WIRE}, needs=("beads", "layers")),
+    Rule(_wire, {"wire of beads": do.WIRE}, needs=("beads", "layers")),
     Rule(lambda s: [end_gaps_check(s.nc, s.config, s.witness)], {"ends of beads": do.ENDS}, needs=("beads", "layers")),
     Rule(_mesh, {
         "metal of the solid": do.LEVELS, "sections of the mesh": do.OFF_MESH, "between the cuts": do.FLAT,

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.bead_metal import wanted_region
 from ebamcheck.checks.checks import Check
+from ebamcheck.checks.metal import wanted_region
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.tolerances import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
 from ebamcheck.curves import LIFTED

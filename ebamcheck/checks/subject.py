@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from threading import Lock
 
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.deposit import Deposit, deposit
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import layer_shares, scheduled_shares, shares_of_text
 from ebamcheck.checks.matching import Matching
+from ebamcheck.checks.metal import Deposit, deposit
 from ebamcheck.checks.text_heat import known_sections
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
@@ -57,7 +58,7 @@ class Subject:
     truth
         What is known of the program from elsewhere, against which its header is held.
     laid
-        The metal of the program, where it was laid already.
+        Gives the metal of the program, where it is laid elsewhere.
     asked
         What is looked at beside the text: ``beads``, ``heat`` and ``metal``.
     """
@@ -75,8 +76,9 @@ class Subject:
     under: BaseGeometry | None = None
     sha256: Mapping[str, str] | None = None
     truth: Truth = field(default_factory=Truth)
-    laid: Deposit | None = None
+    laid: Callable[[], Deposit] | None = None
     asked: frozenset[str] = frozenset()
+    _laying: Lock = field(default_factory=Lock, init=False, repr=False)
 
     def knows(self, need: str) -> bool:
         """Whether something is known, or asked for."""
@@ -152,9 +154,16 @@ class Subject:
             return shares_of_text(self.nc, self.config, self.sections)
         return np.minimum(layer_shares(self.nc, self.config), 1.0)
 
+    @property
+    def deposit(self) -> Deposit | None:
+        """Metal that the program lays over the `layers`: laid once, whichever rule asks for it first."""
+        with self._laying:
+            return self._deposit
+
     @cached_property
-    def metal(self) -> Deposit | None:
-        """Metal that the program lays over the `layers`, where it is asked for or was laid already."""
-        if self.laid is None and self.layers is not None and "metal" in self.asked:
-            return deposit(self.nc, self.layers, self.z_of, self.config)
-        return self.laid
+    def _deposit(self) -> Deposit | None:
+        if self.laid is not None:
+            return self.laid()
+        if self.layers is None:
+            return None
+        return deposit(self.nc, self.layers, self.z_of, self.config, asked="beads" in self.asked)

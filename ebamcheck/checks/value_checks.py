@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from ebamcheck.checks.bead_metal import bead_height_mm, bead_sections_mm2, wire_section_mm2
 from ebamcheck.checks.checks import Check, count_check, worst_check
 from ebamcheck.checks.heat_again import melting_power_w
+from ebamcheck.checks.metal import bead_height_mm, bead_sections_mm2, wire_section_mm2
 from ebamcheck.checks.tolerances import VALUE_SHARE, WINDOW_SHARE, WIRE_PLACE_MM, WIRE_TOLERANCE
 from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.nc.increments import increments_of, power_slack_w

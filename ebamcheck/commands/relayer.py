@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from ebamcheck.checks.table import stands_of
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layer_numbers import index_of_number
@@ -19,7 +20,6 @@ from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.relaying import Relayered, check_height, relayer, tilted
 from ebamcheck.nc.files import preheat_name
-from ebamcheck.pipeline.turned import stands_of
 from ebamcheck.record.run_folder import RunFolder
 
 

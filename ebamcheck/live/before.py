@@ -13,9 +13,8 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.height_map import MENDING, MapFigures, figures_of

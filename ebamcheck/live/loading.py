@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.metal_below import MetalBelow
+from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.live.before import Before

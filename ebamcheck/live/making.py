@@ -21,6 +21,7 @@ from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.part_file import file_check
+from ebamcheck.checks.table import Stands, turned_checks
 from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
@@ -45,7 +46,6 @@ from ebamcheck.pipeline.stages import (
     smooth_sections,
     written,
 )
-from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
 from ebamcheck.program import ProgramFiles, verify_program
 from ebamcheck.result import Check

@@ -26,7 +26,7 @@ from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
 from ebamcheck.settings.text import values_as_toml
 from ebamcheck.version import __version__
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.tilt_text import tilt_of
+from ebamcheck.writing.table import tilt_of
 
 CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
 """Files of a published layer, and the folder of its program."""

@@ -29,10 +29,10 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.live.readings import Reading, fault_of
 from ebamcheck.mesh.on_table import on_table
-from ebamcheck.nc.tilt_rules import checked_tilt
+from ebamcheck.nc.special_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.tilt_text import tilt_of
+from ebamcheck.writing.table import tilt_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,6 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.nc.beads import Beads
-from ebamcheck.nc.table import TableColumns
 from ebamcheck.nc.timeline import Events
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
@@ -29,6 +28,43 @@ Place = tuple[float, float, float]
 
 DRAWN_STEP_MM = 0.25
 """Curved motions are drawn as straight parts of at most this length."""
+
+
+@dataclass(frozen=True, eq=False)
+class TableColumns:
+    """Rotary positions and frames in force, one row for each motion (B,).
+
+    Parameters
+    ----------
+    axes
+        Names of the rotary axes (A,).
+    positions_deg
+        (P, A) every set of positions that the table stands at, the first all 0.
+    frames
+        (F, 3, 4) every frame that is in force, turn and shift, the first none: a place p of the program lies at turn @ p + shift.
+    before, after
+        (B,) positions of the table before and after the motion, by their row.
+    frame
+        (B,) frame during the motion, by its row.
+    off_mm
+        (B,) how far table and frame put the end of the motion from where it belongs on the part, mm.
+    apart
+        (B,) ways of the machine itself, with neither frame nor beam, and turns of the table: they are none of a layer.
+    """
+
+    axes: tuple[str, ...]
+    positions_deg: Floats
+    frames: Floats
+    before: Ints
+    after: Ints
+    frame: Ints
+    off_mm: Floats
+    apart: Bools
+
+    def rows(self, kept: Bools) -> TableColumns:
+        """Some of the motions."""
+        columns = (getattr(self, name)[kept] for name in ("before", "after", "frame", "off_mm", "apart"))
+        return TableColumns(self.axes, self.positions_deg, self.frames, *columns)
 
 
 @dataclass(frozen=True)

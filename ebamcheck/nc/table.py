@@ -3,64 +3,38 @@
 Frames are taken as a SINUMERIK takes them: TRANS and ROT begin anew, ATRANS and AROT go on from the frame in force. Source: Siemens NC
 Programming manual 12/2019, section 2.12. A turn about one axis, or by RPL in the plane G17, is counter-clockwise for one who looks
 against the axis. Turns about several axes in one block depend on a machine datum and are refused.
+
+The frames take the program to the work offset, the positions of the rotary axes tell how the table stands there, and what is undone
+of that is the place on the table: by the text alone. How the part lies on the table is told by the settings (``part.on_table``),
+which are held against the mesh elsewhere.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram, TableColumns
+from ebamcheck.nc.preheating import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-
-AXIS_EVENT = "table axis "
-"""Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position."""
+from ebamcheck.settings.config import Config
+from ebamcheck.settings.tilt import RotaryAxis
 
 NONE = np.eye(4)[:3]
 """No frame: turn and shift (3, 4)."""
 
+SAME_PLACE_MM = 1e-3
+"""Motions that table and frame put within this of where they belong are taken as they are programmed: the decimals of a program."""
+
+FLAT = 1e-12
+"""How far the third row of a turn about the vertical may be from that of none."""
+
 _FRAME = re.compile(r"(A?TRANS|A?ROT)\s+(\S.*)")
 _PART = re.compile(rf"\s*(?:([XYZ])\s*=?|(RPL)\s*=)\s*({NUMBER})")
-
-
-@dataclass(frozen=True, eq=False)
-class TableColumns:
-    """Rotary positions and frames in force, one row for each motion (B,).
-
-    Parameters
-    ----------
-    axes
-        Names of the rotary axes (A,).
-    positions_deg
-        (P, A) every set of positions that the table stands at, the first all 0.
-    frames
-        (F, 3, 4) every frame that is in force, turn and shift, the first none: a place p of the program lies at turn @ p + shift.
-    before, after
-        (B,) positions of the table before and after the motion, by their row.
-    frame
-        (B,) frame during the motion, by its row.
-    off_mm
-        (B,) how far table and frame put the end of the motion from where it belongs on the part, mm.
-    apart
-        (B,) ways of the machine itself, with neither frame nor beam, and turns of the table: they are none of a layer.
-    """
-
-    axes: tuple[str, ...]
-    positions_deg: Floats
-    frames: Floats
-    before: Ints
-    after: Ints
-    frame: Ints
-    off_mm: Floats
-    apart: Bools
-
-    def rows(self, kept: Bools) -> TableColumns:
-        """Some of the motions."""
-        columns = (getattr(self, name)[kept] for name in ("before", "after", "frame", "off_mm", "apart"))
-        return TableColumns(self.axes, self.positions_deg, self.frames, *columns)
 
 
 class TableState:
@@ -198,3 +172,105 @@ def _about(axis: int, angle_rad: float) -> Floats:
     turn[i, i] = turn[j, j] = np.cos(angle_rad)
     turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
     return turn
+
+
+# -- from the program to the part ---------------------------------------------------------------------
+
+
+def on_part(nc: NCProgram, config: Config) -> NCProgram:
+    """Return the motions of a program in the coordinates of its part; those of the machine itself apart, in ``machine``.
+
+    A program that neither turns a table nor sets a frame stays as it is.
+    """
+    columns = nc.table
+    if columns is None:
+        return nc
+    driven = _moved(nc, columns.frames[columns.frame])
+    machine = replace(
+        nc,
+        start=driven.start,
+        end=driven.end,
+        kind=driven.kind,
+        coefficients=driven.coefficients,
+        arc=driven.arc,
+    )
+    apart = _apart(nc, columns)
+    part = _moved(nc, part_motions(columns, config))
+    off = np.linalg.norm(part.end - nc.end, axis=1)
+    off = np.where(np.isnan(nc.end).all(axis=1) | apart, 0.0, np.nan_to_num(off, nan=np.inf))
+    # A table and frame that are right move nothing but by their rounding, which would leave no height equal to another.
+    full = replace(columns, off_mm=off, apart=apart)
+    seen = nc if (off <= SAME_PLACE_MM).all() else part
+    laid = rows_of(replace(seen, table=full), ~apart, np.ones(len(nc.events), np.bool_))
+    return replace(laid, machine=replace(machine, table=full))
+
+
+def _apart(nc: NCProgram, columns: TableColumns) -> Bools:
+    """Ways of the machine itself: rapids without frame and beam, and turns of the table."""
+    idle = (nc.kind == RAPID) & ~nc.beam & ~nc.wire & (columns.frame == 0)
+    return np.asarray(idle | (columns.before != columns.after))
+
+
+def part_motions(columns: TableColumns, config: Config) -> Floats:
+    """Turn and shift (B, 3, 4) from the coordinates of the program to those of the part, for each motion."""
+    stands = config.part.on_table
+    mounted = np.eye(4)[:3]
+    if stands is not None:
+        # Rows times turn, as a column from the left.
+        mounted = np.hstack([np.array(stands.turn).T, np.array(stands.shift_mm)[:, None]])
+    tables = np.stack([_undone(table_at(config.machine.rotary, row)) for row in columns.positions_deg])
+    on_table = _joined(np.broadcast_to(mounted, tables.shape), tables)
+    return _joined(on_table[columns.after], columns.frames[columns.frame])
+
+
+def table_at(axes: Sequence[RotaryAxis], positions_deg: Sequence[float] | Floats) -> Floats:
+    """Turn and shift (3, 4) of the table at positions of its axes, by Rodrigues' formula."""
+    found = np.eye(4)
+    for axis, position in zip(axes, positions_deg, strict=True):
+        line = np.array(axis.axis, np.float64) / np.linalg.norm(axis.axis)
+        angle = np.radians(axis.sign * float(position))
+        cross = np.cross(np.eye(3), line)
+        own = np.eye(4)
+        own[:3, :3] = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
+        own[:3, 3] = np.array(axis.point_mm) - own[:3, :3] @ np.array(axis.point_mm)
+        found = found @ own
+    return np.asarray(found[:3], np.float64)
+
+
+def _undone(motion: Floats) -> Floats:
+    turn = motion[:, :3].T
+    return np.hstack([turn, -turn @ motion[:, 3:]])
+
+
+def _joined(outer: Floats, inner: Floats) -> Floats:
+    """One motion after another (n, 3, 4)."""
+    turn = outer[:, :, :3] @ inner[:, :, :3]
+    shift = outer[:, :, :3] @ inner[:, :, 3:] + outer[:, :, 3:]
+    return np.concatenate([turn, shift], axis=2)
+
+
+def _moved(nc: NCProgram, motions: Floats) -> NCProgram:
+    """Motions moved, each by its own turn and shift (B, 3, 4). Arcs that are tilted become their chords."""
+    turn, shift = motions[:, :, :3], motions[:, :, 3]
+    start, end = _places(nc.start, turn, shift), _places(nc.end, turn, shift)
+    flat = np.abs(turn[:, 2] - [0.0, 0.0, 1.0]).max(axis=1, initial=0.0) <= FLAT
+    coefficients = np.einsum("bij,bjk->bik", turn[:, :2, :2], nc.coefficients)
+    rise = np.stack([nc.start[:, 2], nc.end[:, 2] - nc.start[:, 2]], axis=1)
+    lift = np.where(turn[:, :2, 2, None] == 0.0, 0.0, turn[:, :2, 2, None] * rise[:, None])
+    coefficients[:, :, :2] += lift
+    coefficients[:, :, 0] += shift[:, :2]
+    arc = nc.arc.copy()
+    arc[:, :2] = np.einsum("bij,bj->bi", turn[:, :2, :2], nc.arc[:, :2]) + shift[:, :2]
+    chords: Ints = np.flatnonzero(~flat & (nc.kind == ARC))
+    kind = nc.kind.copy()
+    kind[chords], arc[chords] = STRAIGHT, np.nan
+    coefficients[chords] = 0.0
+    coefficients[chords, :, 0] = start[chords, :2]
+    coefficients[chords, :, 1] = (end - start)[chords, :2]
+    return replace(nc, start=start, end=end, kind=kind, coefficients=coefficients, arc=arc)
+
+
+def _places(places: Floats, turn: Floats, shift: Floats) -> Floats:
+    """Places (B, 3) moved; an axis that is not known spoils only those that it goes into."""
+    parts = np.where(turn == 0.0, 0.0, turn * places[:, None, :])
+    return np.asarray(parts.sum(axis=2) + shift, np.float64)

@@ -33,7 +33,7 @@ from ebamcheck.nc.codes import (
 from ebamcheck.nc.control import control
 from ebamcheck.nc.conventions import plain
 from ebamcheck.nc.increments import increments_of, to_increment
-from ebamcheck.nc.tilt_rules import checked_tilt
+from ebamcheck.nc.special_rules import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process_window import wire_speed_mm_s

@@ -10,13 +10,15 @@ from functools import cached_property
 import numpy as np
 
 from ebamcheck.nc.codes import DWELL, VALUES
-from ebamcheck.nc.table import AXIS_EVENT
 from ebamcheck.nc.words import SKIPPED
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 
 PAUSE = "layer_pause_s"
 """Event of a wait of the build, named by its placeholder; that of a template is :data:`DWELL`."""
+
+AXIS_EVENT = "table axis "
+"""Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position."""
 
 
 class Kind(IntEnum):

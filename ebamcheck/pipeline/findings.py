@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.checks.consumables import consumed
-from ebamcheck.checks.deposit_checks import NARROW
 from ebamcheck.checks.interpass_checks import INTERPASS, within_range
 from ebamcheck.checks.loose_limits import loose_limits
+from ebamcheck.checks.metal_rules import NARROW
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.process_checks import seam_turns
 from ebamcheck.checks.remedies import COARSE, FLAT, HATCH, HOLE, LEVELS, MISTAKE, NARROWER, OFF_MESH, TOO_THIN

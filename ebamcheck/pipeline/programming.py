@@ -8,11 +8,11 @@ from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ebamcheck.checks.deposit import deposit
-from ebamcheck.checks.deposit_checks import deposit_checks
 from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.checks.plate_record import plate_record
 from ebamcheck.checks.rules import with_remedies
 from ebamcheck.checks.text_heat import build_times_s, known_sections
@@ -180,8 +180,8 @@ def _proved(
     witness, heights = sections.witness, sections.contours.heights
     z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
     program, match = matched(read_program(files.main, config), laid.path)
+    metal = aside.submit(deposit, program, witness, z_of, config, asked=True)
     of_program = aside.submit(tables_of_program, program, sections.contours, config)
-    metal = aside.submit(deposit, program, witness, z_of, config)
     times = aside.submit(build_times_s, program, config, known_sections(laid.plan, witness))
     checks = verify_program(
         program,
@@ -191,6 +191,7 @@ def _proved(
         match=match,
         layers=witness,
         beads=True,
+        laid=metal.result,
         heat=True,
         sha256=files.sha256,
         smooth=smooth_sections(sections.curves, config),

@@ -11,8 +11,7 @@ import pandas as pd
 import pyarrow as pa
 
 from ebamcheck.atomic_file import COMPRESSION
-from ebamcheck.checks.deposit import Deposit
-from ebamcheck.checks.metal_field import FIELD_FILE, field_table, write_field
+from ebamcheck.checks.metal import FIELD_FILE, Deposit, field_table, write_field
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves import Curves
 from ebamcheck.kinematics import side_by_side

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check
-from ebamcheck.checks.deposit import Deposit
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.matching import Matching, matched
+from ebamcheck.checks.metal import Deposit
 from ebamcheck.checks.rules import checks_on
 from ebamcheck.checks.state_checks import far_away
 from ebamcheck.checks.subject import Subject
@@ -39,7 +39,7 @@ def verify_program(
     smooth: Layers | None = None,
     beads: bool = False,
     metal: bool = False,
-    laid: Deposit | None = None,
+    laid: Callable[[], Deposit] | None = None,
     heat: bool = False,
     before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
@@ -70,7 +70,7 @@ def verify_program(
     metal
         Lay the metal of the program over the `layers`, and check its mass and where it lies.
     laid
-        That metal, where it was laid already: it is checked, and not laid a second time.
+        Gives that metal, where it is laid elsewhere; with what its places ask for, where `beads` are checked.
     heat
         Work out a balance of the part's heat from the times, waits and power of the text, and check each bead's entry.
     before

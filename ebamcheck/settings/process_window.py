@@ -34,10 +34,20 @@ def wire_area_mm2(config: Config) -> float:
     return math.pi * config.process.wire_diameter_mm**2 / 4.0
 
 
+def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
+    """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
+
+    Examples
+    --------
+    >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
+    33.33
+    """
+    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_area_mm2(config)
+
+
 def nominal_wire_speed_mm_s(config: Config, layer_mm: float) -> float:
-    """Wire speed of hatch lines in a layer of this height: travel speed x spacing x layer height over the wire's section."""
-    process = config.process
-    return process.travel_speed_mm_s * process.hatch_spacing_mm * layer_mm / wire_area_mm2(config)
+    """Wire speed of hatch lines, one spacing wide, in a layer of this height."""
+    return wire_speed_mm_s(config, config.process.hatch_spacing_mm, layer_mm)
 
 
 def line_energy_j_mm(config: Config) -> float:
@@ -205,19 +215,3 @@ def _broken(value: float, limits: tuple[float, float]) -> float | None:
 
 def _beyond(value: float, limit: float) -> str:
     return "over" if value > limit else "under"
-
-
-def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
-    """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
-
-    Examples
-    --------
-    >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
-    33.33
-    """
-    return config.process.travel_speed_mm_s * width_mm * thickness_mm / wire_mm2(config)
-
-
-def wire_mm2(config: Config) -> float:
-    """Section of the wire."""
-    return 0.25 * math.pi * config.process.wire_diameter_mm**2

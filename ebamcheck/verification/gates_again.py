@@ -15,11 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.deposit import deposit
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
 from ebamcheck.checks.matching import matched
-from ebamcheck.checks.metal_field import FIELD_FILE
+from ebamcheck.checks.metal import FIELD_FILE, deposit
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.rules import RULES, of_gate
 from ebamcheck.comparison import Comparison
@@ -385,7 +384,7 @@ def text_again(
         return TextAgain([readable], plan, tables)
     nc, match = matched(nc, path)
     z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
-    laid = deposit(nc, fresh, z_of, config)
+    laid = deposit(nc, fresh, z_of, config, asked=True)
     checks = verify_program(
         nc,
         config=config,
@@ -396,7 +395,8 @@ def text_again(
         layers=fresh,
         smooth=smooth,
         beads=True,
-        laid=laid,
+        metal=True,
+        laid=lambda: laid,
         heat=True,
         heights=fresh.heights,
         sha256={file["name"]: file["sha256"] for file in record["files"]},

@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.plate_record import plate_checks
+from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
@@ -26,7 +27,6 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.choice import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.stages import smooth_sections
-from ebamcheck.pipeline.turned import mounting_checks, stands_of, turned_checks
 from ebamcheck.preflight.layer_height import chosen_height
 from ebamcheck.program import read_program, verify_file
 from ebamcheck.record.certificate import find_certificate, find_record, read_certificate

@@ -17,7 +17,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import (
-    wire_mm2,
+    wire_area_mm2,
     wire_speed_mm_s,
 )
 from ebamcheck.writing.bead_power import power_shares
@@ -237,7 +237,7 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
         MOVE: "travel_mm",
     }
     wire_mm = total(events["time_s"].to_numpy() * events["wire_mm_s"].to_numpy(), metal)
-    kg_mm = wire_mm2(config) * 1e-9 * config.material.density_kg_m3
+    kg_mm = wire_area_mm2(config) * 1e-9 * config.material.density_kg_m3
     return pd.DataFrame(
         {
             "layer": np.arange(layers),

@@ -9,7 +9,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.metal_field import LayerField
+from ebamcheck.checks.metal import LayerField
 from ebamcheck.drawing.islands import ring_path
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.image import palette_image, png_address

@@ -6,7 +6,7 @@ import argparse
 import re
 from pathlib import Path
 
-from ebamcheck.checks.deposit import deposit
+from ebamcheck.checks.metal import deposit
 from ebamcheck.drawing.islands import islands_svg
 from ebamcheck.drawing.orders import pareto_svg
 from ebamcheck.drawing.scene import Scene

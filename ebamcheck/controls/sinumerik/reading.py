@@ -15,8 +15,8 @@ from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.reader import ARCS, AXES, Reader
 from ebamcheck.nc.recorder import NAN
-from ebamcheck.nc.table import AXIS_EVENT, NONE, frame_after
-from ebamcheck.nc.turned_table import on_part
+from ebamcheck.nc.table import NONE, frame_after, on_part
+from ebamcheck.nc.timeline import AXIS_EVENT
 from ebamcheck.nc.words import NUMBER, Block, Dialect, WordError
 from ebamcheck.settings.config import Config
 

@@ -38,7 +38,7 @@ from ebamcheck.writing.layer_text import (
 from ebamcheck.writing.preheat_text import preheat_blocks, preheat_passes
 from ebamcheck.writing.safe_states import end_blocks, off_blocks, start_blocks
 from ebamcheck.writing.segments import CUBIC, Form
-from ebamcheck.writing.tilt_text import Tilt, tilt_of
+from ebamcheck.writing.table import Tilt, tilt_of
 from ebamcheck.writing.tracks import Toolpath
 
 FORMS: Mapping[str, Form] = {"poly": "cubics", "bspline": "cubics", "arcs": "arcs", "lines": "chords"}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.metal_field import FIELD_FILE, read_field
+from ebamcheck.checks.metal import FIELD_FILE, read_field
 from ebamcheck.checks.rules import names_of
 from ebamcheck.showing.markup import inline
 from ebamcheck_reports import metal_picture

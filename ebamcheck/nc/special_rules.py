@@ -1,4 +1,4 @@
-"""What a turned layer needs of machine and control before anything is written: rotary axes, and a control with frames."""
+"""What preheating and a turned part need of machine, control and process, before anything is sliced or written."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.nc.control import control
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
@@ -14,6 +15,44 @@ from ebamcheck.settings.process import KeepOut
 
 NO_HEIGHT = KeepOut.model_fields["z_mm"].default
 """Heights of a keep-out zone for which nobody gave any: a place to stay out of, and no body that turns with the table."""
+
+
+def checked_preheating(config: Config, name: str) -> None:
+    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none.
+
+    Raises
+    ------
+    SettingsError
+        That names the setting, and what to do.
+    """
+    settings, machine, process = config.preheat, config.machine, config.process
+    if settings.when == "off":
+        return
+    why = ""
+    if not control(name).subprogram_suffix:
+        why = f"control {name!r} has programs of one file: a scan is a subprogram of its own"
+    elif not machine.set_focus:
+        why = 'machine.set_focus is empty: give the block that sets the focus, such as "H5={defocus} ; focus"'
+    elif settings.defocus == 0.0:
+        why = "preheat.defocus is 0, the focus of the beads: give the value at which the beam is preheat.spot_mm wide"
+    elif settings.current_ma > process.current_max_ma:
+        why = f"preheat.current_ma {settings.current_ma:g} is over process.current_max_ma {process.current_max_ma:g}"
+    elif not machine.feed_min_mm_s <= settings.speed_mm_s <= machine.feed_max_mm_s:
+        why = (
+            f"preheat.speed_mm_s {settings.speed_mm_s:g} is not within machine.feed_min_mm_s and feed_max_mm_s, "
+            f"{machine.feed_min_mm_s:g} .. {machine.feed_max_mm_s:g}"
+        )
+    elif settings.when == "layers" and process.layer_pause_s > 0.0:
+        why = "process.layer_pause_s lets layers cool that preheat.when = 'layers' heats: use one of them"
+    elif settings.target_k + settings.over_k > entry_limit_k(config):
+        why = (
+            f"preheat.target_k + over_k is {settings.target_k + settings.over_k:g} K, over {entry_limit_k(config):g} K at which no bead "
+            "may be entered"
+        )
+    elif config.base_mm > 0.0 and settings.scan_in == "own":
+        why = "the program begins on what stands (layers.base_mm), and its main program preheats nothing: set preheat.scan_in = 'layer'"
+    if why:
+        raise SettingsError(f"preheat.when is {settings.when!r}: {why}")
 
 
 def checked_tilt(config: Config, name: str) -> None:
