@@ -24,7 +24,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window, outside_window, unusual_layers
 from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.version import __version__
-from ebamcheck.writing.entry import check_entry
+from ebamcheck.writing.posts import check_entry
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline.finishing import ProgramStage, RunResult

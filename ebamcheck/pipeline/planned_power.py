@@ -22,8 +22,7 @@ from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import uppermost_seams, with_bead_ends, written_form
-from ebamcheck.writing.bead_parts import path_points
-from ebamcheck.writing.bead_power import along_beads
+from ebamcheck.writing.bead_parts import along_beads, path_points
 from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.seams import NO_SEAMS
 from ebamcheck.writing.tracks import toolpath

@@ -19,8 +19,7 @@ from ebamcheck.settings.wire_speed import (
     wire_mm2,
     wire_speed_mm_s,
 )
-from ebamcheck.writing.bead_parts import path_points
-from ebamcheck.writing.bead_power import power_shares
+from ebamcheck.writing.bead_parts import path_points, power_shares
 from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.writing.tracks import Toolpath
@@ -48,19 +47,9 @@ COLUMNS = {
 
 
 def process_events(path: Toolpath, plan: ScanColumns, config: Config) -> pd.DataFrame:
-    """List the events of a stack.
+    """List the events of a stack, one row each, with the columns of :data:`COLUMNS`; ends of moves are those of the tool.
 
-    Parameters
-    ----------
-    path
-        Tracks with the starts, ends and wire of their beads, see :func:`ebamcheck.writing.bead_ends.driven_path`.
-    plan
-        Kinds of islands, and the waits and power of each layer.
-
-    Returns
-    -------
-    DataFrame
-        One row an event, columns as in :data:`COLUMNS`; ends of moves are those of the tool.
+    The path has the starts, ends and wire of its beads; the plan knows kinds of islands, waits and power.
     """
     heat = interpass_of(plan, config)
     beads = _beads(path, plan, config, heat)
