@@ -29,7 +29,7 @@ from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
 from ebamcheck.settings.config import Config
-from ebamcheck.writing import bead_power
+from ebamcheck.writing import bead_parts
 
 WARM = CONFIG.changed(process={"interpass": "both"})
 HOLED = shapely.box(0, 0, 44, 40).difference(shapely.Point(20, 20).buffer(6, 32))
@@ -100,7 +100,7 @@ def test_the_heat_of_the_plan_is_that_of_its_beads(holed):
 
 
 def test_a_layer_judged_by_its_nominal_wire_is_found(monkeypatch, tmp_path):
-    monkeypatch.setattr(bead_power, "own_power_shares", lambda config, width, thickness: np.zeros(width.size))
+    monkeypatch.setattr(bead_parts, "own_power_shares", lambda config, width, thickness: np.zeros(width.size))
     check = heat_of(Made(tmp_path, HOLED, WARM, layers=6))[MELTING]
     assert not check.passed
     assert check.value < 0.8

@@ -21,8 +21,7 @@ from typer.testing import CliRunner
 
 from ebamcheck.commands.command_group import guarded
 from ebamcheck.commands.judge import judge_command
-from ebamcheck.controls.heat_paths import LINE_MODE, HeatPath
-from ebamcheck.controls.thesis_case import INPUT
+from ebamcheck.controls.thesis import INPUT, LINE_MODE, HeatPath
 from ebamcheck.errors import (
     BackendFailed,
     BackendMissing,

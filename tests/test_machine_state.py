@@ -209,7 +209,7 @@ def test_a_program_can_be_entered_at_a_layer(control, tmp_path):
 @pytest.mark.parametrize("control", CONTROLS)
 def test_a_program_from_a_layer_on_has_its_blocks_as_they_were(control, tmp_path):
     from ebamcheck.errors import SettingsError
-    from ebamcheck.writing.entry import begin_at_layer
+    from ebamcheck.writing.posts import begin_at_layer
 
     text = ProgramText(control, tmp_path / "p")
     whole = read_program(text.files.main, text.config)

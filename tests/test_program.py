@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from inset_layers import contour_paths
 from nc_stack import REACHES_OUT, clamped_knots, hatch, make_curves, make_plan, stack
 
+from ebamcheck.controls.sinumerik.spline_writing import refined
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.motions import POLYNOMIAL
 from ebamcheck.program import (
@@ -23,7 +24,7 @@ from ebamcheck.program import (
     write_program,
 )
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.polynomials import chords, refined, spans
+from ebamcheck.writing.segments import chords, spans
 
 FORMS = {
     "poly": {"curve_form": "poly"},

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from nc_stack import stack
 
-from ebamcheck.controls.heat_paths import case_post, heat_path
+from ebamcheck.controls.thesis import case_post, heat_path
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import simulators
 from ebamcheck.program import write_program

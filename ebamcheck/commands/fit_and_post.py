@@ -21,7 +21,7 @@ from ebamcheck.commands.options import (
     within_work,
 )
 from ebamcheck.commands.run_stack import stack_of_run
-from ebamcheck.controls.heat_paths import SCRIPT, case_post
+from ebamcheck.controls.thesis import SCRIPT, case_post
 from ebamcheck.curves import (
     METHODS,
     Curves,
@@ -46,7 +46,7 @@ from ebamcheck.record.run_folder import MANIFEST
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
-from ebamcheck.writing.entry import begin_at_layer, check_entry
+from ebamcheck.writing.posts import begin_at_layer, check_entry
 
 ALL = "all"
 

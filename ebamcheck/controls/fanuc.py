@@ -25,6 +25,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.words import WordError
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.writing.layer_text import Post
 
 NAME = "fanuc"
 
@@ -144,7 +145,7 @@ def write_program(
         "G64",
         LOOK_AHEAD_OFF,
     ]
-    lines = one_file(curves, plan, config, CONTROL, form, modes, validated, header or {})
+    lines = one_file(Post.of(curves, plan, config, CONTROL, form, None), modes, validated, header)
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
     text = "\n".join(["%", first, *(_in_parentheses(line) for line in lines), "M30", "%"]) + "\n"

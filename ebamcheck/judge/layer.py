@@ -23,8 +23,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.controls.heat_paths import HeatPath, heat_path, write_thesis
-from ebamcheck.controls.thesis_case import Mirrors, physics, readings
+from ebamcheck.controls.thesis import HeatPath, Mirrors, heat_path, physics, readings, write_thesis
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.judge.thesis import rises_k

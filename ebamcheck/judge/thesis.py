@@ -9,8 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ebamcheck.controls.heat_paths import HeatPath, fill_case, write_thesis
-from ebamcheck.controls.thesis_case import INPUT, Mirrors, physics, readings, snapshot
+from ebamcheck.controls.thesis import (
+    INPUT,
+    HeatPath,
+    Mirrors,
+    fill_case,
+    physics,
+    readings,
+    snapshot,
+    write_thesis,
+)
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config

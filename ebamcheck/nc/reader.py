@@ -380,12 +380,7 @@ def arc(
     """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle.
 
     I and J lead from the start to the centre and count where there is no radius, which is negative for an arc of more than half a
-    circle.
-
-    Raises
-    ------
-    ValueError
-        If no circle fits.
+    circle. Where no circle fits, it is a ValueError.
     """
     sense = 1.0 if counter_clockwise else -1.0
     x, y = start

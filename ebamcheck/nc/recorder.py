@@ -204,13 +204,7 @@ class Recorder:
     # -- result ------------------------------------------------------------------------------------
 
     def program(self) -> NCProgram:
-        """Gather all that was read into columns.
-
-        Raises
-        ------
-        InputError
-            For a number that no control takes.
-        """
+        """Gather all that was read into columns; a number that no control takes is refused."""
         rows = np.array(self._rows, dtype=np.float64).reshape(len(self._rows), 14).T
         kept = np.array(self._states, dtype=np.float64).reshape(len(self._states), 10).T
         self._refuse_numbers(rows, kept)
@@ -262,13 +256,7 @@ class Recorder:
         return by_shape(without_preheating(made, self._scans_in_layers))
 
     def _refuse_numbers(self, rows: Floats, states: Floats) -> None:
-        """Refuse a program with a number that no control takes: what follows its path would not end.
-
-        Parameters
-        ----------
-        rows, states
-            (14, B) motions and (10, S) states, as columns.
-        """
+        """Refuse a motion (14, B) or state (10, S) with a number that no control takes: what follows its path would not end."""
         feeds = states[2]
         bad_feed = (feeds > LARGEST) | ((feeds > 0.0) & (feeds < LEAST_FEED))
         # The centre of an arc that is nearly straight may lie farther away.

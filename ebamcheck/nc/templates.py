@@ -127,13 +127,7 @@ def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
 
 
 def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]:
-    """Templates of a control as they are written, each held to its name.
-
-    Raises
-    ------
-    SettingsError
-        For a template that makes no block, or holds what it must not; see :mod:`ebamcheck.nc.templates`.
-    """
+    """Templates of a control as they are written, each held to its name; refused where one makes no block or holds what it must not."""
     checked_preheating(config, control)
     checked_tilt(config, control)
     templates = templates_of(config.machine, control)
@@ -167,13 +161,7 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
 
 
 def checked_preheating(config: Config, name: str) -> None:
-    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none.
-
-    Raises
-    ------
-    SettingsError
-        That names the setting, and what to do.
-    """
+    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none."""
     settings, machine, process = config.preheat, config.machine, config.process
     if settings.when == "off":
         return
@@ -226,13 +214,7 @@ Programmed = Mapping[str, tuple[tuple[str, tuple[Action, ...]], ...]]
 
 
 def checked_templates(machine: MachineSettings, dialect: str) -> Programmed:
-    """Take the templates of a profile apart and hold each to its name.
-
-    Raises
-    ------
-    SettingsError
-        That names the template, its block and the word that is wrong.
-    """
+    """Take the templates of a profile apart and hold each to its name; a refusal names template, block and word."""
     templates = {name: blocks_of(lines) for name, lines in templates_of(machine, dialect).items()}
     _tell_switches_apart(templates)
     codes = Codes(machine, dialect)

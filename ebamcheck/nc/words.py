@@ -102,12 +102,8 @@ class UnknownWord(WordError):
 def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
     """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
 
-    Raises
-    ------
-    UnknownWord
-        For a word that is not of the language.
-    WordError
-        For a word given twice, two of one modal group, or a list that is no list of numbers.
+    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or a list that is no list of
+    numbers is a :class:`WordError`.
     """
     block = Block({}, {}, [])
     for found in dialect.word.finditer(code):

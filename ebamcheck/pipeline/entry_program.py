@@ -26,7 +26,7 @@ from ebamcheck.program import Check, read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.result import check_record
 from ebamcheck.settings.config import Config, validated
-from ebamcheck.writing.entry import begin_at_layer
+from ebamcheck.writing.posts import begin_at_layer
 
 FOLDER = "entry"
 """Folder of the program within a run."""

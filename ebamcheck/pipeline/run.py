@@ -19,7 +19,7 @@ from ebamcheck.preflight.slab_work import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.slicers.worker_pool import WorkerPool
-from ebamcheck.writing.entry import check_entry
+from ebamcheck.writing.posts import check_entry
 
 LATER_STAGES = "ebamcheck.pipeline.finishing"
 """Module of what comes after the cross-check."""

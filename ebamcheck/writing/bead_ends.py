@@ -124,14 +124,9 @@ def ramp_lengths(bead_mm: Floats, process: ProcessSettings) -> tuple[Floats, Flo
 def ramp_power(
     from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
 ) -> Floats:
-    """Share of the full power at places on beads, (n,): that in the middle of each of ``process.ramp_steps``.
+    """Share of the full power at places on beads, (n,), by the lengths along the bead from its start and to its end, mm.
 
-    Parameters
-    ----------
-    from_start, to_end
-        (n,) lengths along the bead from its start and to its end, mm.
-    up_mm, down_mm
-        (n,) of :func:`ramp_lengths`.
+    It is that in the middle of each of ``process.ramp_steps``, over the ramps of :func:`ramp_lengths`.
     """
     power = np.ones(from_start.size)
     for along, length in ((from_start, up_mm), (to_end, down_mm)):

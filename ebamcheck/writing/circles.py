@@ -42,14 +42,8 @@ def circles(start: Floats, middle: Floats, end: Floats) -> Circles:
 def arc_chords(start: Floats, middle: Floats, end: Floats, tolerance_mm: float) -> tuple[Ints, Floats]:
     """Points along arcs whose chords keep to `tolerance_mm`; the first point of an arc is not given.
 
-    The chord of a sweep s leaves a circle of radius r by ``r (1 - cos(s / 2))``.
-
-    Returns
-    -------
-    starts
-        (n + 1,) first point of each arc.
-    points
-        (N, 2) mm.
+    The chord of a sweep s leaves a circle of radius r by ``r (1 - cos(s / 2))``. Returns the first point of each arc, (n + 1,), and the
+    points (N, 2), mm.
     """
     found = circles(start, middle, end)
     spoke = start - found.centre

@@ -25,13 +25,8 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 def segment_lengths(kind: NDArray[np.uint8], points: Floats) -> Floats:
     """Length of each segment, (n,) mm; cubics by 16-point Gauss quadrature.
 
-    Parameters
-    ----------
-    kind
-        (n,) ``STRAIGHT``, ``CUBIC`` or ``CIRCULAR`` of :mod:`ebamcheck.writing.segments`.
-    points
-        (n, 4, 2) Bezier points of a cubic; of a line its start and end alone count, of an arc those and its second
-        point, which lies half-way along it. mm.
+    `points` (n, 4, 2), mm, are the Bezier points of a cubic; of a line its start and end alone count, of an arc those and its second
+    point, which lies half-way along it.
     """
     result: Floats = np.asarray(np.linalg.norm(points[:, 3] - points[:, 0], axis=1))
     cubic, arc = kind == CUBIC, kind == CIRCULAR
@@ -46,10 +41,7 @@ def segment_parts(
 ) -> Floats:
     """Points (n, 4, 2) of the part of each segment from one length along it to another; the same curve.
 
-    Parameters
-    ----------
-    lengths
-        (n,) of :func:`segment_lengths`. A part from 0 or to the whole length keeps that end bit for bit.
+    A part from 0, or to the whole of its length of :func:`segment_lengths`, keeps that end bit for bit.
     """
     result = np.empty_like(points)
     for which, part in ((STRAIGHT, _lines), (CIRCULAR, _arcs), (CUBIC, _cubics)):
@@ -65,10 +57,8 @@ def segment_places(
 ) -> tuple[Ints, Floats, Floats, Floats]:
     """Places along segments, each in the middle of a piece of at most a length.
 
-    Returns
-    -------
-    owner, along_mm, places, length_mm
-        (m,) segment of each place; (m,) mm from its start; (m, 2); (m,) of its piece, which add up to the segments'.
+    Returns the segment of each place (m,), mm from its start (m,), the place (m, 2), and the length of its piece (m,): these add up
+    to the segments'.
     """
     count = np.maximum(np.ceil(lengths / step_mm), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(count.size), count)

@@ -20,7 +20,7 @@ from ebamcheck.settings.process_window import (
     wire_area_mm2,
     wire_speed_mm_s,
 )
-from ebamcheck.writing.bead_power import power_shares
+from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
 CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
@@ -46,19 +46,9 @@ COLUMNS = {
 
 
 def process_events(path: Toolpath, plan: ScanColumns, config: Config) -> pd.DataFrame:
-    """List the events of a stack.
+    """List the events of a stack, one row each, with the columns of :data:`COLUMNS`; ends of moves are those of the tool.
 
-    Parameters
-    ----------
-    path
-        Tracks with the starts, ends and wire of their beads, see :func:`ebamcheck.writing.bead_ends.driven_path`.
-    plan
-        Kinds of islands, and the waits and power of each layer.
-
-    Returns
-    -------
-    DataFrame
-        One row an event, columns as in :data:`COLUMNS`; ends of moves are those of the tool.
+    The path has the starts, ends and wire of its beads; the plan knows kinds of islands, waits and power.
     """
     heat = interpass_of(plan, config)
     beads = _beads(path, plan, config, heat)

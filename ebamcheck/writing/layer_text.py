@@ -1,25 +1,27 @@
-"""Blocks of one layer, alike for every control: travel, beam and wire, and the motions of each track."""
+"""Blocks of one layer, alike for every control: travel, beam and wire, the motions of each track, and the preheating before it."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ebamcheck.nc.conventions import comment, plain
-from ebamcheck.nc.inputs import Interpass
-from ebamcheck.nc.recorder import Templates
-from ebamcheck.nc.templates import ProcessValues, process_values
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.nc.control import Control
+from ebamcheck.nc.conventions import comment, header_lines, plain, safe_end_mm
+from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
+from ebamcheck.nc.templates import ProcessValues, process_values, usable_templates
+from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.filling.preheat_lines import pass_lines
+from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import feed_shares, wire_at
-from ebamcheck.writing.bead_power import layer_power
-from ebamcheck.writing.blocks import BlockFormat
+from ebamcheck.writing.bead_ends import driven_path
+from ebamcheck.writing.bead_parts import layer_power
+from ebamcheck.writing.blocks import BlockFormat, Templates, end_blocks, entry_blocks, start_blocks
 from ebamcheck.writing.events import NEAR_SPACINGS
-from ebamcheck.writing.safe_states import entry_blocks
-from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Form
 from ebamcheck.writing.tracks import Toolpath
 
 
@@ -39,14 +41,60 @@ def motion_text(path: Toolpath, form: BlockFormat, cubics: Sequence[str]) -> lis
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class Post:
+    """What the blocks of one program are written from."""
+
+    plan: ScanColumns
+    config: Config
+    control: Control
+    path: Toolpath
+    form: BlockFormat
+    templates: Templates
+    heat: Interpass
+
+    @classmethod
+    def of(
+        cls,
+        curves: CurveColumns,
+        plan: ScanColumns,
+        config: Config,
+        control: Control,
+        splines: Form,
+        path: Toolpath | None,
+    ) -> Post:
+        """Take templates and tracks as the control gets them; `path` are the tracks where they are laid out already."""
+        machine = config.machine
+        templates, form = usable_templates(config, control.name), BlockFormat(machine.printed_decimals)
+        path = path or driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
+        return cls(plan, config, control, path, form, templates, interpass_of(plan, config))
+
+    def values(self, k: int) -> ProcessValues:
+        """Values of layer `k`."""
+        return process_values(self.config, k + 1, float(self.path.z[k]), float(self.path.thickness[k]))
+
+    def begin(self, modes: Sequence[str], header: Mapping[str, str] | None) -> list[str]:
+        """Header and blocks that begin the program."""
+        known = header_lines(self.config, self.control, len(self.path.z)) | dict(header or {})
+        comments = [comment(f"{key}: {value}") for key, value in known.items()]
+        return [*comments, *start_blocks(modes, self._first_values, self.templates)]
+
+    def end(self, top_mm: float | None = None) -> list[str]:
+        """Blocks that end the program, over the last layer or another height."""
+        top = float(self.path.z[-1]) if len(self.path.z) else 0.0
+        top = top if top_mm is None else top_mm
+        return end_blocks(top, self._first_values, self.config, self.form, self.templates)
+
+    @property
+    def _first_values(self) -> ProcessValues:
+        first = float(self.path.z[0]) if len(self.path.z) else 0.0
+        return process_values(self.config, 1, first, first)
+
+
 def layer_blocks(
-    path: Toolpath,
+    post: Post,
     k: int,
     motions: Sequence[str],
-    config: Config,
-    form: BlockFormat,
-    templates: Templates,
-    heat: Interpass,
     entry: Sequence[str],
     around: tuple[Sequence[str], Sequence[str]] = ((), ()),
 ) -> list[str]:
@@ -55,41 +103,10 @@ def layer_blocks(
     `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
     program there. The blocks of `around` come before its first way and after its last.
     """
-    values = process_values(config, k + 1, float(path.z[k]), float(path.thickness[k]))
-    share = float(heat.power_share[k])
-    layer = _Layer(config, form, float(path.z[k]), values, templates, share)
-    layer.rise()
-    if config.machine.optional_stop:
-        layer.lines.append("M1")
-    wire = path.width / config.process.bead_metal_mm
-    feed = feed_shares(wire * values.wire_mm_s, config, share)
-    wire = wire_at(wire * values.wire_mm_s, feed, config) / values.wire_mm_s if (feed != 1.0).any() else wire
-    first, last = path.track_starts[path.layer_starts[k : k + 2]].tolist()
-    power = layer_power(path, k, slice(first, last), share, config)
-    island, entered = -1, False
-    for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
-        if path.ring[t] >= 0:
-            layer.wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
-            layer.lines.append(f"; RING {path.ring[t]}")
-        elif path.island[t] != island:
-            island = int(path.island[t])
-            layer.wait(float(heat.island_wait_s[island]))
-            layer.lines.append(f"; ISLAND {island}")
-            entered = False
-        a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
-        if b > a:
-            if path.island[t] >= 0:
-                layer.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
-                entered = True
-            layer.deposit(
-                path.start[t],
-                path.end[b - 1],
-                motions[a:b],
-                power[a - first : b - first],
-                wire[a:b],
-                feed[a:b],
-            )
-    layer.rise()
+    path, heat, templates = post.path, post.heat, post.templates
+    values, share = post.values(k), float(post.heat.power_share[k])
+    layer = _Layer(post, k)
+    layer.deposit_tracks(motions)
     above = path.layer_starts[k + 1 : k + 3]
     wait_s = heat.before_layer_s(k + 1) if above.size == 2 and above[1] > above[0] else 0.0
     return [
@@ -114,32 +131,57 @@ def pause_blocks(values: ProcessValues, templates: Templates, wait_s: float) -> 
 class _Layer:
     """Blocks of one layer, and where the tool is while they are written."""
 
-    def __init__(
-        self,
-        config: Config,
-        form: BlockFormat,
-        z_mm: float,
-        values: ProcessValues,
-        templates: Templates,
-        power: float,
-    ) -> None:
+    def __init__(self, post: Post, k: int) -> None:
+        config, form, z_mm = post.config, post.form, float(post.path.z[k])
         self.lines: list[str] = []
+        self._post, self._k = post, k
         self._near_mm = NEAR_SPACINGS * config.process.hatch_spacing_mm
         self._form = form
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
+        self._values, self._templates = post.values(k), post.templates
         ends = ("wire_stop", "wire_retract", "beam_off")
         self._names = (
             ("set_power",),
             ("set_wire",),
             ("beam_on", "wire_start"),
-            ends if values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
+            ends if self._values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
         )
-        self._values, self._templates = values, templates
         self._values_at: dict[tuple[float, float], ProcessValues] = {}
         self._blocks: dict[tuple[int, float, float], list[str]] = {}
         self._feeds: dict[float, str] = {}
-        self._power, self._wire = power, 1.0
+        self._power, self._wire = float(post.heat.power_share[k]), 1.0
         self._position: Floats | None = None
+
+    def deposit_tracks(self, motions: Sequence[str]) -> None:
+        """Write all tracks of the layer and the waits between them, from the safe height back to it."""
+        path, heat, config, k = self._post.path, self._post.heat, self._post.config, self._k
+        speed, share = self._values.wire_mm_s, float(heat.power_share[k])
+        self.rise()
+        if config.machine.optional_stop:
+            self.lines.append("M1")
+        wire = path.width / config.process.bead_metal_mm
+        feed = feed_shares(wire * speed, config, share)
+        wire = wire_at(wire * speed, feed, config) / speed if (feed != 1.0).any() else wire
+        first, last = path.track_starts[path.layer_starts[k : k + 2]].tolist()
+        power = layer_power(path, k, slice(first, last), share, config)
+        island, entered = -1, False
+        for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
+            if path.ring[t] >= 0:
+                self.wait(float(heat.ring_wait_s[k]) if t > path.layer_starts[k] else 0.0)
+                self.lines.append(f"; RING {path.ring[t]}")
+            elif path.island[t] != island:
+                island = int(path.island[t])
+                self.wait(float(heat.island_wait_s[island]))
+                self.lines.append(f"; ISLAND {island}")
+                entered = False
+            a, b = int(path.track_starts[t]), int(path.track_starts[t + 1])
+            if b > a:
+                if path.island[t] >= 0:
+                    self.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
+                    entered = True
+                own = slice(a - first, b - first)
+                self.deposit(path.start[t], path.end[b - 1], motions[a:b], power[own], wire[a:b], feed[a:b])
+        self.rise()
 
     def _switches(self, group: int) -> list[str]:
         """Blocks of the moment: those that set power (0) or wire speed (1), or those before (2) and after a bead (3)."""
@@ -228,3 +270,59 @@ def _with_feed(block: str, feed: str) -> str:
     """Put the feed into a block, before the comment that it may end with."""
     code, mark, note = block.partition(" ;")
     return code + feed + mark + note
+
+
+# -- preheating: the beam out of focus, without wire, back and forth over plate or layer, then a wait -----
+
+
+def preheat_passes(plan: ScanColumns) -> Ints:
+    """Passes (L,) before each layer of a plan; none of one that knows nothing of preheating."""
+    metrics = getattr(plan, "metrics", {})
+    if "preheat_passes" not in metrics:
+        return np.zeros(len(plan.heights), np.int64)
+    return np.asarray(metrics["preheat_passes"], np.int64)
+
+
+def preheat_blocks(
+    post: Post, k: int, passes: int, values: ProcessValues, after: ProcessValues, entry: Sequence[str]
+) -> list[str]:
+    """Blocks of the scan before layer `k`.
+
+    `entry` are the modes that hold in it, `values` those of beads at full power, and `after` those with which the beam is left.
+    Within the subprogram of its layer (``preheat.scan_in``) the focus is the last that is taken back, since it tells where the scan
+    ends.
+    """
+    plan, config, form, templates = post.plan, post.config, post.form, post.templates
+    bottom_mm = values.height_mm
+    settings = config.preheat
+    assert plan.sections is not None
+    region = scanned(list(plan.sections), k, bottom_mm, config, getattr(plan, "under", None)).region
+    share = settings.current_ma / config.process.current_ma
+    low = values.at(share, 1.0)
+    wide, sharp = replace(low, defocus=settings.defocus), replace(values, defocus=0.0)
+
+    def filled(name: str, given: ProcessValues) -> list[str]:
+        return given.fill(name, templates[name])
+
+    on, off = filled("beam_on", low), filled("beam_off", low)
+    lines = [
+        comment(f"PREHEATING BEFORE LAYER {k + 1}, {passes} PASSES"),
+        *entry,
+        *filled("wire_stop", low), *off, *filled("set_focus", wide), *filled("set_beam", low),
+        f"G0 Z{form.value(safe_end_mm(bottom_mm, config))}",
+    ]  # fmt: skip
+    feed = f" F{plain(60.0 * settings.speed_mm_s)}"
+    for number in range(passes):
+        lines.append(comment(f"PASS {number + 1}"))
+        ways, joined = pass_lines(region, config, number)
+        for n, way in enumerate(form.rounded(ways)):
+            if joined[n]:
+                lines.append(f"G1 X{form.value(way[0])} Y{form.value(way[1])}")
+            else:
+                lines += off if n else []
+                lines += [f"G0 X{form.value(way[0])} Y{form.value(way[1])}", *on]
+            lines.append(f"G1 X{form.value(way[2])} Y{form.value(way[3])}{'' if joined[n] else feed}")
+        lines += off if len(ways) else []
+    ends = [*filled("set_beam", after), *filled("set_focus", sharp)]
+    soak = pause_blocks(values, templates, settings.soak_s)
+    return [*lines, *ends, *soak] if settings.scan_in == "own" else [*lines, *soak, *ends]

@@ -1,12 +1,16 @@
-"""Writing a program with the writer of the machine's control."""
+"""Writing a program with the writer of the machine's control, whole, or beginning at a layer."""
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
+from ebamcheck.errors import SettingsError
 from ebamcheck.nc.control import control
-from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.files import ProgramFiles, block_count
 from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.settings.config import Config
 
@@ -64,3 +68,50 @@ def write_program(
     post = control(config.machine.control).load("writer")
     files: ProgramFiles = post(curves, plan, config, folder, validated=validated, header=header)
     return files
+
+
+# -- going on after a break: the same layers, without those before ---------------------------------------
+# Each layer sets its own modes and values, so that its blocks are those of the whole program, byte for byte.
+
+_CALL = re.compile(r"N\d+ (\S+_L\d+)")
+_LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
+
+
+def check_entry(layer: int, config: Config) -> None:
+    """Refuse to begin at a layer (from 1) of a build that preheats: the plate's preheating belongs before its first one."""
+    if layer > 1 and config.preheat.when != "off":
+        raise SettingsError(
+            f"--from-layer {layer}: preheat.when is {config.preheat.when!r}, which belongs to a build from the plate: set it to 'off'"
+        )
+
+
+def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
+    """Take the layers before `layer` (from 1) out of a program that was written; the rest stays as it is.
+
+    The main program says so in a comment. It is no proof of the part: checks of the whole miss the layers left out.
+
+    Raises
+    ------
+    SettingsError
+        If the program has no such layer.
+    """
+    lines = files.main.read_text(encoding="ascii").split("\n")
+    calls = [i for i, line in enumerate(lines) if _CALL.fullmatch(line)]
+    heads = [i for i, line in enumerate(lines) if _LAYER.fullmatch(line)]
+    begins = calls or heads
+    if not 1 <= layer <= len(begins):
+        raise SettingsError(f"layer {layer}: the program has layers 1 to {len(begins)}")
+    gone = {f"{lines[i].split()[1]}.SPF" for i in calls[: layer - 1]}
+    said = f"ENTRY: AT LAYER {layer} OF {len(begins)}, THE LAYERS BEFORE IT ARE LEFT OUT"
+    at = next(i for i, line in enumerate(lines) if line.startswith(("; LAYERS:", "(LAYERS:")))
+    kept = [*lines[: begins[0]], *lines[begins[layer - 1] :]]
+    kept.insert(at + 1, f"({said})" if lines[at].startswith("(") else f"; {said}")
+    files.main.write_text("\n".join(kept), encoding="ascii", newline="\n")
+    for name in gone:
+        (files.folder / name).unlink()
+    names = tuple(name for name in files.names if name not in gone)
+    main = files.names[0]
+    sha256 = {name: files.sha256[name] for name in names}
+    sha256[main] = hashlib.sha256(files.main.read_bytes()).hexdigest()
+    blocks = {name: files.blocks[name] for name in names} | {main: block_count("\n".join(kept))}
+    return replace(files, names=names, sha256=sha256, blocks=blocks)

@@ -1,4 +1,7 @@
-"""The pieces of fitted contours as segments that a machine can drive: straight, cubic or circular."""
+"""The pieces of fitted contours as segments that a machine can drive: straight, cubic or circular.
+
+Splines are cubic polynomials, one per knot span, exactly; chords of them; or pairs of arcs within a tolerance.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.nc.inputs import ARC, LINE, SPLINE, CurveColumns
-from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.writing.biarcs import spline_arcs
+from ebamcheck.nc.inputs import ARC, DEGREE, LINE, SPLINE, CurveColumns
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.writing.circles import arc_chords
-from ebamcheck.writing.polynomials import Spans, chords, spans
 
 STRAIGHT, CUBIC, CIRCULAR = range(3)
 """Kinds of segments."""
@@ -97,3 +98,241 @@ def _arcs(control: Floats, first: Ints, form: Form, tolerance_mm: float) -> _Mad
         starts, points = arc_chords(control[first], control[first + 1], control[first + 2], tolerance_mm)
         return _Made(np.diff(starts), points)
     return _Made(np.ones(first.size, np.int64), control[first + 2], CIRCULAR, control[first + 1])
+
+
+# -- cubic B-splines as polynomials -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """Knot spans of all spline pieces, in order, each over 0 <= t <= 1."""
+
+    starts: Ints
+    """(P + 1,) first span of each piece; lines have none."""
+    bezier: Floats
+    """(S, 4, 2) Bezier points, mm."""
+
+    @property
+    def end(self) -> Floats:
+        """(S, 2) where each span ends."""
+        return self.bezier[:, 3]
+
+    @property
+    def quadratic(self) -> Floats:
+        """(S, 2) coefficients of t^2."""
+        b = self.bezier
+        return np.asarray(3.0 * (b[:, 0] - 2.0 * b[:, 1] + b[:, 2]))
+
+    @property
+    def cubic(self) -> Floats:
+        """(S, 2) coefficients of t^3."""
+        b = self.bezier
+        return np.asarray(b[:, 3] - b[:, 0] + 3.0 * (b[:, 1] - b[:, 2]))
+
+
+def spans(curves: CurveColumns) -> Spans:
+    """Split every spline piece at its knots into Bezier spans (blossoming; Farin, Curves and Surfaces)."""
+    piece_of_knot = np.repeat(np.arange(len(curves.kind)), np.diff(curves.knot_starts))
+    knots = np.asarray(curves.knots, dtype=np.float64)
+    place = np.arange(knots.size) - np.asarray(curves.knot_starts)[:-1][piece_of_knot]
+    count = np.diff(curves.control_starts)[piece_of_knot]
+    inner = (place >= DEGREE) & (place < count) & (np.asarray(curves.kind)[piece_of_knot] == SPLINE)
+    at = np.flatnonzero(inner)
+    at = at[knots[at] < knots[np.minimum(at + 1, knots.size - 1)]]
+    piece = piece_of_knot[at]
+    first_control = np.asarray(curves.control_starts)[:-1][piece] + place[at] - DEGREE
+    control = np.asarray(curves.control, dtype=np.float64)[first_control[:, None] + np.arange(4)]
+    local = knots[at[:, None] + np.arange(-2, 4)]
+    a, b = local[:, 2], local[:, 3]
+    points = [_blossom(control, local, *t) for t in ((a, a, a), (a, a, b), (a, b, b), (b, b, b))]
+    starts = np.searchsorted(piece, np.arange(len(curves.kind) + 1)).astype(np.int64)
+    return Spans(starts, np.stack(points, axis=1) if at.size else np.zeros((0, 4, 2)))
+
+
+def _blossom(control: Floats, local: Floats, t0: Floats, t1: Floats, t2: Floats) -> Floats:
+    """Polar form of each span at three parameters; `local` (S, 6) are the knots around the span."""
+    level = control
+    for depth, t in enumerate((t0, t1, t2)):
+        size = DEGREE - depth
+        low = local[:, depth : depth + size]
+        high = local[:, DEGREE : DEGREE + size]
+        share = ((t[:, None] - low) / (high - low))[..., None]
+        level = (1.0 - share) * level[:, :-1] + share * level[:, 1:]
+    return level[:, 0]
+
+
+def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
+    """Points on the spans such that their chords keep to `tolerance_mm`; the first point of a span is not given.
+
+    The chord error of n equal parts is at most ``max |p''| / (8 n^2)``, and p'' of a cubic is largest at an end. Returns the first point
+    of each piece, (P + 1,), and the points (N, 2), mm.
+    """
+    bend = np.maximum(
+        np.linalg.norm(2.0 * found.quadratic, axis=1),
+        np.linalg.norm(2.0 * found.quadratic + 6.0 * found.cubic, axis=1),
+    )
+    parts = np.maximum(1, np.ceil(np.sqrt(bend / (8.0 * tolerance_mm)))).astype(np.int64)
+    offset = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
+    span = np.repeat(np.arange(parts.size), parts)
+    step = np.arange(offset[-1]) - offset[:-1][span] + 1
+    t = (step / parts[span])[:, None]
+    b = found.bezier[span]
+    points = (
+        (1.0 - t) ** 3 * b[:, 0]
+        + 3.0 * t * (1.0 - t) ** 2 * b[:, 1]
+        + 3.0 * t**2 * (1.0 - t) * b[:, 2]
+        + t**3 * b[:, 3]
+    )
+    return offset[found.starts], np.asarray(points)
+
+
+# -- splines as arcs: tangent-continuous pairs ---------------------------------------------------------
+# Each stretch of a span becomes two arcs that share end points and tangents with it and a tangent with each other, with legs of
+# equal length (Bolton, Biarc curves, CAD 7, 1975); a stretch that leaves the tolerance is halved.
+
+
+SAMPLES = 12
+"""Places inside a stretch where the distance from its arcs is measured."""
+
+SAMPLED_SHARE = 0.9
+"""Share of the tolerance allowed at the samples: what lies between them may be a little farther."""
+
+MOST_HALVINGS = 14
+"""A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line."""
+
+NO_TANGENT = 1e-9
+"""A derivative shorter than this share of the chord gives no direction; the chord's is taken."""
+
+
+class Pairs(NamedTuple):
+    """Pairs of arcs, one a stretch."""
+
+    first_middle: Floats
+    joint: Floats
+    second_middle: Floats
+    error_mm: Floats
+
+
+class ArcPieces(NamedTuple):
+    """Arcs and lines in place of splines."""
+
+    starts: Ints
+    """(P + 1,) first arc of each piece."""
+    middle: Floats
+    """(N, 2) points half-way along each arc; on the chord of a straight line."""
+    end: Floats
+    """(N, 2)"""
+
+
+def spline_arcs(found: Spans, tolerance_mm: float) -> ArcPieces:
+    """Arcs (N,) within `tolerance_mm` of the spans of all spline pieces."""
+    span = np.arange(len(found.bezier))
+    low, high = np.zeros(span.size), np.ones(span.size)
+    done: list[tuple[Ints, Floats, Floats, Floats, Floats, Floats]] = []
+    for level in range(MOST_HALVINGS + 1):
+        if not span.size:
+            break
+        bezier = found.bezier[span]
+        pairs = _pairs(bezier, low, high)
+        good = pairs.error_mm <= SAMPLED_SHARE * tolerance_mm
+        end = _at(bezier, high)
+        if level == MOST_HALVINGS:
+            start = _at(bezier, low)
+            _straighten(pairs, start, end, ~good)
+            good[:] = True
+        done.append(
+            (span[good], low[good], pairs.first_middle[good], pairs.joint[good], pairs.second_middle[good], end[good])
+        )  # fmt: skip
+        middle = 0.5 * (low + high)
+        span = np.repeat(span[~good], 2)
+        low, high = _interleaved(low[~good], middle[~good]), _interleaved(middle[~good], high[~good])
+    return _ordered(found, done)
+
+
+def _ordered(found: Spans, done: list[tuple[Ints, Floats, Floats, Floats, Floats, Floats]]) -> ArcPieces:
+    if not done:
+        return ArcPieces(found.starts, np.zeros((0, 2)), np.zeros((0, 2)))
+    span, low, first, joint, second, end = (np.concatenate(column) for column in zip(*done, strict=True))
+    order = np.lexsort((low, span))
+    middle = np.stack([first[order], second[order]], axis=1).reshape(-1, 2)
+    ends = np.stack([joint[order], end[order]], axis=1).reshape(-1, 2)
+    return ArcPieces(2 * np.searchsorted(span[order], found.starts), middle, ends)
+
+
+def _interleaved(a: Floats, b: Floats) -> Floats:
+    return np.stack([a, b], axis=1).ravel()
+
+
+def _pairs(bezier: Floats, low: Floats, high: Floats) -> Pairs:
+    """Pairs of arcs on the stretches from `low` to `high` of cubics (n, 4, 2), and their distance from them."""
+    start, end = _at(bezier, low), _at(bezier, high)
+    chord = end - start
+    t0, t1 = _direction(bezier, low, chord), _direction(bezier, high, chord)
+    along = (chord * (t0 + t1)).sum(axis=1)
+    squared = (chord * chord).sum(axis=1)
+    bend = 2.0 * (1.0 - (t0 * t1).sum(axis=1))
+    root = along + np.sqrt(along**2 + np.maximum(bend, 0.0) * squared)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        leg = (squared / root)[:, None]
+    joint = 0.5 * (start + end + leg * (t0 - t1))
+    heading = chord - leg * (t0 + t1)
+    first, second = _height(start, joint, t0), -_height(end, joint, -t1)
+    inside = np.linspace(0.0, 1.0, SAMPLES + 2)[1:-1]
+    t = low[:, None] + (high - low)[:, None] * inside
+    points = _at(np.repeat(bezier, SAMPLES, axis=0), t.ravel()).reshape(-1, SAMPLES, 2)
+    before = ((points - joint[:, None]) * heading[:, None]).sum(axis=2) < 0.0
+    away = np.where(before, _off_arc(points, start, joint, first), _off_arc(points, joint, end, second))
+    error = np.where(np.isfinite(away).all(axis=1), np.abs(away).max(axis=1), np.inf)
+    return Pairs(_middle(start, joint, first), joint, _middle(joint, end, second), error)
+
+
+def _at(bezier: Floats, t: Floats) -> Floats:
+    s, t = 1.0 - t[:, None], t[:, None]
+    b = bezier
+    return np.asarray(s**3 * b[:, 0] + 3.0 * s * s * t * b[:, 1] + 3.0 * s * t * t * b[:, 2] + t**3 * b[:, 3])
+
+
+def _direction(bezier: Floats, t: Floats, chord: Floats) -> Floats:
+    """Unit tangents (n, 2)."""
+    s, t = 1.0 - t[:, None], t[:, None]
+    leg = np.diff(bezier, axis=1)
+    along = s * s * leg[:, 0] + 2.0 * s * t * leg[:, 1] + t * t * leg[:, 2]
+    size = np.hypot(along[:, 0], along[:, 1])
+    lost = size <= NO_TANGENT * np.hypot(chord[:, 0], chord[:, 1])
+    along = np.where(lost[:, None], chord, along)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(along / np.hypot(along[:, 0], along[:, 1])[:, None])
+
+
+def _height(start: Floats, end: Floats, tangent: Floats) -> Floats:
+    """Height of arcs over their chords, to the left of travel, by the tangent at their start."""
+    chord = end - start
+    cross = tangent[:, 0] * chord[:, 1] - tangent[:, 1] * chord[:, 0]
+    size = np.hypot(chord[:, 0], chord[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(-0.5 * size * cross / (size + (tangent * chord).sum(axis=1)))
+
+
+def _middle(start: Floats, end: Floats, height: Floats) -> Floats:
+    chord = end - start
+    with np.errstate(divide="ignore", invalid="ignore"):
+        normal = np.column_stack([-chord[:, 1], chord[:, 0]]) / np.hypot(chord[:, 0], chord[:, 1])[:, None]
+    return np.asarray(0.5 * (start + end) + height[:, None] * normal)
+
+
+def _off_arc(points: Floats, start: Floats, end: Floats, height: Floats) -> Floats:
+    """Signed distance (n, k), to first order, of points (n, k, 2) from circles; stable for flat arcs."""
+    chord = end - start
+    half = 0.5 * np.hypot(chord[:, 0], chord[:, 1])[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unit = chord / (2.0 * half)
+        rel = points - 0.5 * (start + end)[:, None]
+        x = (rel * unit[:, None]).sum(axis=2)
+        y = rel[:, :, 1] * unit[:, None, 0] - rel[:, :, 0] * unit[:, None, 1]
+        h = height[:, None]
+        return np.asarray((h * (x * x + y * y - half**2) - y * (h * h - half**2)) / (half**2 + h * h))
+
+
+def _straighten(pairs: Pairs, start: Floats, end: Floats, which: Bools) -> None:
+    for share, points in ((0.25, pairs.first_middle), (0.5, pairs.joint), (0.75, pairs.second_middle)):
+        points[which] = start[which] + share * (end[which] - start[which])

@@ -125,21 +125,10 @@ class Toolpath:
 def toolpath(
     curves: CurveColumns, plan: ScanColumns, config: Config, decimals: int, form: Form, tolerance_mm: float
 ) -> Toolpath:
-    """Lay out the tracks of a stack, each at one power from its start to its end.
+    """Lay out the tracks of a stack, each at one power from its start to its end, positions rounded to `decimals`.
 
-    Parameters
-    ----------
-    curves, plan
-        Centre lines of the contour beads; islands, their order and their hatch vectors.
-    decimals
-        Decimals to which positions are rounded.
-    form, tolerance_mm
-        What becomes of splines, and how far that may leave them.
-
-    Raises
-    ------
-    SettingsError
-        If curves and plan are of different stacks, or heights do not rise.
+    Splines become what `form` says, and leave their curve by at most `tolerance_mm`; refused where curves and plan are of different
+    stacks, or heights do not rise.
     """
     check_same_stack(curves, plan)
     cut = np.asarray(curves.heights, dtype=np.float64)

@@ -96,7 +96,7 @@ CONTROL = Control(
     tolerance_word=" CTOL=",
     keeps_tolerance=KEEPS_TOLERANCE,
     frames=True,
-    file_faults="ebamcheck.controls.sinumerik.files:file_faults",
+    file_faults="ebamcheck.controls.sinumerik.reading:file_faults",
     waiting="ebamcheck.controls.sinumerik.waiting:waiting_program",
     handshake="ebamcheck.controls.sinumerik.handshake:handshake_check",
 )

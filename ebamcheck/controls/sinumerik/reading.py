@@ -1,4 +1,4 @@
-"""Reader of SINUMERIK programs: POLY, BSPLINE, G0 to G3, frames, subprograms."""
+"""Reader of SINUMERIK programs: POLY, BSPLINE, G0 to G3, frames, subprograms; and the names and first lines of its files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.controls.sinumerik.spline_blocks import spline_spans
 from ebamcheck.nc.files import layer_of_preheat
-from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram, SourceFile
 from ebamcheck.nc.reader import ARCS, AXES, Reader
 from ebamcheck.nc.recorder import NAN
 from ebamcheck.nc.table import NONE, frame_after, on_part
@@ -271,3 +271,38 @@ class SinumerikReader(Reader):
         for i, (x, y), (x2, x3, y2, y3) in zip(index.tolist(), ends.tolist(), curves.tolist(), strict=True):
             out.move(SPLINE_SPAN, x, y, out.z, (x2, x3, y2, y3, 1.0), line=lines[i])
         out.line = here
+
+
+# -- names and first lines of files --------------------------------------------------------------------
+
+_FILE_NAME = re.compile(r"(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)")
+_DEVICE = re.compile(r"(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\..*")
+_PATH = re.compile(rb";\$PATH=/_N_(?:WKS_DIR/_N_[A-Z0-9_]+_WPD|MPF_DIR|SPF_DIR)\r?")
+
+
+def file_faults(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
+    """Places and texts of what is wrong with names, first lines and paths of the files."""
+    return [fault for file in nc.files for fault in [*_name_faults(file), *_path_faults(file, config)]]
+
+
+def _name_faults(file: SourceFile) -> list[tuple[str, str]]:
+    faults = []
+    if not _FILE_NAME.fullmatch(file.name) or _DEVICE.fullmatch(file.name):
+        faults.append((f"{file.name}:1", f"{file.name!r} is not a legal name of a program"))
+    lines = [*file.data.split(b"\n", 2), b"", b""]
+    wanted = f"%_N_{file.name.replace('.', '_')}"
+    if lines[0].rstrip(b"\r") != wanted.encode("latin-1", "replace"):
+        faults.append((f"{file.name}:1", f"first line is not {wanted}"))
+    if not _PATH.fullmatch(lines[1]):
+        faults.append((f"{file.name}:2", "second line is not ;$PATH=/_N_WKS_DIR/_N_..._WPD"))
+    return faults
+
+
+def _path_faults(file: SourceFile, config: Config) -> list[tuple[str, str]]:
+    """Folder of the control that a file says it belongs to: the one of the profile."""
+    wanted = f";$PATH=/_N_WKS_DIR/_N_{config.machine.workpiece_directory}_WPD".encode("ascii")
+    lines = file.data.split(b"\n", 2)
+    said = lines[1].rstrip(b"\r") if len(lines) > 1 else b""
+    if said.startswith(b";$PATH=") and said != wanted:
+        return [(f"{file.name}:2", f"says {said.decode('latin-1')}, the profile {wanted.decode()}")]
+    return []

@@ -16,12 +16,8 @@ def knot_vector(intervals: Floats, shift: Literal[2, 3], degree: int = CUBIC) ->
 
     Block i = 1 .. m of a cubic carries ``PL = U[i + shift] - U[i + shift - 1]``; one of degree 2 has a knot less
     before its first interval. The knots left over at the ends repeat their neighbours; the curve is tangential
-    to the control polygon at both ends only if the outer degree + 1 coincide.
-
-    Raises
-    ------
-    ValueError
-        If an interval is negative, or the ends are not clamped: the program means the other convention.
+    to the control polygon at both ends only if the outer degree + 1 coincide: else the program means the other convention, and is
+    refused with a ValueError.
     """
     m = intervals.size
     _check_size(m, degree)
@@ -56,26 +52,11 @@ def _check_size(m: int, degree: int) -> None:
 def spline_spans(
     blocks: Floats, shift: Literal[2, 3, "uniform"], degree: int = CUBIC
 ) -> tuple[Ints, Floats, Floats]:
-    """Split a spline into its knot spans, each over 0 <= t <= 1.
+    """Split a spline of degree 2 or 3 into its knot spans, each over 0 <= t <= 1.
 
-    Parameters
-    ----------
-    blocks
-        (m + 1, 3) X, Y and PL of the control points; PL of the first, the position before, is not used, and none
-        where the knots are uniform.
-    shift
-        Convention of PL: 2 or 3, or "uniform" for intervals that are all alike.
-    degree
-        2 or 3.
-
-    Returns
-    -------
-    index
-        (S,) block whose control point is the last to shape the span.
-    end
-        (S, 2) end points, mm.
-    curve
-        (S, 4) coefficients of t^2 and t^3 in X, then in Y.
+    `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used, and none where the
+    knots are uniform. Returns the block (S,) whose control point is the last to shape the span, its end (S, 2), mm, and the coefficients
+    (S, 4) of t^2 and t^3 in X, then in Y.
     """
     m = len(blocks) - 1
     knots = even_knots(m, degree) if shift == "uniform" else knot_vector(blocks[1:, 2], shift, degree)

@@ -13,7 +13,6 @@ import numpy as np
 from ebamcheck.nc.inputs import DEGREE
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.writing.blocks import BlockFormat
-from ebamcheck.writing.polynomials import halved, refined
 
 LEAST_SPLINE_BLOCKS = 6
 """The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly."""
@@ -54,3 +53,28 @@ def _stretch(control: Floats, knots: Floats) -> float:
     leg = np.hypot(*np.diff(control, axis=0).T)
     fastest = float(np.max(DEGREE * leg[length > 0.0] / length[length > 0.0]))
     return fastest if fastest > FASTEST else 1.0
+
+
+def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats]:
+    """Return the same spline with at least `blocks` control points after its first (Boehm's knot insertion).
+
+    Knots go to the middle of the longest span; the curve does not change.
+    """
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
+    spline = BSpline(knots, control, DEGREE)
+    while len(spline.c) - 1 < blocks:
+        longest = int(np.argmax(np.diff(spline.t)))
+        spline = spline.insert_knot(0.5 * (spline.t[longest] + spline.t[longest + 1]))
+    return np.asarray(spline.c), np.asarray(spline.t)
+
+
+def halved(control: Floats, knots: Floats) -> tuple[Floats, Floats]:
+    """Return the same spline with a further knot in the middle of every span, so that even knots stay even."""
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
+    spline = BSpline(knots, control, DEGREE)
+    breaks = np.unique(knots)
+    for knot in 0.5 * (breaks[1:] + breaks[:-1]):
+        spline = spline.insert_knot(knot)
+    return np.asarray(spline.c), np.asarray(spline.t)

@@ -19,8 +19,7 @@ from ebamcheck.nc.conventions import comment, header_lines, plain
 from ebamcheck.nc.files import NOT_VALIDATED, legal_name
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.blocks import BlockFormat, numbered
-from ebamcheck.writing.safe_states import end_blocks, start_blocks
+from ebamcheck.writing.blocks import BlockFormat, end_blocks, numbered, start_blocks
 
 KEY, SEAL = 11, 12
 """R parameters of key and seal, counted from ``machine.live_r``."""

@@ -12,31 +12,30 @@ from pathlib import Path
 
 import numpy as np
 
-from ebamcheck.controls.sinumerik.control import AS_WRITTEN, CONTROL, NAME
+from ebamcheck.controls.sinumerik.control import AS_WRITTEN, CONTROL
 from ebamcheck.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.errors import SettingsError
-from ebamcheck.nc.conventions import comment, header_lines, plain
+from ebamcheck.nc.conventions import plain
 from ebamcheck.nc.files import (
     NOT_VALIDATED,
     VALIDATED,
     ProgramFiles,
-    layer_of_preheat,
     legal_name,
     preheat_name,
     write_files,
 )
-from ebamcheck.nc.inputs import SPLINE, CurveColumns, ScanColumns, interpass_of
-from ebamcheck.nc.templates import process_values, usable_templates
+from ebamcheck.nc.inputs import SPLINE, CurveColumns, ScanColumns
+from ebamcheck.nc.templates import process_values
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.writing.bead_ends import driven_path
-from ebamcheck.writing.blocks import BlockFormat, numbered
+from ebamcheck.writing.blocks import BlockFormat, numbered, off_blocks
 from ebamcheck.writing.layer_text import (
+    Post,
     layer_blocks,
     motion_text,
+    preheat_blocks,
+    preheat_passes,
 )
-from ebamcheck.writing.preheat_text import preheat_blocks, preheat_passes
-from ebamcheck.writing.safe_states import end_blocks, off_blocks, start_blocks
 from ebamcheck.writing.segments import CUBIC, Form
 from ebamcheck.writing.table import Tilt, tilt_of
 from ebamcheck.writing.tracks import Toolpath
@@ -59,103 +58,67 @@ def write_program(
 ) -> ProgramFiles:
     """Write the program of a stack: contour rings first, then islands in scan order, layer by layer.
 
-    Parameters
-    ----------
-    curves
-        Centre lines of the contour beads, mm.
-    plan
-        Islands, their order and their hatch vectors.
-    config
-        The machine and process sections say all that is not geometry.
-    folder
-        Is replaced as a whole by the program, or stays as it was.
-    validated
-        Status line of every file; see :func:`mark_validated` for the order in which a run does it.
-    header
-        Further lines ``KEY: VALUE`` of the main program's comment block (part hash, commit).
-    path
-        The tracks laid out of curves and plan by :func:`~ebamcheck.writing.bead_ends.planned_path`, where they are
-        there already.
-
-    Raises
-    ------
-    SettingsError
-        If curves and plan are of different stacks, heights do not rise, a name is not legal, a template
-        makes no block, or the control does not have the form of curves that is asked for.
+    Takes and raises what :func:`ebamcheck.write_program` does; `path` are the tracks of curves and plan, where they are laid out already.
     """
-    machine = config.machine
-    templates = usable_templates(config, NAME)
-    form = BlockFormat(machine.printed_decimals)
-    splines = _licensed_form(curves, machine)
-    path = path or driven_path(curves, plan, config, form.decimals, splines, machine.line_tolerance_mm)
-    layers = len(path.z)
-    name = machine.program_name
+    machine, name = config.machine, config.machine.program_name
+    post = Post.of(curves, plan, config, CONTROL, _licensed_form(curves, machine), path)
+    layers = len(post.path.z)
     digits = max(4, len(str(layers)))
     layer_names = [legal_name(f"{name}_L{k + 1:0{digits}d}") for k in range(layers)]
     status = VALIDATED if validated else NOT_VALIDATED
-    scans = _preheating(plan, path, config, form, templates)
-    own = {
-        legal_name(preheat_name(name, k, digits)): blocks
-        for k, blocks in scans.items()
-        if config.preheat.scan_in == "own"
-    }
-    tilt = tilt_of(config, form)
-    texts = {
-        f"{legal_name(name)}.MPF": _main_program(
-            config, form, status, path, layer_names, list(own), templates, header or {}, tilt
-        )
-    }
-    motions = motion_text(path, form, _cubics(path, curves, machine, form))
-    heat = interpass_of(plan, config)
+    scans, inside = _preheating(post), config.preheat.scan_in == "layer"
+    scan_names = {} if inside else {k: legal_name(preheat_name(name, k, digits)) for k in scans}
+    tilt = tilt_of(config, post.form)
+
+    def subprogram(own: str, blocks: list[str]) -> str:
+        return numbered([*_opening(own, "SPF", config, status), *blocks, "M17"])
+
+    calls = [called for k, layer in enumerate(layer_names) for called in (scan_names.get(k), layer) if called]
+    main = [
+        *_opening(name, "MPF", config, status),
+        *post.begin(modes(machine), header),
+        *calls,
+        *post.end(None if tilt is None else tilt.up_mm - machine.safe_height_mm),
+        "M30",
+    ]
+    texts = {f"{legal_name(name)}.MPF": numbered(main)}
+    motions = motion_text(post.path, post.form, _cubics(post.path, curves, machine, post.form))
     for k, layer_name in enumerate(layer_names):
         entry = [*modes(machine), f'MSG("LAYER {k + 1} OF {layers}")']
-        around = _turned(tilt, path, k, config, form, templates)
-        if k in scans and not own:
-            around = [*scans[k], *around[0]], around[1]
-        blocks = layer_blocks(path, k, motions, config, form, templates, heat, entry, around)
-        texts[f"{layer_name}.SPF"] = numbered([*_opening(layer_name, "SPF", config, status), *blocks, "M17"])
-    for scan_name, blocks in own.items():
-        texts[f"{scan_name}.SPF"] = numbered([*_opening(scan_name, "SPF", config, status), *blocks, "M17"])
+        before, after = _turned(tilt, post, k)
+        before = [*(scans.get(k, []) if inside else []), *before]
+        texts[f"{layer_name}.SPF"] = subprogram(
+            layer_name, layer_blocks(post, k, motions, entry, (before, after))
+        )
+    for k, scan_name in scan_names.items():
+        texts[f"{scan_name}.SPF"] = subprogram(scan_name, scans[k])
     return write_files(texts, Path(folder), validated=validated)
 
 
-def _turned(
-    tilt: Tilt | None,
-    path: Toolpath,
-    k: int,
-    config: Config,
-    form: BlockFormat,
-    templates: Mapping[str, tuple[str, ...]],
-) -> tuple[list[str], list[str]]:
+def _turned(tilt: Tilt | None, post: Post, k: int) -> tuple[list[str], list[str]]:
     """Blocks that turn the table before layer `k`, and back after it; none where nothing is turned."""
-    first = int(path.layer_starts[k])
-    if tilt is None or first == int(path.layer_starts[k + 1]):
+    first = int(post.path.layer_starts[k])
+    if tilt is None or first == int(post.path.layer_starts[k + 1]):
         return [], []
-    off = off_blocks(process_values(config, k + 1, float(path.z[k]), float(path.thickness[k])), templates)
-    return tilt.before(off, path.start[first], config, form), tilt.after(off, config, form)
+    off = off_blocks(post.values(k), post.templates)
+    return tilt.before(off, post.path.start[first], post.config, post.form), tilt.after(
+        off, post.config, post.form
+    )
 
 
-def _preheating(
-    plan: ScanColumns,
-    path: Toolpath,
-    config: Config,
-    form: BlockFormat,
-    templates: Mapping[str, tuple[str, ...]],
-) -> dict[int, list[str]]:
+def _preheating(post: Post) -> dict[int, list[str]]:
     """Blocks of the preheating scans, by the layer before which each comes."""
-    passes, heat = preheat_passes(plan), interpass_of(plan, config)
+    path, config, passes = post.path, post.config, preheat_passes(post.plan)
     found = {}
     for k in np.flatnonzero(passes).tolist():
         bottom_mm = float(path.z[k - 1]) if k else config.base_mm
         values = process_values(config, k + 1, bottom_mm, float(path.thickness[k]))
         entry = [f'MSG("PREHEATING BEFORE LAYER {k + 1}")']
-        after = values.at(float(heat.power_share[k]), 1.0)
+        after = values.at(float(post.heat.power_share[k]), 1.0)
         if config.preheat.scan_in == "own":
             # Its layer begins with modes and power of its own.
             entry, after = [*modes(config.machine), *entry], values
-        found[k] = preheat_blocks(
-            plan, k, bottom_mm, int(passes[k]), values, after, config, form, templates, entry
-        )
+        found[k] = preheat_blocks(post, k, int(passes[k]), values, after, entry)
     return found
 
 
@@ -204,46 +167,12 @@ def _cubics(path: Toolpath, curves: CurveColumns, machine: MachineSettings, form
     return text
 
 
-# -- main program ----------------------------------------------------------------------------------
+# -- opening and modes -----------------------------------------------------------------------------
 
 
 def _opening(name: str, suffix: str, config: Config, status: str) -> list[str]:
     directory = legal_name(config.machine.workpiece_directory)
     return [f"%_N_{name}_{suffix}", f";$PATH=/_N_WKS_DIR/_N_{directory}_WPD", status]
-
-
-def _main_program(
-    config: Config,
-    form: BlockFormat,
-    status: str,
-    path: Toolpath,
-    layer_names: list[str],
-    scans: list[str],
-    templates: Mapping[str, tuple[str, ...]],
-    header: Mapping[str, str],
-    tilt: Tilt | None,
-) -> str:
-    machine = config.machine
-    first, top = (float(path.z[0]), float(path.z[-1])) if len(path.z) else (0.0, 0.0)
-    if tilt is not None:
-        top = tilt.up_mm - machine.safe_height_mm
-    values = process_values(config, 1, first, first)
-    before = {layer_of_preheat(config.machine.program_name, scan): scan for scan in scans}
-    calls = [
-        name
-        for k, layer in enumerate(layer_names)
-        for name in ([before[k], layer] if k in before else [layer])
-    ]
-    known = header_lines(config, CONTROL, len(layer_names)) | dict(header)
-    lines = [
-        *_opening(machine.program_name, "MPF", config, status),
-        *(comment(f"{key}: {value}") for key, value in known.items()),
-        *start_blocks(modes(machine), values, templates),
-        *calls,
-        *end_blocks(top, values, config, form, templates),
-        "M30",
-    ]
-    return numbered(lines)
 
 
 def modes(machine: MachineSettings) -> list[str]:

@@ -1,22 +1,24 @@
-"""Post-processor for the heat simulator 3DThesis: a whole case around one table of spots and lines, with power and speed.
+"""Post-processor for the heat simulator 3DThesis: the analytic heat of a moving Gaussian beam on a half space of constant material data.
 
-Each row is a mode, a position in mm, a power as a share of the beam's, and a parameter: mode 1 stays at the position for the
-parameter in seconds, mode 0 moves there from the last position at the parameter in m/s. Travel without beam is a spot of no
-power that lasts as long as the rapid move. The first line, where the status is, is skipped. The other files of a case are those of
-:mod:`~ebamcheck.controls.thesis_case`.
+A case is one table of spots and lines, with power and speed, and the files around it. Each row is a mode, a position in mm, a power as
+a share of the beam's, and a parameter: mode 1 stays at the position for the parameter in seconds, mode 0 moves there from the last
+position at the parameter in m/s. Travel without beam is a spot of no power that lasts as long as the rapid move. The first line, where
+the status is, is skipped. Every layer heats a half space under itself, without the sides of the part: one layer at a time is what it
+is for. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in millimetres.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from ebamcheck.controls.thesis_case import thesis_files
 from ebamcheck.errors import SettingsError
+from ebamcheck.heat.medium import BEAM_SHARE
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
@@ -24,7 +26,7 @@ from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
-from ebamcheck.writing.bead_power import power_shares
+from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
 SCRIPT = "run.sh"
@@ -142,7 +144,7 @@ def write_3dthesis(
 ) -> ProgramFiles:
     """Write a case of 3DThesis, its ``Path.txt`` first; of one layer where one is given. `header` has no place in it.
 
-    Takes and raises what :func:`ebamcheck.controls.sinumerik.writing.write_program` does.
+    Takes and raises what :func:`ebamcheck.write_program` does.
     """
     path = heat_path(curves, plan, config).of_layer(layer)
     return write_thesis(path, thesis_files(path.rows, config), folder, validated=validated)
@@ -214,3 +216,151 @@ def _travel_s(
     if spot.size:
         away[1:] = np.linalg.norm(rows[spot[1:], 1:4] - rows[spot[1:] - 1, 1:4], axis=1)
     return np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
+
+
+# -- the files around the path ---------------------------------------------------------------------------
+
+NAME = "ebamcheck"
+"""Name of the simulation, with which its result files begin."""
+
+INPUT, SETTINGS = "ParamInput.txt", "Settings.txt"
+"""The file that names all others, and the one with the threads."""
+
+MODE, DOMAIN, POINTS = "Mode.txt", "Domain.txt", "Points.txt"
+"""When, and where, temperatures are wanted."""
+
+ENDS = ("min", "max")
+
+PICTURES = (25, 50, 75, 100)
+"""Shares of the time of the path, %, at which a case without places gives a picture of the surface."""
+
+GRID_CELLS = 2.0
+"""Points of that picture across a bead."""
+
+THREADS = 4
+"""Threads: its own default is half of those of the machine, which is none on a machine of one."""
+
+REFLECTIONS = 4
+"""Mirrors of mirrors that count: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes."""
+
+EDGE = math.exp(-3.0)
+"""Intensity of the beam over that of its middle where its heat counts as ended: at sqrt(6) standard deviations."""
+
+MARGIN = 4.0
+"""Metal beside the path, in bead widths."""
+
+Group = Mapping[str, object]
+
+
+@dataclass(frozen=True)
+class Mirrors:
+    """Planes that let no heat through, mm: a box around the part instead of a half space; without `z` it has no base."""
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    z: float | None = None
+
+    def group(self) -> Group:
+        """Keywords of the domain."""
+        planes = {
+            f"{a}_{e}": METRES * v
+            for a, b in (("X", self.x), ("Y", self.y))
+            for e, v in zip(ENDS, b, strict=True)
+        }
+        base = {} if self.z is None else {"Z_min": METRES * self.z}
+        return {**planes, **base, "Reflections": REFLECTIONS}
+
+
+def thesis_files(rows: Floats, config: Config) -> dict[str, str]:
+    """Return all files of a case but its path, by name; it gives pictures of the surface at :data:`PICTURES`."""
+    step_m = METRES * config.process.bead_width_mm / GRID_CELLS
+    places = rows[:, 1:4] if len(rows) else np.zeros((1, 3))
+    margin = np.array([MARGIN, MARGIN, 0.0]) * config.process.bead_width_mm
+    low, high = places.min(axis=0) - margin, places.max(axis=0) + margin
+    # The box stands on its base plate, deep below the lowest layer.
+    low[2] = low[2] - config.layer_height_mm - config.process.base_plate_mm
+    x, y, z = (
+        {"Min": METRES * least, "Max": METRES * most}
+        for least, most in zip(low.tolist(), high.tolist(), strict=True)
+    )
+    return {
+        **physics(config),
+        MODE: groups({"Snapshots": {"ScanFracs": ",".join(map(str, PICTURES)), "Tracking": "None"}}),
+        DOMAIN: groups({"X": {**x, "Res": step_m}, "Y": {**y, "Res": step_m}, "Z": {**z, "Num": 1}}),
+    }
+
+
+def physics(config: Config) -> dict[str, str]:
+    """Return the files that are the same whenever and wherever temperatures are wanted."""
+    process, material = config.process, config.material
+    # Its standard deviation is that of the nonlinear model of `ebamcheck.heat.referee`.
+    width_m = METRES * (BEAM_SHARE * process.bead_width_mm * math.sqrt(-2.0 * math.log(EDGE)))
+    return {
+        INPUT: groups(
+            {
+                "Simulation": {"Name": NAME, **{n: f"{n}.txt" for n in ("Mode", "Material", "Beam", "Path")}},
+                "Options": {n: f"{n}.txt" for n in ("Domain", "Output", "Settings")},
+            }
+        ),
+        "Material.txt": groups(
+            {
+                "Constants": {
+                    "T_0": process.ambient_temperature_k,
+                    "T_L": material.liquidus_k,
+                    "k": material.conductivity_w_mk,
+                    "c": material.heat_capacity_j_kgk,
+                    "p": material.density_kg_m3,
+                }
+            }
+        ),
+        "Beam.txt": groups(
+            {
+                "Shape": {"Width_X": width_m, "Width_Y": width_m, "Depth_Z": METRES * config.layer_height_mm},
+                "Intensity": {"Power": process.power_w, "Efficiency": material.absorptivity},
+            }
+        ),
+        "Output.txt": groups({"Grid": {"x": 1, "y": 1, "z": 1}, "Temperature": {"T": 1, "T_hist": 0}}),
+        SETTINGS: _settings(THREADS),
+        "run.sh": '#!/bin/sh\n# @status@\ncd "$(dirname "$0")" && exec "${EBAMCHECK_3DTHESIS:-3DThesis}" ParamInput.txt\n',
+    }
+
+
+def readings(times_s: Sequence[float], places: Floats, mirrors: Mirrors | None = None) -> dict[str, str]:
+    """Files that ask for the temperatures at places (P, 3), mm, at each of the times; of a half space without mirrors."""
+    times = ",".join(f"{time:.9g}" for time in times_s)
+    points = "".join(f"{x:.6f}\t{y:.6f}\t{z:.6f}\n" for x, y, z in places.tolist())
+    return {
+        MODE: groups({"Snapshots": {"Times": times, "Tracking": "None"}}),
+        DOMAIN: groups(
+            {**({"BoundaryConditions": mirrors.group()} if mirrors else {}), "Custom": {"File": POINTS}}
+        ),
+        # Few places a time: threads would wait for each other.
+        SETTINGS: _settings(1),
+        POINTS: f"X(mm)\tY(mm)\tZ(mm)\t@status@\n{points}",
+    }
+
+
+def snapshot(number: int) -> str:
+    """Name of the file with the temperatures at a time, in the folder ``Data``: x, y, z in metres, and T in K."""
+    return f"{NAME}.Snapshot.{number:02d}.csv"
+
+
+def _settings(threads: int) -> str:
+    return groups({"Compute": {"MaxThreads": threads}})
+
+
+def groups(texts: Mapping[str, Group]) -> str:
+    """Write groups of keywords; the status goes into the first line, which has no keyword."""
+    blocks = (
+        name + "\n{\n" + "".join(f"\t{key}\t{_word(value)}\n" for key, value in group.items()) + "}\n"
+        for name, group in texts.items()
+    )
+    return "# @status@\n" + "".join(blocks)
+
+
+def _word(value: object) -> str:
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"{value} is no number for a case")
+        return f"{value:.9g}"
+    return str(value)
