@@ -571,8 +571,8 @@ def _fullest(
     origin = at.min(axis=0) - 2.0 * bead_mm
     columns, count = (np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1).tolist()
     i, j = np.floor((at - origin) / cell).astype(np.int64).T
-    field: Floats = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
-    field = field.reshape(count, columns)
+    metal_mm3 = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
+    field = np.asarray(metal_mm3.reshape(count, columns), np.float64)
     # Once for the width of the bead, and once for the spot.
     for _ in range(2):
         field = ndimage.uniform_filter(field, across, mode="constant")
