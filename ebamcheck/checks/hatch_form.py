@@ -195,7 +195,8 @@ def _uneven(along: Bools, offset: Floats, mains_mm: Floats) -> Bools:
     beside = along & (before >= 0) & (before < np.arange(along.shape[1]) - 1) & (step > 2.0 * TWO_PLACES_MM)
     last = _before(beside)
     pitch = np.take_along_axis(step, np.maximum(last, 0), axis=1)
-    return beside & (last >= 0) & (np.abs(step - pitch) > 2.0 * TWO_PLACES_MM + PARALLEL * mains_mm)
+    other = np.abs(step - pitch) > 2.0 * TWO_PLACES_MM + PARALLEL * mains_mm
+    return np.asarray(beside & (last >= 0) & other)
 
 
 def _before(which: Bools) -> Ints:
