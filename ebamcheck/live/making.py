@@ -40,13 +40,7 @@ from ebamcheck.pipeline.mesh_sections import layer_check, sections_check
 from ebamcheck.pipeline.part_file import file_check
 from ebamcheck.pipeline.placement import as_placed
 from ebamcheck.pipeline.planned_power import power_by_wire
-from ebamcheck.pipeline.stages import (
-    judged_program,
-    laid_out,
-    smooth_layers,
-    smooth_sections,
-    written,
-)
+from ebamcheck.pipeline.stages import judged_program, laid_out, smooth_layers, smooth_sections, written
 from ebamcheck.pipeline.turned import Stands, turned_checks
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check, ProgramFiles, verify_program
