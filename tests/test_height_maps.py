@@ -16,7 +16,7 @@ from measured_surfaces import SIZE, grid_of, level_metal, map_of, surface_of, wr
 from PIL import Image
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.live.height_map import HOLE, HeightMap, MapCells, UnevenLayer, figures_of, in_cells, read_map
+from ebamcheck.live.height_map import HOLE, HeightMap, MapCells, Refused, figures_of, in_cells, read_map
 from ebamcheck.metal import target_of
 from ebamcheck.settings.config import Config
 
@@ -164,7 +164,7 @@ def test_a_hump_is_found_where_it_is_and_a_dip_too(metal):
 
 def test_what_is_too_uneven_or_not_known_is_refused_with_its_place(metal):
     def refused(found, **frame):
-        with pytest.raises(UnevenLayer) as told:
+        with pytest.raises(Refused) as told:
             figures_of(in_cells(found, metal.surface), metal.surface, Config().changed(height_map=frame))
         return told.value.code, str(told.value)
 

@@ -15,11 +15,12 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
+from ebamcheck.live.height_map import Refused
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish, read_current
-from ebamcheck.live.readings import Reading, Refusal, fault_of, parsed, reading_of
-from ebamcheck.live.relaying import check_height
+from ebamcheck.live.readings import Reading, check_height, parsed, reading_of
+from ebamcheck.live.relaying import check_below
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 12)
@@ -149,10 +150,10 @@ def test_a_shut_gate_keeps_the_old_layer_and_says_why(place, tmp_path):
 def test_a_single_layer_takes_the_heights_that_a_build_takes(height, said, place, tmp_path):
     run, below = finished_run(place / "box.run"), tmp_path / "none"
     if not said:
-        check_height(below, run, 2, height)
+        check_below(below, run, 2, height)
         return
     with pytest.raises(SettingsError, match=said):
-        check_height(below, run, 2, height)
+        check_below(below, run, 2, height)
 
 
 def test_a_layer_that_was_made_again_is_the_one_below_of_the_next(place, tmp_path):
@@ -294,16 +295,20 @@ def test_a_reading_before_the_start_is_refused(building):
 
 @pytest.mark.parametrize("height", [0.0, -1.0, 1.7 / 25.4, 1.7e3, 1.7e-3, 17.0, 1e308, 0.3])
 def test_heights_that_no_bead_has_are_faults(height):
-    assert isinstance(fault_of(Reading(1, height), 0.0, 1.7), Refusal)
+    with pytest.raises(Refused):
+        check_height(Reading(1, height), 0.0, 1.7)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.9, 1.0, 1.1, 1.7])
 def test_heights_that_a_bead_may_have_are_none(share):
-    assert fault_of(Reading(5, 10.0 + 1.7 * share), 10.0, 11.7) is None
+    check_height(Reading(5, 10.0 + 1.7 * share), 10.0, 11.7)
 
 
 def test_hostile_json_is_refused():
     for line in (b"[" * 4000, b"1", b'"height"', b"", b"{" + b" " * 9000 + b"}", b'{"a": 1e999}\x00'):
-        assert isinstance(parsed(line), Refusal) or line == b""
-    assert reading_of({"done": 1, "height_mm": 10**400}).code == "not-a-number"
-    assert reading_of({"done": True, "height_mm": 1.0}).code == "counter"
+        with pytest.raises(Refused):
+            parsed(line)
+    for height, done, code in ((10**400, 1, "not-a-number"), (1.0, True, "counter")):
+        with pytest.raises(Refused) as told:
+            reading_of({"done": done, "height_mm": height})
+        assert told.value.code == code

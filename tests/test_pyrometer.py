@@ -10,9 +10,10 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
-from ebamcheck.live.before import Before, corrected, fault_of_warmth
+from ebamcheck.live.before import Before, check_warmth, corrected
 from ebamcheck.live.building import Building
 from ebamcheck.live.desk import answer_to
+from ebamcheck.live.height_map import Refused
 from ebamcheck.live.journal import read_journal
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
@@ -64,25 +65,35 @@ def test_the_corrected_model_reads_what_was_measured(heat, off_k, after_s):
     assert np.allclose(rise[0], said.factor * rise[1], atol=0.1)
 
 
+def refusal(judge, *given):
+    """Why something is refused as a temperature; empty: it is used."""
+    try:
+        judge(*given)
+    except Refused as refused:
+        return f"{refused.code}: {refused}"
+    return ""
+
+
 def test_temperatures_out_of_limits_are_refused_with_the_limit(heat):
     config = Config()
     wide = config.changed(process={"pyrometer_limit_k": 1000.0})
     warm = heat.rested(20.0).surface_k
-    assert fault_of_warmth(heat, Warmth(warm, 20.0), config) == ""
-    assert "process.pyrometer_limit_k" in fault_of_warmth(heat, Warmth(warm + 151.0, 20.0), config)
-    assert fault_of_warmth(heat, Warmth(warm + 151.0, 20.0), wide) == ""
+    assert refusal(check_warmth, heat, Warmth(warm, 20.0), config) == ""
+    assert "process.pyrometer_limit_k" in refusal(check_warmth, heat, Warmth(warm + 151.0, 20.0), config)
+    assert refusal(check_warmth, heat, Warmth(warm + 151.0, 20.0), wide) == ""
     for value in (-3.0, 20.0, 5000.0, 1e300):
-        assert "give kelvins" in fault_of_warmth(heat, Warmth(value, 20.0), wide)
+        assert "give kelvins" in refusal(check_warmth, heat, Warmth(value, 20.0), wide)
     for after_s in (-1.0, 1e6):
-        assert "after_s" in fault_of_warmth(heat, Warmth(warm, after_s), wide)
-    assert "on which something was laid" in fault_of_warmth(Before.cold(config), Warmth(300.0, 0.0), config)
+        assert "after_s" in refusal(check_warmth, heat, Warmth(warm, after_s), wide)
+    cold = Before.cold(config)
+    assert "on which something was laid" in refusal(check_warmth, cold, Warmth(300.0, 0.0), config)
 
 
 @pytest.mark.parametrize("value", ["hot", True, float("nan"), float("inf"), [300.0]])
 def test_what_is_no_temperature_is_said(value):
-    assert "give a finite number of kelvins" in warmth_of({"surface_k": value, "after_s": 1.0})
-    assert "give a finite number of seconds" in warmth_of({"surface_k": 700.0, "after_s": value})
-    assert "give a finite number of seconds" in warmth_of({"surface_k": 700.0})
+    assert "give a finite number of kelvins" in refusal(warmth_of, {"surface_k": value, "after_s": 1.0})
+    assert "give a finite number of seconds" in refusal(warmth_of, {"surface_k": 700.0, "after_s": value})
+    assert "give a finite number of seconds" in refusal(warmth_of, {"surface_k": 700.0})
 
 
 def test_none_is_none():

@@ -28,9 +28,16 @@ from ebamcheck.settings.opcua import OpcuaSettings
 
 MODES = ("uniform", "adaptive", "listed")
 
+FinishedRunArgument = Annotated[Path, typer.Argument(help="A finished run folder.")]
+MovedPart = Annotated[Path | None, typer.Option(help="File of the part, if it was moved since the run.")]
+AnnealingOption = Annotated[
+    int,
+    typer.Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time."),
+]
+
 
 def live_command(
-    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
+    run: FinishedRunArgument,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -39,20 +46,13 @@ def live_command(
             help="Folder of the build; default: RUN.live. A build that was begun there goes on.",
         ),
     ] = None,
-    part: Annotated[
-        Path | None, typer.Option(help="File of the part, if it was moved since the run.")
-    ] = None,
+    part: MovedPart = None,
     heights: Annotated[str, typer.Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
     cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
     tops: Annotated[
         str, typer.Option(help="Tops of listed heights over the base plate, mm, with commas.")
     ] = "",
-    annealing: Annotated[
-        int,
-        typer.Option(
-            min=0, help="Moves by which the order of islands is improved; each thousand takes time."
-        ),
-    ] = 0,
+    annealing: AnnealingOption = 0,
     timeout: Annotated[float, typer.Option(help="Time without a line after which it says so, s.")] = 3600.0,
     replay: Annotated[
         Path | None,

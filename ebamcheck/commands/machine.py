@@ -18,7 +18,7 @@ from typing import Annotated
 import typer
 
 from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.commands.live import opcua_of
+from ebamcheck.commands.live import FinishedRunArgument, MovedPart, opcua_of
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.loading import finished_run
@@ -35,7 +35,7 @@ START = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'eb
 
 
 def machine_command(
-    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
+    run: FinishedRunArgument,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -44,9 +44,7 @@ def machine_command(
             help="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
         ),
     ] = None,
-    part: Annotated[
-        Path | None, typer.Option(help="File of the part, if it was moved since the run.")
-    ] = None,
+    part: MovedPart = None,
     drift: Annotated[
         float, typer.Option(help="Share by which every layer comes out higher than planned.")
     ] = 0.0,

@@ -11,6 +11,7 @@ import numpy as np
 import typer
 
 from ebamcheck.checks.table import stands_of
+from ebamcheck.commands.live import AnnealingOption, FinishedRunArgument, MovedPart
 from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layer_numbers import index_of_number
@@ -18,13 +19,13 @@ from ebamcheck.live.before import Before
 from ebamcheck.live.height_map import MapCells, figures_of, in_cells, read_map
 from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.relaying import Relayered, check_height, relayer, tilted
+from ebamcheck.live.relaying import Relayered, check_below, relayer, tilted
 from ebamcheck.nc.files import preheat_name
 from ebamcheck.record.run_folder import RunFolder
 
 
 def relayer_command(
-    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
+    run: FinishedRunArgument,
     layer: Annotated[int, typer.Option(help="Layer that comes next, counted from 1.")],
     measured_z: Annotated[
         float | None,
@@ -41,15 +42,8 @@ def relayer_command(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="Folder of the new layers; default: RUN.live.")
     ] = None,
-    part: Annotated[
-        Path | None, typer.Option(help="File of the part, if it was moved since the run.")
-    ] = None,
-    annealing: Annotated[
-        int,
-        typer.Option(
-            min=0, help="Moves by which the order of islands is improved; each thousand takes time."
-        ),
-    ] = 0,
+    part: MovedPart = None,
+    annealing: AnnealingOption = 0,
     as_json: JsonOption = False,
 ) -> ExitCode:
     """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one.
@@ -94,7 +88,7 @@ def relayer_command(
             before, cells, measured_z = mapped(found, maker, index, before, height_map)
         assert measured_z is not None
         if upright is None:
-            check_height(folder, found, index, measured_z)
+            check_below(folder, found, index, measured_z)
         done = relayer(maker, before, index, measured_z, folder, cells)
     if as_json:
         print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})

@@ -17,7 +17,7 @@ from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
-from ebamcheck.live.height_map import MENDING, MapFigures, figures_of
+from ebamcheck.live.height_map import MENDING, MapFigures, Refused, figures_of
 from ebamcheck.live.readings import Reading, Warmth
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface, target_of
@@ -172,27 +172,28 @@ class Correction:
         }  # fmt: skip
 
 
-def fault_of_warmth(before: Before, found: Warmth, config: Config) -> str:
-    """What is wrong with a measured temperature; empty: it is used."""
-    if not before.laid:
-        return "surface_k is of a part on which something was laid"
-    if not 0.0 <= found.after_s <= LONGEST_S:
-        return f"after_s {found.after_s:g} is not from 0 to {LONGEST_S:g} s"
+def check_warmth(before: Before, found: Warmth, config: Config) -> None:
+    """Refuse a measured temperature that the part cannot have, or of which the model says nothing."""
     chamber_k, limit_k = config.process.ambient_temperature_k, config.process.pyrometer_limit_k
-    if not chamber_k <= found.surface_k <= config.material.solidus_k:
-        return (
+    if not before.laid:
+        why = "surface_k is of a part on which something was laid"
+    elif not 0.0 <= found.after_s <= LONGEST_S:
+        why = f"after_s {found.after_s:g} is not from 0 to {LONGEST_S:g} s"
+    elif not chamber_k <= found.surface_k <= config.material.solidus_k:
+        why = (
             f"surface_k {found.surface_k:g} is not between the chamber's {chamber_k:g} K and the solidus, "
             f"{config.material.solidus_k:g} K: give kelvins"
         )
-    modelled_k = before.rested(found.after_s).surface_k
-    if abs(found.surface_k - modelled_k) > limit_k:
-        return (
-            f"surface_k {found.surface_k:g} is {abs(found.surface_k - modelled_k):.0f} K off the model, {modelled_k:.0f} K then: over "
+    elif (off_k := abs(found.surface_k - (modelled_k := before.rested(found.after_s).surface_k))) > limit_k:
+        why = (
+            f"surface_k {found.surface_k:g} is {off_k:.0f} K off the model, {modelled_k:.0f} K then: over "
             f"process.pyrometer_limit_k, {limit_k:g} K"
         )
-    if modelled_k - chamber_k < LEAST_RISE_K:
-        return f"surface_k: the part is as cold as the chamber ({modelled_k:.0f} K), of which a factor says nothing"
-    return ""
+    elif modelled_k - chamber_k < LEAST_RISE_K:
+        why = f"surface_k: the part is as cold as the chamber ({modelled_k:.0f} K), of which a factor says nothing"
+    else:
+        return
+    raise Refused("temperature", why)
 
 
 def corrected(before: Before, found: Warmth, config: Config) -> tuple[Before, Correction]:

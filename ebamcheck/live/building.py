@@ -16,8 +16,9 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
-from ebamcheck.live.before import Before, Ground, fault_of_warmth
+from ebamcheck.live.before import Before, Ground, check_warmth
 from ebamcheck.live.followed import FollowedLayers
+from ebamcheck.live.height_map import Refused
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.journal import FORMAT, Journal, check_format, read_journal
@@ -32,7 +33,7 @@ from ebamcheck.live.publishing import (
     publish,
     read_current,
 )
-from ebamcheck.live.readings import Reading, Refusal, fault_of, map_reading, reading_of, warmth_of
+from ebamcheck.live.readings import Reading, check_height, map_reading, reading_of, warmth_of
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -41,6 +42,8 @@ later layer, since where beads of one layout leave metal uneven, those of anothe
 
 MAKING = ".making."
 """Begin of the names of folders in which layers are made."""
+
+NOT_STARTED = "nothing is published yet: send `start` first"
 
 Answer = dict[str, Any]
 
@@ -109,45 +112,47 @@ class Building:
         return self._decide(Reading(0, 0.0))
 
     def height(self, message: dict[str, Any]) -> Answer:
-        """Take a measured height, and publish the layer on it."""
-        if self._standing is None and "height_map" in message:
-            return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
-        reading = self._read(message)
-        if isinstance(reading, Refusal):
-            return self._refused(reading)
-        if self._standing is None:
-            return self._refused(Refusal("not-started", "nothing is published yet: send `start` first"))
-        if self._last is not None and reading.done == self._last.done:
-            if reading == self._last and self.told:
+        """Take a measured height, and publish the layer on it; the journal knows of one that is refused."""
+        try:
+            reading = self._read(message)
+            if reading == self._last:
                 return {**self.told, "again": True}
-            if self.told:
-                said = f"the top of {reading.done} layers was measured before, at {self._last.height_mm:g} mm: the first reading counts"
-                return self._refused(Refusal("repeated", said))
-        expected = self.expected_done
-        if self.finished:
-            return self._refused(Refusal("finished", "the part is built: no layer is left"))
-        if reading.done != expected:
-            said = f"{reading.done!s:.20} layers are said to be done, expected are {expected}"
-            return self._refused(Refusal("counter-jump", said))
-        if "height_map" not in message and reading.height_mm != message.get("height_mm"):
-            said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
-            return self._refused(Refusal("not-as-said", said))
-        fault = fault_of(reading, self._standing.base_mm, self._standing.top_mm)
-        if fault is None and reading.warmth is not None:
-            why = fault_of_warmth(self.before, reading.warmth, self.maker.config)
-            fault = Refusal("temperature", why) if why else None
-        return self._refused(fault) if fault else self._decide(reading)
+            self._judge(reading, message)
+        except Refused as refused:
+            self.journal.append({"kind": "refused", **refused.answer})
+            return refused.answer
+        return self._decide(reading)
 
-    def _read(self, message: dict[str, Any]) -> Reading | Refusal:
+    def _read(self, message: dict[str, Any]) -> Reading:
         """What a message says that was measured."""
+        if self._standing is None and "height_map" in message:
+            raise Refused("not-started", NOT_STARTED)
         warmth = warmth_of(message)
-        if isinstance(warmth, str):
-            return Refusal("temperature", warmth)
         if "height_map" in message:
             reading = map_reading(message, self.before.surface, self.maker.config, self._last)
         else:
             reading = reading_of(message)
-        return reading if isinstance(reading, Refusal) else replace(reading, warmth=warmth)
+        return replace(reading, warmth=warmth)
+
+    def _judge(self, reading: Reading, message: dict[str, Any]) -> None:
+        """Refuse a reading that is not the next one, or cannot be."""
+        last, standing = self._last, self._standing
+        if last is None or standing is None:
+            raise Refused("not-started", NOT_STARTED)
+        if reading.done == last.done:
+            said = f"the top of {last.done} layers was measured before, at {last.height_mm:g} mm: the first reading counts"
+            raise Refused("repeated", said)
+        if self.finished:
+            raise Refused("finished", "the part is built: no layer is left")
+        if reading.done != self.expected_done:
+            said = f"{reading.done!s:.20} layers are said to be done, expected are {self.expected_done}"
+            raise Refused("counter-jump", said)
+        if "height_map" not in message and reading.height_mm != message.get("height_mm"):
+            said = f"{message.get('height_mm')!r:.20} mm is taken for {reading.height_mm:g} mm"
+            raise Refused("not-as-said", said)
+        check_height(reading, standing.base_mm, standing.top_mm)
+        if reading.warmth is not None:
+            check_warmth(self.before, reading.warmth, self.maker.config)
 
     def status(self) -> Answer:
         """Tell what is published, and what is expected."""
@@ -257,11 +262,6 @@ class Building:
             return _done(reading, top_mm, f"no layer fills the last {top_mm - base_mm:.3f} mm ({why}): leave them to "
                          "the machining allowance, or weld them up by hand"), None  # fmt: skip
         return _kept(reading, why), None
-
-    def _refused(self, refusal: Refusal) -> Answer:
-        """Answer to a reading that is not used; the journal knows of it."""
-        self.journal.append({"kind": "refused", **refusal.answer})
-        return refusal.answer
 
     # -- going on -----------------------------------------------------------------------------------
 

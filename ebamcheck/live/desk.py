@@ -18,8 +18,9 @@ from typing import IO, Any
 
 from ebamcheck.json_values import plain
 from ebamcheck.live.building import Answer, Building
+from ebamcheck.live.height_map import Refused
 from ebamcheck.live.making import failure_of
-from ebamcheck.live.readings import LONGEST_LINE, Refusal, parsed
+from ebamcheck.live.readings import LONGEST_LINE, parsed
 
 
 class Lines:
@@ -78,8 +79,6 @@ def answer_to(building: Building, line: bytes) -> Answer:
     """Answer one line; nothing that comes in ends the server."""
     try:
         message = parsed(line)
-        if isinstance(message, Refusal):
-            return message.answer
         known: dict[str, Callable[[], Answer]] = {
             "start": building.start,
             "height": lambda: building.height(message),
@@ -89,8 +88,10 @@ def answer_to(building: Building, line: bytes) -> Answer:
         }
         event: Any = message.get("event")
         if not isinstance(event, str) or event not in known:
-            return Refusal("event", f"event {event!r:.20}: known are {', '.join(known)}").answer
+            raise Refused("event", f"event {event!r:.20}: known are {', '.join(known)}")
         return known[event]()
+    except Refused as refused:
+        return refused.answer
     except Exception as error:  # a full disk, say: what was published stays
         return {"answer": "error", "reason": failure_of(error)}
 

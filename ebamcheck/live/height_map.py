@@ -54,6 +54,19 @@ COLUMNS = ("x_mm", "y_mm", "height_mm")
 SUFFIXES = (".csv", ".npy", ".tif", ".tiff")
 
 
+class Refused(InputError):
+    """What was measured, or a line, is not used; `code` says what kind of refusal it is."""
+
+    def __init__(self, code: str, reason: str) -> None:
+        super().__init__(reason)
+        self.code = code
+
+    @property
+    def answer(self) -> dict[str, Any]:
+        """What is answered."""
+        return {"answer": "refused", "code": self.code, "reason": str(self)}
+
+
 # -- files -------------------------------------------------------------------------------------------
 
 
@@ -282,22 +295,14 @@ class MapFigures:
         }  # fmt: skip
 
 
-class UnevenLayer(InputError):
-    """A measured layer on which none can be laid; `code` says why."""
-
-    def __init__(self, code: str, reason: str) -> None:
-        super().__init__(reason)
-        self.code = code
-
-
 def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
-    """Judge a map on the metal of the layer that it was taken of; :class:`UnevenLayer` where none can be laid on that."""
+    """Judge a map on the metal of the layer that it was taken of; :class:`Refused` where none can be laid on that."""
     settings, bead_mm = config.height_map, config.process.bead_width_mm
     metal = surface.share >= HALF
     if not metal.any():
-        raise UnevenLayer("map", "a height map is of a layer that was laid: nothing stands yet")
+        raise Refused("map", "a height map is of a layer that was laid: nothing stands yet")
     if cells.corner != surface.corner or cells.kept.shape != surface.share.shape:
-        raise UnevenLayer("map", "the height map is in cells of another part")
+        raise Refused("map", "the height map is in cells of another part")
     depth_mm = ndimage.distance_transform_edt(np.pad(metal, 1))[1:-1, 1:-1] * surface.step_mm
     inner = metal & (depth_mm > RIM_BEADS * bead_mm)
     judged = inner if inner.any() else metal
@@ -308,7 +313,7 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
     share = float(known.sum() / judged.sum())
     if share < settings.least_known:
         x, y = _place(surface, _deepest(judged & ~known))
-        raise UnevenLayer(
+        raise Refused(
             "map-holes",
             f"the height map knows {100 * share:.0f} % of the layer, height_map.least_known is {100 * settings.least_known:.0f} %: "
             f"the middle of the largest hole is at ({x:.1f}, {y:.1f})",
@@ -329,7 +334,7 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
     if max(figures.hump_mm, figures.dip_mm) > limit:
         hump = figures.hump_mm >= figures.dip_mm
         off, (x, y) = (figures.hump_mm, figures.hump_at_mm) if hump else (figures.dip_mm, figures.dip_at_mm)
-        raise UnevenLayer(
+        raise Refused(
             "map-uneven",
             f"the layer lies {off:.2f} mm {'over' if hump else 'under'} its mean of {mean_mm:.3f} mm at ({x:.1f}, {y:.1f}): at most "
             f"{limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again",

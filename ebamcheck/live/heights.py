@@ -13,7 +13,7 @@ that a bead by itself stays as high as it was, and limits of layer height over b
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -129,17 +129,6 @@ def has_room(config: Config, thickness_mm: float) -> bool:
     )
 
 
-def farthest_mm(config: Config, from_mm: float, to_mm: float) -> float:
-    """Layer height nearest to `to_mm`, on the way from one that can be laid, for which there is a feed."""
-    if speed_share(config, to_mm) is not None:
-        return to_mm
-    good, bad = from_mm, to_mm
-    for _ in range(50):
-        middle = 0.5 * (good + bad)
-        good, bad = (middle, bad) if speed_share(config, middle) is not None else (good, middle)
-    return good
-
-
 # -- limits ------------------------------------------------------------------------------------------
 
 
@@ -163,6 +152,7 @@ def bead_limits(config: Config) -> Limits:
     process = config.process
     per_mm = nominal_wire_speed_mm_s(config, 1.0)
     lowest, highest = (share * process.bead_height_mm for share in process.layer_over_bead)
+    melted = _farthest(lambda mm: least_power_share(config, mm) <= 1.0, 0.0, highest, 60)
     least = max(
         (lowest, "process.layer_over_bead"),
         (process.wire_speed_min_mm_s / per_mm, "process.wire_speed_min_mm_s"),
@@ -170,7 +160,7 @@ def bead_limits(config: Config) -> Limits:
     most = min(
         (highest, "process.layer_over_bead"),
         (process.wire_speed_max_mm_s / per_mm, "process.wire_speed_max_mm_s"),
-        (_melted_mm(config, highest), "the power of the beam"),
+        (melted, "the power of the beam"),
     )
     if least[0] > most[0]:
         raise SettingsError(
@@ -184,8 +174,11 @@ def feed_limits(config: Config, limits: Limits) -> Limits:
     """Limits where the feed follows, too: those of the bead alone, as far as a feed is there for them."""
     process = config.process
     low, high = (share * process.bead_height_mm for share in process.layer_over_bead)
-    least = min(farthest_mm(config, limits.usual_mm, low), limits.least_mm)
-    most = max(farthest_mm(config, limits.usual_mm, high), limits.most_mm)
+    least, most = (
+        _farthest(lambda mm: speed_share(config, mm) is not None, limits.usual_mm, to_mm, 50)
+        for to_mm in (low, high)
+    )
+    least, most = min(least, limits.least_mm), max(most, limits.most_mm)
     bead, feed = "process.layer_over_bead", "wire, beam and every feed"
     why = (
         bead if least <= low * (1.0 + ROUNDING) else feed,
@@ -194,15 +187,15 @@ def feed_limits(config: Config, limits: Limits) -> Limits:
     return Limits(least, most, limits.usual_mm, why)
 
 
-def _melted_mm(config: Config, most_mm: float) -> float:
-    """Greatest height up to `most_mm` of which the full power melts the wire."""
-    if least_power_share(config, most_mm) <= 1.0:
-        return most_mm
-    low, high = 0.0, most_mm
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if least_power_share(config, middle) <= 1.0 else (low, middle)
-    return low
+def _farthest(holds: Callable[[float], bool], good_mm: float, to_mm: float, halvings: int) -> float:
+    """Height nearest to `to_mm` that holds, on the way from one that does."""
+    if holds(to_mm):
+        return to_mm
+    bad_mm = to_mm
+    for _ in range(halvings):
+        middle = 0.5 * (good_mm + bad_mm)
+        good_mm, bad_mm = (middle, bad_mm) if holds(middle) else (good_mm, middle)
+    return good_mm
 
 
 # -- layers ------------------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError
-from ebamcheck.live.height_map import MapCells, UnevenLayer, figures_of, in_cells, read_map
+from ebamcheck.live.height_map import MapCells, Refused, figures_of, in_cells, read_map
 from ebamcheck.metal import Surface
 from ebamcheck.settings.config import Config
 
@@ -22,26 +22,11 @@ LONGEST_LINE = 4096
 
 UNIT = "mm"
 
-INCH_MM, METRE_MM = 25.4, 1000.0
-
 ABSURD = 0.75
 """Share of a layer's height by which it may come out higher or lower than planned: beyond it is no bead but a fault."""
 
 ALIKE = 0.35
 """Share of a layer by which a value converted from another unit may miss the plan and yet tell that it is that unit."""
-
-
-@dataclass(frozen=True)
-class Refusal:
-    """Why a line or a reading is not used."""
-
-    code: str
-    reason: str
-
-    @property
-    def answer(self) -> dict[str, Any]:
-        """What is answered."""
-        return {"answer": "refused", "code": self.code, "reason": self.reason}
 
 
 @dataclass(frozen=True)
@@ -80,24 +65,23 @@ class Reading:
         found = cls(int(entry["done"]), float(entry["height_mm"]))
         if "map" in entry:
             found = cls.of_map(found.done, found.height_mm, MapCells.of_entry(entry["map"]))
-        warmth = warmth_of(entry)
-        return replace(found, warmth=warmth) if isinstance(warmth, Warmth) else found
+        return replace(found, warmth=warmth_of(entry))
 
 
-def parsed(line: bytes) -> dict[str, Any] | Refusal:
-    """Return a line as a JSON object, or why it is none."""
+def parsed(line: bytes) -> dict[str, Any]:
+    """Return a line as a JSON object."""
     if len(line) > LONGEST_LINE:
-        return Refusal("unreadable", f"a line of more than {LONGEST_LINE} bytes")
+        raise Refused("unreadable", f"a line of more than {LONGEST_LINE} bytes")
     if not line.strip():
-        return Refusal("unreadable", "the line is empty")
+        raise Refused("unreadable", "the line is empty")
     try:
         found = json.loads(line.decode("utf-8"), object_pairs_hook=_once)
     except KeyError as error:
-        return Refusal("unreadable", f"{error.args[0]!r:.40} is in the line twice")
+        raise Refused("unreadable", f"{error.args[0]!r:.40} is in the line twice") from None
     except (ValueError, RecursionError):
-        return Refusal("unreadable", "the line is no JSON")
+        raise Refused("unreadable", "the line is no JSON") from None
     if not isinstance(found, dict):
-        return Refusal("unreadable", "the line is no JSON object")
+        raise Refused("unreadable", "the line is no JSON object")
     return found
 
 
@@ -111,100 +95,96 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def reading_of(message: dict[str, Any]) -> Reading | Refusal:
+def reading_of(message: dict[str, Any]) -> Reading:
     """Return the reading of a message, by its types alone."""
     unit = message.get("unit", UNIT)
     if unit != UNIT:
-        return Refusal("unit", f"unit {unit!r:.20}: heights are in mm and are not converted")
+        raise Refused("unit", f"unit {unit!r:.20}: heights are in mm and are not converted")
     done = done_of(message)
-    if isinstance(done, Refusal):
-        return done
     height = message.get("height_mm")
     if height is None:
-        return Refusal("missing", "`height_mm` is missing")
+        raise Refused("missing", "`height_mm` is missing")
     if isinstance(height, bool) or not isinstance(height, int | float):
-        return Refusal("not-a-number", f"height_mm {height!r:.20}: is not a number")
+        raise Refused("not-a-number", f"height_mm {height!r:.20}: is not a number")
     try:
         height_mm = float(height)
     except OverflowError:
         height_mm = math.inf
     if not math.isfinite(height_mm):
-        return Refusal("not-a-number", f"height_mm {height_mm}: is not finite")
+        raise Refused("not-a-number", f"height_mm {height_mm}: is not finite")
     return Reading(done, height_mm)
 
 
 def map_reading(
     message: dict[str, Any], surface: Surface | None, config: Config, last: Reading | None = None
-) -> Reading | Refusal:
+) -> Reading:
     """Read the map of a message; its mean, where there is metal, is the height of the reading.
 
     One that was used for the `last` reading, and comes again, is that reading.
     """
     done = done_of(message)
-    if isinstance(done, Refusal):
-        return done
     if message.get("unit", UNIT) != UNIT:
-        return Refusal("unit", "the unit of a map is height_map.unit_mm of its frame")
+        raise Refused("unit", "the unit of a map is height_map.unit_mm of its frame")
     if message.get("height_mm") is not None:
-        return Refusal("map", "give `height_mm` or `height_map`: the mean of a map is its height")
+        raise Refused("map", "give `height_mm` or `height_map`: the mean of a map is its height")
     name = message["height_map"]
     if not isinstance(name, str) or not name or "\x00" in name:
-        return Refusal("map", f"height_map {name!r:.40}: give the name of a file")
+        raise Refused("map", f"height_map {name!r:.40}: give the name of a file")
     if surface is None:
-        return Refusal("map", "nothing is known of what stands")
+        raise Refused("map", "nothing is known of what stands")
     try:
         cells = in_cells(read_map(Path(name), config.height_map), surface)
         if last is not None and (last.done, last.map_sha256) == (done, cells.sha256):
             return replace(last, warmth=None)
         figures = figures_of(cells, surface, config)
-    except UnevenLayer as error:
-        return Refusal(error.code, str(error))
+    except Refused:
+        raise
     except InputError as error:
-        return Refusal("map", str(error))
+        raise Refused("map", str(error)) from None
     except MemoryError:
-        return Refusal("map", f"{name:.80}: is too large for the memory of this machine")
+        raise Refused("map", f"{name:.80}: is too large for the memory of this machine") from None
     return Reading.of_map(done, figures.mean_mm, cells)
 
 
-def warmth_of(message: dict[str, Any]) -> Warmth | str | None:
-    """Return the temperature of a message, None where it has none, or what is wrong with it."""
+def warmth_of(message: dict[str, Any]) -> Warmth | None:
+    """Return the temperature of a message, None where it has none."""
     if message.get("surface_k") is None:
         return None
     values = []
     for name, unit in (("surface_k", "kelvins"), ("after_s", "seconds since the layer was done")):
         value = message.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            return f"{name} {value!r:.20}: give a finite number of {unit}"
+            raise Refused("temperature", f"{name} {value!r:.20}: give a finite number of {unit}")
         values.append(float(value))
     return Warmth(*values)
 
 
-def done_of(message: dict[str, Any]) -> int | Refusal:
+def done_of(message: dict[str, Any]) -> int:
     """Return how many layers are done, by a message."""
     done = message.get("done")
     if done is None:
-        return Refusal("missing", "`done`, the number of layers that are done, is missing")
+        raise Refused("missing", "`done`, the number of layers that are done, is missing")
     if not isinstance(done, int) or isinstance(done, bool) or done < 0:
-        return Refusal("counter", f"done {done!r:.20}: give the number of layers that are done")
+        raise Refused("counter", f"done {done!r:.20}: give the number of layers that are done")
     return done
 
 
-def fault_of(reading: Reading, base_mm: float, top_mm: float) -> Refusal | None:
-    """What is wrong with the height of a layer that was laid from `base_mm` to `top_mm`; None: it is used."""
+def check_height(reading: Reading, base_mm: float, top_mm: float) -> None:
+    """Refuse a height that a layer that was laid from `base_mm` to `top_mm` cannot have."""
     height, planned = reading.height_mm, top_mm - base_mm
     room = ABSURD * planned
     if abs(height - top_mm) <= room:
-        return None
-    for factor, unit in ((INCH_MM, "inches"), (METRE_MM, "metres"), (1.0 / METRE_MM, "micrometres")):
+        return
+    for factor, unit in ((25.4, "inches"), (1000.0, "metres"), (1.0 / 1000.0, "micrometres")):
         if abs(height * factor - top_mm) <= min(ALIKE * planned, room):
-            return Refusal(
+            raise Refused(
                 "unit", f"height_mm {height:g} would be the layer's height in {unit}: heights are in mm"
             )
     if height <= base_mm:
-        return Refusal(
+        raise Refused(
             "decreasing", f"height_mm {height:g} is not over {base_mm:.3f}, on which the layer was laid"
         )
-    return Refusal(
+    raise Refused(
         "absurd",
         f"height_mm {height:g} is {_shown(abs(height - top_mm))} mm off the plan, {top_mm:.3f}: over {room:.3f}",
     )

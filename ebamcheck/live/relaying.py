@@ -14,7 +14,7 @@ from ebamcheck.atomic_file import made_folder
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import json_text
 from ebamcheck.live.before import Before, Ground
-from ebamcheck.live.height_map import MapCells
+from ebamcheck.live.height_map import MapCells, Refused
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.loading import FinishedRun
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
@@ -27,7 +27,7 @@ from ebamcheck.live.publishing import (
     layer_name,
     publish,
 )
-from ebamcheck.live.readings import Reading, fault_of
+from ebamcheck.live.readings import Reading, check_height
 from ebamcheck.mesh.on_table import on_table
 from ebamcheck.nc.special_rules import checked_tilt
 from ebamcheck.settings.config import Config
@@ -45,7 +45,7 @@ class Relayered:
     place: Path | None
 
 
-def check_height(folder: Path, run: FinishedRun, layer: int, measured_mm: float) -> None:
+def check_below(folder: Path, run: FinishedRun, layer: int, measured_mm: float) -> None:
     """Refuse a height that the layer below cannot have, by the rule of `live`.
 
     The newest of the layers below that `relayer` made in the folder stands for that of the run.
@@ -58,11 +58,13 @@ def check_height(folder: Path, run: FinishedRun, layer: int, measured_mm: float)
         if made := _made_before(folder, run.config.machine.program_name, layer - 1):
             paper = json.loads((made[-1] / CERTIFICATE).read_text(encoding="utf-8"))
             base_mm, top_mm, by = float(paper["base_mm"]), float(paper["top_mm"]), made[-1].name
-    if fault := fault_of(Reading(layer, measured_mm), base_mm, top_mm):
+    try:
+        check_height(Reading(layer, measured_mm), base_mm, top_mm)
+    except Refused as fault:
         raise SettingsError(
-            f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault.reason}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
+            f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
             "again; where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
-        )
+        ) from None
 
 
 def tilted(before: FinishedRun, now: FinishedRun, built_mm: float) -> Config:
