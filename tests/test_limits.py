@@ -53,7 +53,7 @@ NO_LIMITS = {
         hatch_form.CHORD_MM heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
         heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM outside_check.STEP_MM overhang.OUTLINE_STEP_MM
         overhang.INNER_STEP_MM overhang.FIRST_ASKED overhang.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
-        path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
+        path_checks.FLAT_ARC preheating.AT_ONCE_S preheating.MOST_PASSES process_checks.DIRECTIONS
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS spline_points.DEGREE
         standing.CELLS_PER_BEAD standing.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
         table.STEP_DEG text_heat.LONGEST_S
@@ -74,7 +74,7 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S table.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
+        matching.SAME_MM path_checks.PLACE_MM verification.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM
         bead_end_checks.FULL solid_metal.SAME_AREA gates_again.SAME_POINT_MM slab_check.LEAST_REACH table.LEAST_MM2
         table.SAME_MM interpass_checks.PERCENT melting_check.WIDER""",
     "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",

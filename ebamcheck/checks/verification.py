@@ -40,7 +40,7 @@ from ebamcheck.checks.path_checks import (
     layer_checks,
 )
 from ebamcheck.checks.plugged import plugged_checks
-from ebamcheck.checks.preheat_checks import preheat_checks
+from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import Evidence, section_check
 from ebamcheck.checks.state_checks import far_away, state_checks

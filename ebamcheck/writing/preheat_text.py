@@ -12,7 +12,7 @@ from ebamcheck.nc.numbers import plain
 from ebamcheck.nc.safe_end import safe_end_mm
 from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.numeric.rings import Ints
-from ebamcheck.scan.filling.preheat_lines import pass_lines
+from ebamcheck.scan.heat.preheating import pass_lines
 from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat
