@@ -13,11 +13,12 @@ from parts import box
 from prism_program import CONFIG, Made
 
 from ebamcheck.checks.matching import matched
-from ebamcheck.checks.metal import deposit
-from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS, _outside, deposit_checks
+from ebamcheck.checks.metal import _Cells, deposit
+from ebamcheck.checks.metal_rules import DEPOSIT_CHECKS, _Metal, _outside, deposit_checks
 from ebamcheck.checks.narrow_features import narrow_bead
 from ebamcheck.checks.value_checks import wire_check
 from ebamcheck.layers.stack import from_polygons
+from ebamcheck.metal import target_of
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.pipeline.findings import metal_findings
 from ebamcheck.pipeline.gates import deposit_gate
@@ -135,7 +136,9 @@ def test_a_bead_beside_the_part_is_found_whatever_a_comment_says(square):
 def test_a_sum_that_rounding_puts_under_0_is_no_metal_beside_the_part():
     solid = pd.DataFrame({"layer": [0], "z_mm": [1.5], "outside_mm3": [-1e-13], "laid_mm3": [100.0]})
     built = SimpleNamespace(outside_mm3=-1e-13, laid_mm3=100.0)
-    check = _outside(solid, built, False, Config(), SimpleNamespace(of=lambda layer: ""))
+    program = SimpleNamespace(files=[SimpleNamespace(name="MAIN.MPF")])
+    found = SimpleNamespace(first_row=[-1])
+    check = _outside(_Metal(program, found, Config(), solid, built, alone=False))
     assert check.passed
     assert check.text.startswith("0.00 % of the metal lies beside the part, most 0.00 % of a layer")
     assert str(check.value) == "0.0"
@@ -365,3 +368,14 @@ def test_beads_that_are_all_at_the_most_wire_of_the_feeder_leave_metal_out_and_t
     found = [finding for finding in record["findings"] if finding["severity"] == "fault"]
     assert {finding["code"] for finding in found} == {"metal-missing"}
     assert any("process.wire_speed_max_mm_s" in finding["remedy"] for finding in found)
+
+
+def test_metal_is_read_where_it_was_spread():
+    """Reading a field at places is the transpose of spreading values over cells; what lies beside the grid takes no part."""
+    target = target_of(shapely.box(0, 0, 30, 20), 1.0, 3.0)
+    rng = np.random.default_rng(3)
+    places, values = rng.uniform(-8.0, 38.0, (400, 2)), rng.uniform(size=400)
+    field, cells = rng.uniform(size=target.share.shape), _Cells(target, places)
+    assert (cells.spread(values) * field).sum() == pytest.approx((cells.read(field) * values).sum())
+    within = ((places > [-2.5, -2.5]) & (places < [32.5, 22.5])).all(axis=1)
+    assert cells.spread(values * within).sum() == pytest.approx((values * within).sum())

@@ -11,7 +11,7 @@ from parts import box
 from planted_faults import Text
 from slicers_here import runs_cut_here as runs_cut_here
 
-from ebamcheck.checks.preheat_checks import preheat_checks
+from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.live.before import Before
 from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted

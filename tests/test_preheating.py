@@ -18,8 +18,7 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.nc.templates import usable_templates
-from ebamcheck.scan.filling.preheat_lines import pass_lines
-from ebamcheck.scan.heat.preheating import SIGMAS, BeamWay, SurfaceHeat, bare_plate, spot_peak_k
+from ebamcheck.scan.heat.preheating import SIGMAS, BeamWay, SurfaceHeat, bare_plate, pass_lines, spot_peak_k
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.verification.verify import verify
 

@@ -11,7 +11,7 @@ from limit_cases import cube
 from limits_of_heat import preheated
 
 from ebamcheck.checks.checks import event_faults
-from ebamcheck.checks.preheat_checks import preheat_checks
+from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.nc.timeline import Events, Kind
 
 NAMES = (

@@ -26,7 +26,7 @@ from ebamcheck.checks.path_checks import (
     hatch_checks,
     layer_checks,
 )
-from ebamcheck.checks.preheat_checks import preheat_checks
+from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import section_checks
 from ebamcheck.checks.state_checks import state_checks

@@ -167,7 +167,7 @@ def _foreign(nc: NCProgram) -> Faults:
     for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist():
         name, where = nc.events.said(i), nc.where_event(i)
         if layer_of_preheat(stem, name) is not None:
-            continue  # checked by itself: see preheat_checks
+            continue  # checked by itself: see preheating
         found = _LAYER_NAME.fullmatch(name)
         if found is None or found[1] != stem or int(nc.events.file[i]) != 0:
             faults.append((where, f"{name} is no layer of {stem}: nothing says what it is for"))

@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import Layers
@@ -19,7 +20,6 @@ from ebamcheck.nc.motions import RAPID, NCProgram
 from ebamcheck.nc.timeline import PAUSE, Kind
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
-from ebamcheck.scan.plan.preheated import Scanned, scanned, surface_heat
 from ebamcheck.settings.config import Config
 
 LONGEST_WAIT_S = 4.0 * 3600.0
@@ -282,6 +282,56 @@ def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class Scanned:
+    """What is preheated before a layer: the body that takes the heat, the region, and Z of its surface over the plate."""
+
+    body: BaseGeometry
+    region: BaseGeometry
+    z_mm: float
+
+    def heat(self, column: HeatColumn | None, config: Config) -> SurfaceHeat:
+        """Heat of it on what stands, `column`, which is not changed; None: the bare plate."""
+        column = bare_plate(self.body, config) if column is None else column.copy()
+        return SurfaceHeat(column, self.body, self.region, config.process.base_plate_mm + self.z_mm, config)
+
+
+def scanned(
+    sections: Sequence[BaseGeometry],
+    k: int,
+    z_mm: float,
+    config: Config,
+    under: BaseGeometry | None = None,
+    spot_share: float = 1.0,
+) -> Scanned:
+    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
+
+    Plan and writer take region and lines from one place: a mistake there would be in the program and in what it is held against.
+
+    On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
+    or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
+    `spot_share`, that of the plate wholly.
+    """
+    half_mm = 0.5 * spot_share * config.preheat.spot_mm
+    below = under if k == 0 else sections[k - 1]
+    if below is not None:
+        body, region, floor_mm = below, eroded(below, half_mm), z_mm
+    else:
+        (x0, y0), (x1, y1) = np.reshape(shapely.bounds(sections[0]), (2, 2)).tolist()
+        margin_mm, floor_mm = config.preheat.margin_mm, 0.0
+        body = region = shapely.box(x0 - margin_mm, y0 - margin_mm, x1 + margin_mm, y1 + margin_mm)
+        low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
+        if low is not None and high is not None:
+            edge_mm = 0.5 * config.preheat.spot_mm
+            plate = shapely.box(low[0] + edge_mm, low[1] + edge_mm, high[0] - edge_mm, high[1] - edge_mm)
+            body, region = shapely.box(*low, *high), shapely.intersection(region, plate)
+    for place in config.process.keep_out:
+        if place.z_mm[1] > floor_mm:
+            clamp = shapely.buffer(shapely.Polygon(place.outline_mm), half_mm)
+            region = shapely.difference(region, clamp)
+    return Scanned(body, region, floor_mm)
+
+
 def scanned_heat(
     way: BeamWay,
     sections: list[BaseGeometry],
@@ -291,15 +341,14 @@ def scanned_heat(
     config: Config,
     under: BaseGeometry | None = None,
 ) -> tuple[SurfaceHeat, Scanned] | None:
-    """Heat of what is scanned before layer `k` when the beam has gone its way; None where there is nothing to scan.
+    """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan.
 
-    `column` is that of what stands, which is not changed; None: the bare plate. `under` is the section of what the lowest layer lies
-    on, where that is no plate.
+    `column` is that of what stands, which is not changed; None: the bare plate.
     """
     on = scanned(sections, k, z_mm, config, under)
     if on.region.is_empty or on.body.is_empty:
         return None
-    heat = surface_heat(on, bare_plate(on.body, config) if column is None else column.copy(), config)
+    heat = on.heat(column, config)
     heat.simulate(way)
     return heat, on
 

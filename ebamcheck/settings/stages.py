@@ -130,6 +130,19 @@ Kelvins = Annotated[float, Between(1.0, 1000.0)]
 """Difference of temperatures, K."""
 
 
+LEAST_LINE_MM = 0.1
+"""Shorter lines of a preheating scan are left out."""
+
+JOINED_SPACINGS = 1.6
+"""Ends of lines of a preheating scan nearer than this, over the spacing, are joined under the beam, where the way lies within the region."""
+
+AIM_K = 3.0
+"""The passes of a preheating scan aim so far over the target: travel and chunks of time make no more between plan and text."""
+
+LEAST_REST_S = 5.0
+"""Time in which the surface of a layer that was just laid comes to what lies under it, at least."""
+
+
 class PreheatSettings(Section):
     """Preheating by scans of plate and layers; off unless it is asked for.
 

@@ -13,7 +13,7 @@ from ebamcheck.nc.conventions import comment, header_lines, plain, safe_end_mm
 from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.nc.templates import ProcessValues, process_values, usable_templates
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.preheat_lines import pass_lines
+from ebamcheck.scan.heat.preheating import pass_lines
 from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import feed_shares, wire_at

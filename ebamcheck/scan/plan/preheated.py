@@ -10,16 +10,18 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.filling.preheat_lines import layer_region, pass_lines, plate_of, plate_region
 from ebamcheck.scan.heat.part_heat import PartHeat, decayed
-from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
+from ebamcheck.scan.heat.preheating import (
+    BeamWay,
+    SurfaceHeat,
+    bare_plate,
+    layer_region,
+    pass_lines,
+    plate_of,
+    plate_region,
+)
 from ebamcheck.settings.config import Config
-
-LEAST_REST_S = 5.0
-"""Time in which the surface of a layer that was just laid comes to what lies under it, at least."""
-
-AIM_K = 3.0
-"""The plan aims so far over the target: travel and chunks of time make no more between plan and text."""
+from ebamcheck.settings.stages import AIM_K, LEAST_REST_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +53,6 @@ def asked_for(k: int, config: Config) -> bool:
     return config.preheat.when == "layers" or (config.preheat.when == "plate" and on_plate)
 
 
-def surface_heat(on: Scanned, column: HeatColumn, config: Config) -> SurfaceHeat:
-    """Heat of what is scanned, ready to be simulated."""
-    return SurfaceHeat(column, on.body, on.region, config.process.base_plate_mm + on.z_mm, config)
-
-
 def preheated(
     part: PartHeat,
     sections: Sequence[BaseGeometry],
@@ -79,7 +76,9 @@ def preheated(
     if on.region.is_empty or not (bare or is_cold(part.column, config)):
         return part, 0
     column = bare_plate(on.body, config) if bare else part.column.copy()
-    heat, passes, time_s = _simulated(surface_heat(on, column, config), on.region, config)
+    depth_mm = config.process.base_plate_mm + on.z_mm
+    body = SurfaceHeat(column, on.body, on.region, depth_mm, config)
+    heat, passes, time_s = _simulated(body, on.region, config)
     after = part.copy()
     if bare:
         after.column = HeatColumn(config)
@@ -95,14 +94,6 @@ def is_cold(column: HeatColumn, config: Config) -> bool:
     rested = column.copy()
     rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
     return rested.surface_k < config.preheat.target_k
-
-
-def passes_asked(on: Scanned, column: HeatColumn | None, config: Config) -> int:
-    """Passes that the settings ask for on what stands, `column`, which is not changed; None: the bare plate."""
-    if config.preheat.passes is not None:
-        return config.preheat.passes
-    here = bare_plate(on.body, config) if column is None else column.copy()
-    return _simulated(surface_heat(on, here, config), on.region, config)[1]
 
 
 def _simulated(heat: SurfaceHeat, region: BaseGeometry, config: Config) -> tuple[SurfaceHeat, int, float]:

@@ -1,25 +1,32 @@
-"""Checks of preheating: where the beam goes, out of focus and without wire, how often, and how warm the surface is by its text."""
+"""Checks of preheating: where the beam goes, out of focus and without wire, how often, and how warm and even the surface is by its text.
+
+Region, lines and passes are worked out by code of their own (:func:`ebamcheck.checks.text_heat.scanned`, :func:`pass_way`): plan and
+writer take them from one place, and a mistake there would be in the program and in what it is held against. The heat goes by the model
+of the plan; on the plate a second balance is held against it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults
-from ebamcheck.checks.preheat_heat import (
-    Known,
-    bottoms_of,
-    count_of,
-    found_scans,
-    temperature_again,
-    temperatures_of,
-)
+from ebamcheck.checks.heat_again import MODELS_SHARE, plate_k
 from ebamcheck.checks.state_checks import extremes, modes_of_scans
-from ebamcheck.checks.text_heat import sections_of_text
+from ebamcheck.checks.text_heat import (
+    Scanned,
+    scanned,
+    scanned_heat,
+    scans_of,
+    sections_of_text,
+    text_beads,
+    text_bed_k,
+    text_shapes,
+)
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.nc.codes import BEAM_VALUES, FOCUS
@@ -29,7 +36,9 @@ from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S
 
 VALUE_SHARE = 1e-3
 """Share by which a printed value may be off."""
@@ -49,8 +58,23 @@ SLIVER_MM = 0.1
 ALONG_MM = 1e-3
 """A line along an axis leaves it by no more: the decimals of a program, at their coarsest."""
 
+LENGTH_SHARE, MOST_PASSES = 0.02, 20000
+"""Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted."""
+
+
+AT_ONCE_S = 10.0
+"""Time that the second balance takes at once."""
 
 Faults = list[tuple[str, str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What is known of the part: sections of the layers, and heat and section of what stands when the program begins."""
+
+    sections: list[BaseGeometry]
+    before: HeatColumn | None
+    under: BaseGeometry | None
 
 
 def preheat_checks(
@@ -87,7 +111,7 @@ def preheat_checks(
     if config.base_mm > 0.0 and (before is None or under is None):
         return [calls, state, path, lines]
     found = found_scans(nc, config, known)
-    judged = count_of(found, config), *temperatures_of(nc, found, config), *temperature_again(found, config)
+    judged = count_of(found, config), *temperatures_of(found, config), *temperature_again(found, config)
     return [calls, state, path, lines, *judged]
 
 
@@ -238,7 +262,7 @@ def _paths(nc: NCProgram, config: Config, known: Known) -> Faults:
         z_mm = safe_end_mm(float(bottoms[k]), config)
         if k == 0 and config.base_mm > 0.0 and known.under is None:
             continue  # What stands there is not known.
-        region = wanted_region(sections, k, float(bottoms[k]), config, known.under)
+        region = scanned(sections, k, float(bottoms[k]), config, known.under, 1.0 - 2.0 * ROUND_SHARE).region
         faults += _rows_off(scans, rows, region, z_mm, config)
     return faults
 
@@ -253,7 +277,7 @@ def _lines(nc: NCProgram, config: Config, known: Known) -> Check:
             continue
         rows = np.flatnonzero((scans.layer == k) & scans.beam)
         start, end = (np.nan_to_num(at[rows, :2]) for at in (scans.start, scans.end))
-        region = wanted_region(sections, k, float(bottoms[k]), config, known.under)
+        region = scanned(sections, k, float(bottoms[k]), config, known.under, 1.0 - 2.0 * ROUND_SHARE).region
         gap_mm = widest_gap_mm(region, start, end, config)
         if gap_mm > worst:
             worst, where, layer = gap_mm, scans.where(int(np.flatnonzero(scans.layer == k)[0])), k
@@ -286,41 +310,6 @@ def _rows_off(
             scans.where(int(outside[0])),
             f"the beam leaves what is to be preheated on its way to ({x:g}, {y:g})",
         )
-
-
-# -- region ----------------------------------------------------------------------------------------
-
-
-def wanted_region(
-    sections: list[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None
-) -> BaseGeometry:
-    """Region that the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
-
-    Plan and writer take region and lines from one place: a mistake there would be in the program and in what it is held against.
-
-    On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
-    or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot.
-    """
-    half_mm = (0.5 - ROUND_SHARE) * config.preheat.spot_mm
-    below = under if k == 0 else sections[k - 1]
-    region: BaseGeometry
-    if below is not None:
-        region = eroded(below, half_mm)
-    else:
-        (x0, y0), (x1, y1) = np.reshape(shapely.bounds(sections[0]), (2, 2)).tolist()
-        margin_mm = config.preheat.margin_mm
-        region = shapely.box(x0 - margin_mm, y0 - margin_mm, x1 + margin_mm, y1 + margin_mm)
-        low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
-        if low is not None and high is not None:
-            spot_mm = 0.5 * config.preheat.spot_mm
-            plate = shapely.box(low[0] + spot_mm, low[1] + spot_mm, high[0] - spot_mm, high[1] - spot_mm)
-            region = shapely.intersection(region, plate)
-    floor_mm = 0.0 if below is None else z_mm
-    for place in config.process.keep_out:
-        if place.z_mm[1] > floor_mm:
-            clamp = shapely.buffer(shapely.Polygon(place.outline_mm), half_mm)
-            region = shapely.difference(region, clamp)
-    return region
 
 
 def widest_gap_mm(region: BaseGeometry, start: Floats, end: Floats, config: Config) -> float:
@@ -356,3 +345,229 @@ def _gap_mm(region: BaseGeometry, start: Floats, end: Floats) -> float:
                     places.append(y)
         worst = max(worst, float(np.diff([*places, y1]).max()))
     return worst
+
+
+# -- how often, and how warm ---------------------------------------------------------------------------
+
+
+@dataclass
+class Found:
+    """What is found of one scan."""
+
+    layer: int
+    on: Scanned
+    way: BeamWay
+    after: SurfaceK | None
+    passes: int
+    wanted: int
+    where: str = ""
+
+
+def bottoms_of(nc: NCProgram, config: Config) -> np.ndarray:
+    """Z of what each layer lies on (L,)."""
+    tops = np.nan_to_num(nc.layer_heights, nan=config.base_mm)
+    return np.concatenate([[config.base_mm], tops])[: len(tops) + 1]
+
+
+def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
+    """Follow the heat of the program, and simulate every scan of its text; layers without a scan are told by their beginning."""
+    scans, beads, sections = scans_of(nc, config), text_beads(nc, config), known.sections
+    bottoms, found = bottoms_of(nc, config), list[Found]()
+    on_plate = config.base_mm == 0.0
+
+    def seen(k: int, column: HeatColumn | None) -> None:
+        if (
+            k >= len(sections)
+            or sections[k].is_empty
+            or (config.preheat.when == "plate" and (k or not on_plate))
+        ):
+            return
+        nothing = BeamWay(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        way = scans.get(k, nothing)
+        reached = scanned_heat(way, sections, k, float(bottoms[k]), column, config, known.under)
+        if reached is None:
+            return
+        surface, on = reached
+        wanted = _passes_wanted(on, column, config) if column is None or _is_cold(column, config) else 0
+        found.append(Found(k, on, way, surface.read(), _passes(way, on, config), wanted, _place_of(nc, k)))
+
+    if on_plate:
+        seen(0, None)
+
+    def entered(k: int, column: HeatColumn) -> None:
+        if k or not on_plate:
+            seen(k, column)
+
+    shapes = text_shapes(nc, config, sections)
+    before = None if on_plate else known.before
+    text_bed_k(beads, config, shapes, before, sections[0] if sections else None, entered)
+    return found
+
+
+def _place_of(nc: NCProgram, k: int) -> str:
+    scans = nc.preheating
+    if scans is not None and (scans.layer == k).any():
+        return scans.where(int(np.flatnonzero(scans.layer == k)[0]))
+    rows = np.flatnonzero(nc.layer == k)
+    return nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
+
+
+def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | None = None) -> BeamWay:
+    """Way of the beam in a pass, counted from 0, from `here` on: rows to and fro, the ways that join them, and rapids between others.
+
+    Every second pass lies across (crossed), or half a spacing aside (lines).
+
+    Examples
+    --------
+    >>> pass_way(shapely.box(0, 0, 60, 20), Config(), 0).end.tolist()
+    [[60.0, 5.0], [60.0, 15.0], [0.0, 15.0]]
+    """
+    settings, nothing = config.preheat, np.zeros((0, 2))
+    if region.is_empty:
+        return BeamWay(nothing, nothing, np.zeros(0), np.zeros(0))
+    crossed = settings.pattern == "crossed"
+    axes = [1, 0] if crossed and number % 2 else [0, 1]
+    turned = shapely.transform(region, lambda places: places[:, axes])
+    x0, y0, x1, y1 = shapely.bounds(turned).tolist()
+    count = max(1, round((y1 - y0) / settings.spacing_mm))
+    aside = (number // 2 if crossed else number) % 2
+    y = y0 + (np.arange(count) + 0.5) * (y1 - y0) / count + 0.5 * settings.spacing_mm * aside
+    across = [[(x0 - 1.0, at), (x1 + 1.0, at)] for at in y[y < y1].tolist()]
+    parts, row = shapely.get_parts(
+        shapely.intersection(turned, shapely.linestrings(across)), return_index=True
+    )
+    whole = shapely.length(parts) > LEAST_LINE_MM
+    row, x = row[whole], shapely.bounds(parts[whole]).reshape(-1, 4)[:, [0, 2]]
+    x[row % 2 == 1] *= -1.0  # rows that are driven backwards
+    x.sort(axis=1)
+    order = np.lexsort((x[:, 0], row))
+    ends = np.stack(
+        [np.where(row % 2 == 1, -1.0, 1.0)[:, None] * x, np.repeat(y[row][:, None], 2, 1)], axis=2
+    )
+    places = ends[order].reshape(-1, 2)[:, axes]
+    lit = np.arange(max(len(places) - 1, 0)) % 2 == 0
+    if here is not None and len(places):
+        places, lit = np.vstack([here, places]), np.append(False, lit)
+    start, end = places[:-1], places[1:]
+    length = np.hypot(*(end - start).T)
+    joins = np.flatnonzero(~lit & (length <= JOINED_SPACINGS * settings.spacing_mm))
+    joins = joins[joins > 0] if here is not None else joins
+    ways = shapely.linestrings(np.stack([start, end], axis=1)[joins])
+    lit[joins] = shapely.covers(shapely.buffer(region, 1e-6), ways)  # the rounding of a way along its border
+    power_w = settings.current_ma * config.process.voltage_kv * lit
+    return BeamWay(
+        start, end, length / np.where(lit, settings.speed_mm_s, config.machine.rapid_mm_s), power_w
+    )
+
+
+def _way_mm(way: BeamWay) -> float:
+    """Length of the way under the beam."""
+    return float(np.hypot(*(way.end - way.start).T)[way.power_w > 0.0].sum())
+
+
+def _passes(way: BeamWay, on: Scanned, config: Config) -> int:
+    """Whole passes that the way under the beam comes to; -1 where it is none."""
+    length, done, n = _way_mm(way), 0.0, 0
+    while n <= MOST_PASSES:
+        own = _way_mm(pass_way(on.region, config, n))
+        if abs(length - done) <= LENGTH_SHARE * own:
+            return n
+        if own <= 0.0 or done > length:
+            return -1
+        done, n = done + own, n + 1
+    return -1
+
+
+def _is_cold(column: HeatColumn, config: Config) -> bool:
+    """Whether what stands is colder than the target once its surface has had as long to even out as after a scan."""
+    rested = column.copy()
+    rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
+    return rested.surface_k < config.preheat.target_k
+
+
+def _passes_wanted(on: Scanned, column: HeatColumn | None, config: Config) -> int:
+    """Passes that are set, else the fewest by which what stands reaches the target when the soak is over, by the heat model."""
+    settings, here, n = config.preheat, None, 0
+    if settings.passes is not None:
+        return settings.passes
+    heat = on.heat(column, config)
+    while n < settings.most_passes:
+        way = pass_way(on.region, config, n, here)
+        here, n = way.end[-1] if way.time_s.size else None, n + 1
+        heat.simulate(way)
+        soaked = heat.copy()
+        soaked.rest(settings.soak_s)
+        if soaked.read().mean_k >= settings.target_k + AIM_K:
+            break
+    return n
+
+
+def count_of(found: list[Found], config: Config) -> Check:
+    """Passes of each scan: those set, else the fewest that reach the target by the heat model."""
+    faults, is_set = [], config.preheat.passes is not None
+    by = "preheat.passes" if is_set else f"the fewest that come to preheat.target_k + {AIM_K:g} K"
+    for scan in found:
+        room, before = (
+            0 if is_set or (scan.layer == 0 and config.base_mm == 0.0) else 1,
+            f"before layer {scan.layer + 1}",
+        )
+        if scan.passes < 0:
+            faults.append((scan.where, f"{before} the way of the beam is not that of whole passes"))
+        elif abs(scan.passes - scan.wanted) > room:
+            faults.append((scan.where, f"{scan.passes} passes {before} in place of {scan.wanted}, {by}"))
+    total = sum(max(scan.passes, 0) for scan in found)
+    return count_check("preheat count", faults, f"{total} passes in {sum(s.passes > 0 for s in found)} scans")
+
+
+def temperatures_of(found: list[Found], config: Config) -> list[Check]:
+    """Temperature, evenness and peak of the scanned surfaces."""
+    settings, solidus_k = config.preheat, config.material.solidus_k
+    read = [(scan, scan.after) for scan in found if scan.after is not None]
+    low = min(read, key=lambda pair: pair[1].mean_k, default=None)
+    high = max((p for p in read if p[0].passes), key=lambda pair: pair[1].mean_k, default=None)
+    uneven = max((p for p in read if p[0].passes), key=lambda pair: pair[1].spread_k, default=None)
+    most_w = max((float(p[0].way.power_w.max(initial=0.0)) for p in read), default=0.0)
+    checks = []
+
+    def judged(
+        name: str, passed: bool, figure: float, limit: float, where: str, text: str, unit: str = "K"
+    ) -> None:
+        checks.append(Check(f"preheat {name}", bool(passed), figure, limit, unit, where, text))
+
+    if low is not None:
+        mean_k, least_k = low[1].mean_k, settings.target_k
+        text = f"layer {low[0].layer + 1} begins on {mean_k:.0f} K, preheat.target_k is {least_k:g} K"
+        judged("temperature", mean_k >= least_k, mean_k, least_k, low[0].where, text, "K, at least")
+    if high is not None and uneven is not None:
+        (scan, at), limit = high, settings.target_k + settings.over_k
+        text = f"preheated to {at.mean_k:.0f} K at most, preheat.target_k + over_k is {limit:g} K"
+        judged("overheating", at.mean_k <= limit, at.mean_k, limit, scan.where, text)
+        peak_k = at.mean_k + spot_peak_k(most_w, settings.speed_mm_s, config)
+        where, (scan, at), limit = scan.where, uneven, settings.evenness_k
+        text = (
+            f"{at.least_k:.0f} K at {at.least_at_mm} to {at.most_k:.0f} K at {at.most_at_mm} before layer {scan.layer + 1}, "
+            f"preheat.evenness_k is {limit:g} K"
+        )
+        judged("evenness", at.spread_k <= limit, at.spread_k, limit, scan.where, text)
+        text = f"the surface comes to {peak_k:.0f} K under a beam of {most_w:g} W and {settings.spot_mm:g} mm, solidus is {solidus_k:g} K"
+        judged("melting", peak_k < solidus_k, peak_k, solidus_k, where, text)
+    return checks
+
+
+def temperature_again(found: list[Found], config: Config) -> list[Check]:
+    """Temperature of the bare plate by a second balance of the heat: between that of all of the plate, and that of what is scanned alone."""
+    scan = next((s for s in found if s.layer == 0 and s.after is not None), None)
+    if scan is None or scan.after is None or config.base_mm > 0.0 or not scan.way.time_s.size:
+        return []
+    number = np.floor(np.cumsum(scan.way.time_s) / AT_ONCE_S).astype(np.int64)
+    _, of = np.unique(number, return_inverse=True)
+    times_s = np.bincount(of, scan.way.time_s).astype(np.float64)
+    beam_j = np.bincount(of, scan.way.time_s * scan.way.power_w).astype(np.float64)
+    heats_j = config.material.absorptivity * beam_j
+    areas_mm2 = scan.on.body.area, scan.on.region.area
+    low_k, high_k = sorted(plate_k(max(area, 1e-9), times_s, heats_j, config) for area in areas_mm2)
+    off_k = max(low_k - scan.after.mean_k, scan.after.mean_k - high_k, 0.0)
+    limit_k = MODELS_SHARE * max(low_k - config.process.ambient_temperature_k, 0.0)
+    text = f"the plate is preheated to {scan.after.mean_k:.0f} K, by a second balance of the heat to {low_k:.0f} K"
+    text += f" .. {high_k:.0f} K" if high_k > low_k + 1.0 else ""
+    return [Check("preheat balance", off_k <= limit_k, off_k, limit_k, "K", scan.where, text)]
