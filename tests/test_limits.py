@@ -48,20 +48,20 @@ ELSEWHERE = {
 
 NO_LIMITS = {
     "how finely something is looked at": """
-        bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB bead_checks.BEAD_STEP_MM bead_metal.ROUND clearance.PLACES deposit.STEP_SHARE deposit.WIDTH_SHARE
+        bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB bead_checks.BEAD_STEP_MM clearance.PLACES metal.STEP_SHARE
         hatch_form.CHORD_MM hatch_form.AT_ONCE heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
-        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM overfill.CELLS process_checks.OUTLINE_STEP_MM
+        heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM process_checks.OUTLINE_STEP_MM
         process_checks.INNER_STEP_MM process_checks.FIRST_ASKED process_checks.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
-        path_checks.FLAT_ARC preheat_heat.AT_ONCE_S preheat_heat.MOST_PASSES process_checks.DIRECTIONS
+        path_checks.FLAT_ARC preheating.AT_ONCE_S preheating.MOST_PASSES process_checks.DIRECTIONS
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS shapes.DEGREE
         clearance.CELLS_PER_BEAD clearance.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
-        tilt_checks.STEP_DEG text_heat.LONGEST_S
-        bead_wire.SPANS bead_wire.AT_ONCE bead_wire.IN_CELL bead_wire.SUBCELLS bead_wire.LEAST_BEADS bead_end_checks.REACH_BEADS
+        table.STEP_DEG text_heat.LONGEST_S
+        metal_rules.SPANS metal.AT_ONCE metal_rules.LEAST_BEADS bead_end_checks.REACH_BEADS
         narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
         mesh_checks.LINES_PER_BEAD mesh_checks.MOST_LINES mesh_checks.OFF_GRID mesh_checks.AT_ONCE part_file.AT_ONCE
         mesh_checks.LEAST_MM2 mesh_checks.MOST_SPANS mesh_checks.FINEST
-        mesh_checks.CUTS_OF_A_LAYER mesh_checks.CUTS_AT_ONCE stages.SAMPLING_MM turned.STEP_MM
-        turned.MOST_PLACES""",
+        mesh_checks.CUTS_OF_A_LAYER mesh_checks.CUTS_AT_ONCE stages.SAMPLING_MM table.STEP_MM
+        table.MOST_PLACES""",
     "units, forms of files, and how much of something is told": """
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
         header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
@@ -73,10 +73,10 @@ NO_LIMITS = {
         toolchain.GIT_TIMEOUT_S table.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
-        subject.CONTOUR_SHARE preheat_checks.ROUND_SHARE preheat_checks.SLIVER_MM preheat_checks.ALONG_MM
-        tolerances.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH turned.LEAST_MM2 turned.SWING_MM
-        turned.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
-    "what keeps a quotient from a divisor of nothing": "bead_wire.LEAST_OWN",
+        subject.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM
+        tolerances.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
+        table.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
+    "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """
         loose_limits.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",
