@@ -196,7 +196,7 @@ def outcome(config: Config, folder, part=PART):
         nc = read_program(files.main, config)
         found = deposit(nc, layers, deposition_heights(heights, config.layer_height_mm), config, asked=True)
         checks = verify_program(
-            nc, config=config, curves=beads, plan=plan, path=planned_path(beads, plan, config), layers=layers,
+            nc, config=config, curves=beads, plan=plan, layers=layers,
             beads=True, metal=True, heat=True, laid=lambda: found,
         )  # fmt: skip
         yield [(c.name, c.passed, c.value, c.limit, c.text) for c in checks]
