@@ -26,7 +26,6 @@ from ebamcheck.program import read_program, verify_program, write_program
 from ebamcheck.scan import plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.writing.bead_ends import planned_path
 
 PART = shapely.box(0, 0, 70, 50).difference(shapely.Point(30, 25).buffer(8, 24))
 LAYERS = 2
