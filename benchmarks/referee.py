@@ -41,7 +41,7 @@ def at_content(table: Floats, step: float, content: float) -> float:
 
 
 class Body(NamedTuple):
-    """The part of a :class:`~ebamcheck.heat.referee.Referee` that the kernels read."""
+    """The part of a :class:`~benchmarks.referee.Referee` that the kernels read."""
 
     temperature: Floats
     theta: Floats
@@ -64,7 +64,7 @@ class Beam(NamedTuple):
 
 class Readings(NamedTuple):
     """Islands in the order in which they are entered, and when; first entry, cells and weights as of
-    :meth:`ebamcheck.heat.referee.Referee.reading`."""
+    :meth:`benchmarks.referee.Referee.reading`."""
 
     order: Ints
     entered: Floats

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.nc.codes import (
     AUXILIARY,
     BEAM_TEMPLATES,
@@ -30,10 +29,9 @@ from ebamcheck.nc.codes import (
     blocks_of,
     templates_of,
 )
-from ebamcheck.nc.control import control
 from ebamcheck.nc.conventions import plain
 from ebamcheck.nc.increments import increments_of, to_increment
-from ebamcheck.nc.special_rules import checked_tilt
+from ebamcheck.nc.special_rules import checked_preheating, checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process_window import wire_speed_mm_s
@@ -155,41 +153,6 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
         height_mm=height_mm,
         increments=increments_of(config.machine),
     )
-
-
-# -- what preheating needs ----------------------------------------------------------------------------
-
-
-def checked_preheating(config: Config, name: str) -> None:
-    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none."""
-    settings, machine, process = config.preheat, config.machine, config.process
-    if settings.when == "off":
-        return
-    why = ""
-    if not control(name).subprogram_suffix:
-        why = f"control {name!r} has programs of one file: a scan is a subprogram of its own"
-    elif not machine.set_focus:
-        why = 'machine.set_focus is empty: give the block that sets the focus, such as "H5={defocus} ; focus"'
-    elif settings.defocus == 0.0:
-        why = "preheat.defocus is 0, the focus of the beads: give the value at which the beam is preheat.spot_mm wide"
-    elif settings.current_ma > process.current_max_ma:
-        why = f"preheat.current_ma {settings.current_ma:g} is over process.current_max_ma {process.current_max_ma:g}"
-    elif not machine.feed_min_mm_s <= settings.speed_mm_s <= machine.feed_max_mm_s:
-        why = (
-            f"preheat.speed_mm_s {settings.speed_mm_s:g} is not within machine.feed_min_mm_s and feed_max_mm_s, "
-            f"{machine.feed_min_mm_s:g} .. {machine.feed_max_mm_s:g}"
-        )
-    elif settings.when == "layers" and process.layer_pause_s > 0.0:
-        why = "process.layer_pause_s lets layers cool that preheat.when = 'layers' heats: use one of them"
-    elif settings.target_k + settings.over_k > entry_limit_k(config):
-        why = (
-            f"preheat.target_k + over_k is {settings.target_k + settings.over_k:g} K, over {entry_limit_k(config):g} K at which no bead "
-            "may be entered"
-        )
-    elif config.base_mm > 0.0 and settings.scan_in == "own":
-        why = "the program begins on what stands (layers.base_mm), and its main program preheats nothing: set preheat.scan_in = 'layer'"
-    if why:
-        raise SettingsError(f"preheat.when is {settings.when!r}: {why}")
 
 
 # -- what templates may hold --------------------------------------------------------------------------

@@ -55,7 +55,7 @@ def draw(
     Parameters
     ----------
     field
-        What :func:`ebamcheck.checks.deposit.deposit` keeps of the layer.
+        What :func:`ebamcheck.checks.metal.deposit` keeps of the layer.
     section
         The section that is drawn over it.
     thickness_mm

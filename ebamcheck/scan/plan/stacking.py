@@ -191,7 +191,7 @@ def plan_scan(
     config
         Settings; the default ones if None.
     order, seed
-        Name of the order (see :data:`ebamcheck.scan.ORDERS`) and seed of its random choices; those of
+        Name of the order (an entry point of ``ebamcheck.orders``) and seed of its random choices; those of
         the settings if None.
     layer
         Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
@@ -249,7 +249,7 @@ def plan_stack(
     config, order, seed
         As for :func:`plan_scan`.
     power_of
-        Gives the power along beads by the wire that they get, see :func:`ebamcheck.pipeline.planned_power.power_by_wire`;
+        Gives the power along beads by the wire that they get, see :func:`ebamcheck.pipeline.stages.power_by_wire`;
         None: the heat is worked out as if each bead had the power of its layer.
     """
     config = config or Config()
