@@ -26,7 +26,7 @@ from benchmarks.scan_orders import (
     layers,
     markdown,
 )
-from ebamcheck.judge import LayerCase, judge_layer
+from ebamcheck.accuracy.heat_judge import LayerCase, judge_layer
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config
 

@@ -21,10 +21,9 @@ import pandas as pd
 
 from benchmarks.machine import machine
 from benchmarks.tables import markdown_table
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import BetweenLayers, answer_to
-from ebamcheck.live.loading import FinishedRun, finished_run
+from ebamcheck.live.building import BetweenLayers, Building, answer_to
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.relaying import FinishedRun, finished_run
 from ebamcheck.testing.played_control.program import Growth
 
 LATENCIES, SUMMARY, TEXT = "latency.csv", "latency-by-islands.csv", "latency.md"

@@ -22,7 +22,7 @@ from benchmarks.machine import machine
 from benchmarks.target_tasks import check_command
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
-from ebamcheck.preflight.slab_work import FACETS_A_SLAB
+from ebamcheck.preflight.workload import FACETS_A_SLAB
 from ebamcheck_models import LADDER
 
 OUTPUT = ROOT / "reports" / "benchmarks"

@@ -16,7 +16,7 @@ from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.result import Check, check_of_record, finding_of_record, gate_of_record
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config, load_config, validated
-from ebamcheck.settings.slicing import for_this_machine
+from ebamcheck.settings.stages import for_this_machine
 from ebamcheck.showing import short_text
 
 REPORT = "report.html"

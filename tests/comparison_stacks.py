@@ -8,7 +8,7 @@ import shapely
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.settings.slicing import ComparisonSettings
+from ebamcheck.settings.stages import ComparisonSettings
 
 COLUMNS = [
     "layer", "height_mm", "class", "area_a_mm2", "area_b_mm2", "area_difference_mm2",

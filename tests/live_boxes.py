@@ -15,8 +15,8 @@ from finished_runs import made_once
 from parts import box
 from slicers_here import slicers_here
 
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.verification.verify import verify

@@ -11,8 +11,7 @@ import pytest
 from live_boxes import failed_checks
 
 from ebamcheck.live.building import Building
-from ebamcheck.live.journal import read_journal
-from ebamcheck.live.publishing import LAYERS
+from ebamcheck.live.publishing import LAYERS, read_journal
 from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.testing.played_control.program import Growth, Panel, PlayedProgram
 

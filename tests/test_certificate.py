@@ -18,7 +18,7 @@ from ebamcheck.json_values import (
     write_json,
 )
 from ebamcheck.pipeline import run_job
-from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.cross_check import witness_backend
 from ebamcheck.plugins import registry
 from ebamcheck.record.certificate import CERTIFICATE, RELEASE, read_certificate
 from ebamcheck.record.run_folder import RunFolder

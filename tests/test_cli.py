@@ -17,8 +17,8 @@ from parts import box
 
 from ebamcheck.errors import ExitCode
 from ebamcheck.layers.files import read_layers
+from ebamcheck.settings.checking import explained_schema
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.text import explained_schema
 
 AREA_MM2 = 40.0 * 40.0 - 14.0 * 16.0
 

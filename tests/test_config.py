@@ -9,8 +9,8 @@ import pytest
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.plugins.registry import plugin
+from ebamcheck.settings.checking import as_toml, explained_schema, explanations
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.text import as_toml, explained_schema, explanations
 
 
 def written(tmp_path, text, name="ebamcheck.toml"):

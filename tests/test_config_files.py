@@ -10,9 +10,9 @@ import tomlkit
 from command_line import ebamcheck
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.files import merge, merged, write_new
-from ebamcheck.settings.text import as_toml
 
 KEYS = [
     (name, key)

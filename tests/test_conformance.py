@@ -31,7 +31,7 @@ from ebamcheck.testing import (
     markdown_table,
     solids,
 )
-from ebamcheck.testing.sections import house_rule, section, winding_rule
+from ebamcheck.testing.solids import house_rule, section, winding_rule
 from ebamcheck.testing.subject import generic_heights
 from ebamcheck_embree import Embree
 from ebamcheck_manifold import ManifoldCut

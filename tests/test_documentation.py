@@ -25,9 +25,9 @@ from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode
 from ebamcheck.mesh.part_source import PlateEntry
 from ebamcheck.plugins import registry
+from ebamcheck.settings.checking import explanations
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MATERIALS
-from ebamcheck.settings.text import explanations
 
 ROOT = Path(__file__).parents[1]
 README, ARCHITECTURE = ROOT / "README.md", ROOT / "ARCHITECTURE.md"

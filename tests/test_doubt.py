@@ -9,7 +9,7 @@ from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.findings import doubt_findings
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.slicing import ComparisonSettings
+from ebamcheck.settings.stages import ComparisonSettings
 from ebamcheck.testing.solids import box
 
 PART = box((0, 0, 0), (20, 10, 6))

@@ -14,9 +14,8 @@ from ebamcheck.pipeline.gates import program_gate
 from ebamcheck.plugins.model import models
 from ebamcheck.result import Place
 from ebamcheck.testing.accuracy import reference_models
-from ebamcheck.testing.checks import CHECKS
-from ebamcheck.testing.sections import sections, winding_rule
-from ebamcheck.testing.solids import simple
+from ebamcheck.testing.conformance import CHECKS
+from ebamcheck.testing.solids import sections, simple, winding_rule
 from ebamcheck.testing.subject import Raised, Subject
 
 NC = SimpleNamespace(

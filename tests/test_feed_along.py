@@ -21,7 +21,7 @@ from ebamcheck.mesh.files import load
 from ebamcheck.pipeline import stages
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import feed_shares, speed_window, wire_at
+from ebamcheck.settings.process_window import feed_shares, speed_window, wire_at
 from ebamcheck.verification.verify import verify
 
 WANTED = Wanted(2, 3.4, 1.7, "MAIN_K0003R1")

@@ -14,7 +14,7 @@ from ebamcheck.checks.checks import Check
 from ebamcheck.checks.rules import with_remedies
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
-from ebamcheck.live.loading import finished_run
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.pipeline.findings import _at
 from ebamcheck.pipeline.gates import agreement_gate
 from ebamcheck.pipeline.manifest import _disagreements

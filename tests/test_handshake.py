@@ -15,7 +15,7 @@ from ebamcheck.controls.sinumerik.waiting import waiting_program
 from ebamcheck.controls.sinumerik.waiting_run import Expression, Run, run_text
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.publishing import layer_name
-from ebamcheck.pipeline.live_program import check_waits
+from ebamcheck.pipeline.entry_program import check_waits
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(machine={"live_timeout_s": 60.0})

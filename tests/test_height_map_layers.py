@@ -13,12 +13,10 @@ from measured_surfaces import SIZE, level_metal, map_of, surface_of, write_csv
 from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.metal import deposit
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
+from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.height_map import figures_of, in_cells
-from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import Wanted
-from ebamcheck.live.publishing import LAYERS, read_current
+from ebamcheck.live.publishing import LAYERS, read_current, read_journal
 from ebamcheck.program import read_program
 
 

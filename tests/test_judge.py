@@ -19,6 +19,15 @@ from scipy.stats import kendalltau
 from slicers_here import runs_cut_here as runs_cut_here
 from typer.testing import CliRunner
 
+from ebamcheck.accuracy.heat_judge import (
+    COLUMNS,
+    PLACES,
+    THESIS,
+    TIMES_A_RUN,
+    LayerCase,
+    judge_layer,
+    rises_k,
+)
 from ebamcheck.commands.command_group import guarded
 from ebamcheck.commands.judge import judge_command
 from ebamcheck.controls.thesis import INPUT, LINE_MODE, HeatPath
@@ -29,9 +38,6 @@ from ebamcheck.errors import (
     NothingCompared,
     SettingsError,
 )
-from ebamcheck.judge import THESIS, LayerCase, judge_layer
-from ebamcheck.judge.layer import COLUMNS, PLACES
-from ebamcheck.judge.thesis import TIMES_A_RUN, rises_k
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config

@@ -28,13 +28,13 @@ from ebamcheck.live.heights import (
     speed_share,
     speed_window,
 )
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.metal import target_of
 from ebamcheck.program import read_program
+from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, outside_window, wire_area_mm2
-from ebamcheck.settings.text import as_toml
 from ebamcheck.verification.verify import verify
 
 NARROW = "[process]\nwire_speed_min_mm_s = 33.0\nwire_speed_max_mm_s = 60.0\n"

@@ -13,7 +13,7 @@ from ebamcheck.checks.mesh_checks import solid_check
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.layer_rule import OTHER_HEIGHTS, level_faces, moved_mm3, nearest_fitting, share_off
 from ebamcheck.plugins.model import models
-from ebamcheck.preflight.layer_height import chosen_height
+from ebamcheck.preflight.report import chosen_height
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 

@@ -15,11 +15,18 @@ from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.live.building import Building
 from ebamcheck.live.heights_table import TABLE, read_heights
-from ebamcheck.live.journal import Journal, read_journal
-from ebamcheck.live.publishing import CERTIFICATE, JOURNAL, LAYERS, read_certificate, read_current
+from ebamcheck.live.publishing import (
+    CERTIFICATE,
+    JOURNAL,
+    LAYERS,
+    Journal,
+    read_certificate,
+    read_current,
+    read_journal,
+)
 from ebamcheck.record.run_folder import RunFolder
+from ebamcheck.settings.checking import values_as_toml
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.text import values_as_toml
 from ebamcheck.testing.played_control.program import Growth
 from ebamcheck.verification.verify import verify
 

@@ -13,14 +13,11 @@ from live_boxes import bad_lines, failed_checks, maker_of, run_of_box
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.before import Before
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
-from ebamcheck.live.height_map import Refused
-from ebamcheck.live.loading import finished_run
+from ebamcheck.live.building import Building, answer_to
+from ebamcheck.live.height_map import Reading, Refused, check_height, parsed, reading_of
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import CURRENT, LAYERS, certificate_of, publish, read_current
-from ebamcheck.live.readings import Reading, check_height, parsed, reading_of
-from ebamcheck.live.relaying import check_below
+from ebamcheck.live.relaying import check_below, finished_run
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 12)

@@ -12,8 +12,7 @@ import pytest
 from parts import box
 
 from ebamcheck.live import publishing
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
+from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.making import LayerMaker, MadeLayer
 from ebamcheck.live.publishing import read_current
 from ebamcheck.settings.config import Config

@@ -13,12 +13,11 @@ from live_boxes import maker_of, run_of_box
 import ebamcheck
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.live import building as building_module
-from ebamcheck.live import followed
+from ebamcheck.live import verifying
 from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
-from ebamcheck.live.followed import FollowedLayers, LayerText
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.verifying import verify_build
+from ebamcheck.live.verifying import FollowedLayers, LayerText, verify_build
 from ebamcheck.settings.config import Config
 from tests.parts import box
 
@@ -114,7 +113,7 @@ def test_a_slim_column_on_a_wide_foot_is_followed_from_the_plate_up(monkeypatch)
 
     def said(layers):
         texts = iter(layers)
-        monkeypatch.setattr(followed, "layer_text", lambda *_: next(texts))
+        monkeypatch.setattr(verifying, "layer_text", lambda *_: next(texts))
         stack, found = FollowedLayers(), []
         for _ in layers:
             found.append(stack.too_warm(None, {}, Config()))

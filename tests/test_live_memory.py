@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from benchmarks.live_memory import followed, growth_kb, made_run
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import Lines, serve
-from ebamcheck.live.loading import finished_run
+from ebamcheck.live.building import Building, Lines, serve
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.testing.played_control.program import Growth
 
 SETTLED, LAYERS = 30, 50

@@ -15,10 +15,9 @@ from opcua_controls import built, codes, control, door, on_a_desk, sound, until
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.live.building import Building
-from ebamcheck.live.journal import read_journal
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import Link, installed
-from ebamcheck.live.publishing import LAYERS
+from ebamcheck.live.publishing import LAYERS, read_journal
 from ebamcheck.testing.played_control.program import FAULTS
 
 SIZE = (30, 24, 5.2)

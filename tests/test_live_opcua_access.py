@@ -19,10 +19,10 @@ from ebamcheck.controls.sinumerik.handshake import run_text
 from ebamcheck.controls.sinumerik.release_keys import ReleaseKeys
 from ebamcheck.controls.sinumerik.waiting import waiting_program
 from ebamcheck.errors import SettingsError
-from ebamcheck.live.journal import read_journal
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.opcua.handshake import node_ids
 from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, installed
+from ebamcheck.live.publishing import read_journal
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.showing.plotting import ExtraMissing

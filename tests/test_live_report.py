@@ -11,12 +11,11 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
+from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.heights_table import ticks
-from ebamcheck.live.journal import FIRST
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
+from ebamcheck.live.publishing import FIRST
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.live.verifying import read_verified, verify_build
 
 

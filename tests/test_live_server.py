@@ -15,12 +15,18 @@ from live_boxes import Server, bad_lines, failed_checks, maker_of, play, run_of_
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.before import Before
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
+from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
-from ebamcheck.live.journal import Journal, read_journal
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.publishing import JOURNAL, LAYERS, certificate_of, publish, read_current
+from ebamcheck.live.publishing import (
+    JOURNAL,
+    LAYERS,
+    Journal,
+    certificate_of,
+    publish,
+    read_current,
+    read_journal,
+)
 from ebamcheck.testing.played_control.program import Growth
 
 SIZE = (30, 24, 12)

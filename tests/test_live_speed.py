@@ -14,8 +14,8 @@ from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.installed import entry_points
 from ebamcheck.scan.heat.interpass import greatest_that_fits
 from ebamcheck.scan.heat.near_field import DIRECTIONS, ON_OUTLINE_MM, in_sight
+from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.text import as_toml
 
 
 def test_temperatures_are_those_of_an_interpolation_to_the_last_bit():

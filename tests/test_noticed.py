@@ -17,7 +17,7 @@ from ebamcheck.checks.process_checks import seam_turns
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import findings
-from ebamcheck.preflight.suspicions import of_bodies, suspicions
+from ebamcheck.preflight.room import of_bodies, suspicions
 from ebamcheck.program import read_program, write_program
 from ebamcheck.result import CODES, SEVERITIES, Check
 from ebamcheck.settings.config import Config

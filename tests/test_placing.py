@@ -29,7 +29,7 @@ from ebamcheck.pipeline import run_job
 from ebamcheck.program import read_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.slicing import PartSettings
+from ebamcheck.settings.stages import PartSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.verify import verify
 

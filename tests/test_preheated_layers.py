@@ -13,8 +13,8 @@ from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.live.before import Before
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker, Wanted
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.mesh.files import load
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config

@@ -11,14 +11,11 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
 from ebamcheck.live.before import Before, check_warmth, corrected
-from ebamcheck.live.building import Building
-from ebamcheck.live.desk import answer_to
-from ebamcheck.live.height_map import Refused
-from ebamcheck.live.journal import read_journal
-from ebamcheck.live.loading import finished_run
+from ebamcheck.live.building import Building, answer_to
+from ebamcheck.live.height_map import Refused, Warmth, warmth_of
 from ebamcheck.live.making import LayerMaker, Wanted
-from ebamcheck.live.publishing import LAYERS
-from ebamcheck.live.readings import Warmth, warmth_of
+from ebamcheck.live.publishing import LAYERS, read_journal
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.settings.config import Config
 
 SIZE = (30, 24, 5.2)

@@ -15,18 +15,14 @@ from fake_distribution import found_here, install
 from regression_plugin import ALLOWED_MM, BOUND_MM, ROUGH_MM
 
 from ebamcheck import installed
+from ebamcheck.accuracy import regression as job
+from ebamcheck.accuracy.baselines import Entry, differences, read_baselines, write_baselines
+from ebamcheck.accuracy.matrix import Tolerances
+from ebamcheck.accuracy.regression import accepted, run_regression, updated
+from ebamcheck.accuracy.report import record, trends
 from ebamcheck.commands.regress import regress, summary
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.plugins import registry
-from ebamcheck.regression import (
-    Tolerances,
-    job,
-    run_regression,
-)
-from ebamcheck.regression.baselines import Entry, read_baselines, write_baselines
-from ebamcheck.regression.difference import differences
-from ebamcheck.regression.history import record, trends
-from ebamcheck.regression.job import accepted, updated
 from ebamcheck.slicers.cutting import cut_here
 from ebamcheck.slicers.isolation import slice_all
 from ebamcheck_embree import Embree
@@ -171,7 +167,7 @@ def test_a_crash_is_a_finding_that_no_update_accepts(report, tmp_path):
 
 
 def test_junit_names_the_backend_in_the_class_and_counts_what_failed(report, tmp_path):
-    from ebamcheck.regression.junit import write_junit
+    from ebamcheck.accuracy.report import write_junit
 
     suite = ElementTree.parse(write_junit(report, tmp_path)).getroot()[0]
     cases = {case.get("classname"): case for case in suite}

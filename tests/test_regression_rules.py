@@ -12,29 +12,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 from regression_plugin import ALLOWED_MM, BLOCK, ROUGH_MM
 
-from ebamcheck.commands.regress import regress
-from ebamcheck.errors import BackendMissing, InputError, SettingsError
-from ebamcheck.plugins.model import models
-from ebamcheck.regression import (
-    Measured,
+from ebamcheck.accuracy.baselines import Entry, Key, differences, read_baselines, write_baselines
+from ebamcheck.accuracy.matrix import (
+    LENGTH,
+    MATRIX,
+    Matrix,
     Tolerance,
     Tolerances,
-    measure_outcome,
-    truth_of,
+    default_tolerance,
+    read_matrix,
+    read_tolerances,
+    rounds,
 )
-from ebamcheck.regression.baselines import Entry, Key, read_baselines, write_baselines
-from ebamcheck.regression.difference import differences
-from ebamcheck.regression.matrix import MATRIX, Matrix, read_matrix, rounds
-from ebamcheck.regression.measurement import (
+from ebamcheck.accuracy.measurement import (
     LAYER_COLUMNS,
     METRICS,
     NAMES,
     REFUSED,
     TOLERANCE_NAMES,
+    Measured,
+    measure_outcome,
     rounded,
     summarised,
+    truth_of,
 )
-from ebamcheck.regression.settings import LENGTH, default_tolerance, read_tolerances
+from ebamcheck.commands.regress import regress
+from ebamcheck.errors import BackendMissing, InputError, SettingsError
+from ebamcheck.plugins.model import models
 from ebamcheck_planecut import PlaneCut
 
 # -- rules, without a slicer -----------------------------------------------------------------------------

@@ -10,22 +10,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parts import box
 
-from ebamcheck.commands.select import select
-from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.pipeline import run_job
-from ebamcheck.plugins.model import models
-from ebamcheck.selection import (
+from ebamcheck.accuracy.selection import (
+    ACCURACY_LAYERS,
+    TIE_SHARE,
     Trial,
     choose,
+    ranked,
     try_backends,
+    unfit,
     workpiece_of_model,
     workpiece_of_part,
     write_choice,
 )
-from ebamcheck.selection.trial import ACCURACY_LAYERS, TIE_SHARE, ranked, unfit
+from ebamcheck.commands.select import select
+from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
+from ebamcheck.pipeline import run_job
+from ebamcheck.plugins.model import models
+from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.slicing import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
-from ebamcheck.settings.text import as_toml
+from ebamcheck.settings.stages import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name
 from ebamcheck_models import write_stl
 
 USER_FILE = """\

@@ -9,10 +9,9 @@ from typing import Annotated, Any, Union, get_args, get_origin
 import pytest
 from pydantic import BaseModel
 
+from ebamcheck.accuracy.matrix import Case, Tolerance
 from ebamcheck.errors import SettingsError
 from ebamcheck.plugins import registry
-from ebamcheck.regression.matrix import Case
-from ebamcheck.regression.settings import Tolerance
 from ebamcheck.settings.base import Between, Section
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.process import KeepOut

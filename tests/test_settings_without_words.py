@@ -2,8 +2,8 @@
 
 import tomllib
 
+from ebamcheck.settings.checking import as_toml, values_as_toml
 from ebamcheck.settings.config import Config, validated
-from ebamcheck.settings.text import as_toml, values_as_toml
 
 
 def test_values_are_those_of_the_text_that_explains_itself():

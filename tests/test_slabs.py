@@ -27,7 +27,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import SlabInspection, divided, read_once
 from ebamcheck.pipeline import check_job
 from ebamcheck.pipeline.slabs import check_in_slabs
-from ebamcheck.preflight.slab_work import wanted_slabs
+from ebamcheck.preflight.workload import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck_embree import Embree
 from ebamcheck_manifold import ManifoldCut

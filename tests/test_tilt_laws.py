@@ -15,7 +15,7 @@ from ebamcheck.nc.table import NONE, frame_after, table_at
 from ebamcheck.nc.words import WordError
 from ebamcheck.program import read_program, write_program
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.tilt import RotaryAxis
+from ebamcheck.settings.machine import RotaryAxis
 from ebamcheck.writing.table import positions_of, table_motion
 
 

@@ -17,8 +17,7 @@ from ebamcheck.layers.even_odd import directed_by_nesting
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import Part
 from ebamcheck.testing import SlicerSuite
-from ebamcheck.testing.sections import house_rule, sections
-from ebamcheck.testing.solids import box, joined, mapped, simple, turn
+from ebamcheck.testing.solids import box, house_rule, joined, mapped, sections, simple, turn
 from ebamcheck_cura import Cura
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_prusa import Prusa

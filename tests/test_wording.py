@@ -7,15 +7,15 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
+from ebamcheck.accuracy.matrix import read_tolerances
 from ebamcheck.commands.options import assignments
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.height_map import read_map
 from ebamcheck.mesh.part_source import read_plate
 from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.plugins import registry
-from ebamcheck.regression.settings import read_tolerances
+from ebamcheck.settings.checking import EXAMPLES, PLACEHOLDERS, TEMPLATES, as_toml
 from ebamcheck.settings.config import Config, load_config, validated
-from ebamcheck.settings.text import EXAMPLES, PLACEHOLDERS, TEMPLATES, as_toml
 
 FIELDS = [
     (section, key)

@@ -17,7 +17,7 @@ from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import along_window
+from ebamcheck.settings.process_window import along_window
 
 RELEASED = re.compile(r"_K\d{4,}R\d+$")
 """End of the name of a layer that is made between layers."""

@@ -24,8 +24,8 @@ def config_command(
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema instead.")] = False,
 ) -> ExitCode:
     """Print all settings in force, with their explanations, as TOML."""
+    from ebamcheck.settings.checking import as_toml
     from ebamcheck.settings.config import Config
-    from ebamcheck.settings.text import as_toml
 
     if sum((output is not None, merge is not None, schema)) > 1 or (
         merge is not None and config_file is not None
@@ -34,7 +34,7 @@ def config_command(
     if merge is not None:
         return _merged(merge)
     if schema:
-        from ebamcheck.settings.text import explained_schema
+        from ebamcheck.settings.checking import explained_schema
 
         print_json(explained_schema(Config))
         return ExitCode.PASS

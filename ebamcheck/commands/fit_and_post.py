@@ -40,7 +40,7 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.pipeline.stages import bead_paths, plan_program, smooth_layers
-from ebamcheck.preflight.layer_height import chosen_height
+from ebamcheck.preflight.report import chosen_height
 from ebamcheck.program import write_program
 from ebamcheck.record.run_folder import MANIFEST
 from ebamcheck.settings.process_window import checked_window

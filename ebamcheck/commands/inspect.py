@@ -39,7 +39,7 @@ def inspect(
     from ebamcheck.mesh.part_source import read_part
     from ebamcheck.settings.base import unit_named
     from ebamcheck.settings.checking import checked
-    from ebamcheck.settings.slicing import PartSettings
+    from ebamcheck.settings.stages import PartSettings
 
     if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
         raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")

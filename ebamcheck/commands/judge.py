@@ -8,13 +8,13 @@ from typing import Annotated
 import pandas as pd
 import typer
 
+from ebamcheck.accuracy.heat_judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.options import ConfigOption, JsonOption, print_json
 from ebamcheck.commands.progress import watched
 from ebamcheck.commands.run_stack import stack_of_run
 from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
-from ebamcheck.judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config

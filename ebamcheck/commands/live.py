@@ -14,15 +14,13 @@ import typer
 from ebamcheck.commands.options import numbers
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.json_values import plain
-from ebamcheck.live.building import Answer, Building
-from ebamcheck.live.desk import BetweenLayers, Lines, serve
+from ebamcheck.live.building import Answer, BetweenLayers, Building, Lines, serve
 from ebamcheck.live.heights import HeightRule, height_rule
-from ebamcheck.live.journal import read_journal
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import checked
-from ebamcheck.live.publishing import JOURNAL
+from ebamcheck.live.publishing import JOURNAL, read_journal
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
 

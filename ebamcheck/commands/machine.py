@@ -21,9 +21,9 @@ from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.live import FinishedRunArgument, MovedPart, opcua_of
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.heights import bead_limits
-from ebamcheck.live.loading import finished_run
 from ebamcheck.live.opcua.link import installed
 from ebamcheck.live.publishing import JOURNAL
+from ebamcheck.live.relaying import finished_run
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.testing.played_control.desk import PROFILE, desk_profile, faults_of, played
 from ebamcheck.testing.played_control.program import FAULTS, Growth, PlayedLayer, PlayedProgram

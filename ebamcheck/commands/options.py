@@ -88,7 +88,7 @@ def job_settings(
     fix_orientation: bool,
 ) -> Config:
     """Settings of a job on this machine, with what the command line says on top."""
-    from ebamcheck.settings.slicing import for_this_machine
+    from ebamcheck.settings.stages import for_this_machine
 
     config = for_this_machine(settings_of(config_file, units, direction, layer_height))
     if backends:

@@ -8,20 +8,18 @@ from typing import Annotated
 
 import typer
 
-from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.errors import ExitCode, SettingsError
-from ebamcheck.regression.baselines import UpdateMode, strict_json
-from ebamcheck.regression.history import HISTORY, record
-from ebamcheck.regression.job import (
+from ebamcheck.accuracy.baselines import UpdateMode, strict_json
+from ebamcheck.accuracy.matrix import Tolerances, read_tolerances
+from ebamcheck.accuracy.regression import (
     Regression,
     accepted,
     default_baselines,
     run_regression,
     updated,
 )
-from ebamcheck.regression.junit import write_junit
-from ebamcheck.regression.page import write_page
-from ebamcheck.regression.settings import Tolerances, read_tolerances
+from ebamcheck.accuracy.report import HISTORY, record, write_junit, write_page
+from ebamcheck.atomic_file import made_folder, replacing
+from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.settings.checking import checked
 from ebamcheck.settings.config import load_config
 from ebamcheck.slicers.isolation import Limits

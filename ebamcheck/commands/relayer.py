@@ -17,9 +17,8 @@ from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.live.before import Before
 from ebamcheck.live.height_map import MapCells, figures_of, in_cells, read_map
-from ebamcheck.live.loading import FinishedRun, finished_run
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.relaying import Relayered, check_below, relayer, tilted
+from ebamcheck.live.relaying import FinishedRun, Relayered, check_below, finished_run, relayer, tilted
 from ebamcheck.nc.files import preheat_name
 from ebamcheck.record.run_folder import RunFolder
 

@@ -127,7 +127,7 @@ def check(
     config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
     config = config if slabs is None else config.changed(slicing={"slabs": slabs})
     from ebamcheck.numeric.compiling_beside import CHECKING, compiled_beside
-    from ebamcheck.preflight.slab_work import wanted_slabs
+    from ebamcheck.preflight.workload import wanted_slabs
 
     with compiled_beside(modules=CHECKING), ExitStack() as opened:
         part_ready = workers = None

@@ -8,12 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ebamcheck.drawing.tables import text_table
-from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.json_values import plain
-from ebamcheck.mesh.part_source import read_part
-from ebamcheck.plugins.model import models
-from ebamcheck.selection.trial import (
+from ebamcheck.accuracy.selection import (
     REPEATS,
     RULES,
     Choice,
@@ -23,10 +18,15 @@ from ebamcheck.selection.trial import (
     try_backends,
     workpiece_of_model,
     workpiece_of_part,
+    write_choice,
 )
-from ebamcheck.selection.writing import write_choice
+from ebamcheck.drawing.tables import text_table
+from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
+from ebamcheck.json_values import plain
+from ebamcheck.mesh.part_source import read_part
+from ebamcheck.plugins.model import models
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.slicing import machine_name
+from ebamcheck.settings.stages import machine_name
 
 DEFAULT_CONFIG = Path("ebamcheck.toml")
 

@@ -25,7 +25,7 @@ from ebamcheck.comparison.pairwise import (
 from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
-from ebamcheck.settings.slicing import ComparisonSettings
+from ebamcheck.settings.stages import ComparisonSettings
 
 HALF_OPEN = "half-open"
 

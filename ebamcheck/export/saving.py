@@ -99,7 +99,7 @@ def _write_stl(part: Part, path: Path) -> None:
 
 
 def _write_toml(config: Config, path: Path) -> None:
-    from ebamcheck.settings.text import as_toml
+    from ebamcheck.settings.checking import as_toml
 
     with replacing(path) as temporary:
         temporary.write_text(as_toml(config), encoding="utf-8")

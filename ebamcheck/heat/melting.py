@@ -7,8 +7,7 @@ import numpy as np
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import along_window
-from ebamcheck.settings.process_window import MOST_SPACINGS, wire_speed_mm_s
+from ebamcheck.settings.process_window import MOST_SPACINGS, along_window, wire_speed_mm_s
 
 WIDER = 1.0005
 """Width over the spacing from which on a bead is a wider one: widths and wire speeds are rounded in a program."""

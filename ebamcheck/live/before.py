@@ -17,8 +17,7 @@ from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
-from ebamcheck.live.height_map import MENDING, MapFigures, Refused, figures_of
-from ebamcheck.live.readings import Reading, Warmth
+from ebamcheck.live.height_map import MENDING, MapFigures, Reading, Refused, Warmth, figures_of
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface, target_of
 from ebamcheck.metal.surface import MENDED

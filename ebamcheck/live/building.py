@@ -7,33 +7,49 @@ alone is enough to make every byte again.
 
 from __future__ import annotations
 
+import gc
+import json
+import os
+import select
 import shutil
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
-from ebamcheck.json_values import sha256_of_json
+from ebamcheck.json_values import plain, sha256_of_json
 from ebamcheck.live.before import Before, Ground, check_warmth
-from ebamcheck.live.followed import FollowedLayers
-from ebamcheck.live.height_map import Refused
+from ebamcheck.live.height_map import (
+    LONGEST_LINE,
+    Reading,
+    Refused,
+    check_height,
+    map_reading,
+    parsed,
+    reading_of,
+    warmth_of,
+)
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
-from ebamcheck.live.journal import FORMAT, Journal, check_format, read_journal
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of
 from ebamcheck.live.publishing import (
     JOURNAL,
+    JOURNAL_FORMAT,
     LAYERS,
     PROGRAM,
+    Journal,
     certificate_of,
+    check_format,
     ended_early,
     layer_name,
     publish,
     read_current,
+    read_journal,
 )
-from ebamcheck.live.readings import Reading, check_height, map_reading, reading_of, warmth_of
+from ebamcheck.live.verifying import FollowedLayers
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 """What is tried one after the other until every gate is open: heights of the layer over the planned one, since a plane
@@ -268,7 +284,7 @@ class Building:
     def _of(self) -> dict[str, Any]:
         """What a journal is of."""
         return {
-            "format": FORMAT,
+            "format": JOURNAL_FORMAT,
             "part_sha256": self.maker.part.sha256,
             "settings_sha256": sha256_of_json(self.maker.config.model_dump()),
             "annealing_steps": self.maker.annealing_steps,
@@ -347,3 +363,100 @@ def _refuse_relayered(folder: Path) -> None:
             f"{layers}: holds {found[0]}{f' and {len(found) - 1} more' if len(found) > 1 else ''}, which `ebamcheck relayer` made "
             "and a build would name again: give the build another folder with -o, or move them away"
         )
+
+
+class Lines:
+    """Lines of a file descriptor, with a time limit, in bounded memory: a longer one is cut and told as such."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor, self._held, self._ended = descriptor, b"", False
+
+    def next(self, wait_s: float | None) -> bytes | None:
+        """Return the next line without its end; None where none came in time; raises :class:`EOFError` at the end."""
+        until = None if wait_s is None else time.monotonic() + wait_s
+        while b"\n" not in self._held:
+            if self._ended:
+                if self._held.strip():
+                    line, self._held = self._held, b""
+                    return line
+                raise EOFError
+            left = None if until is None else max(0.0, until - time.monotonic())
+            ready, _, _ = select.select([self._descriptor], [], [], left)
+            if not ready:
+                return None
+            found = os.read(self._descriptor, 65536)
+            self._ended = not found
+            if b"\n" not in found and len(self._held) > LONGEST_LINE:
+                continue  # the rest of a line that is too long already
+            self._held += found
+        line, self._held = self._held.split(b"\n", 1)
+        return line
+
+
+def serve(building: Building, lines: Lines, out: IO[str], timeout_s: float) -> None:
+    """Answer lines until the input ends, somebody says ``stop``, or nobody reads the answers.
+
+    After a time without a line the server says that it waits, once until the next line.
+    """
+    said_late, between = False, BetweenLayers(building)
+    while True:
+        try:
+            line = lines.next(None if said_late else timeout_s)
+        except EOFError:
+            return
+        if line is None:
+            said_late = True
+            answer: Answer = {**building.status(), "answer": "late", "waited_s": timeout_s}
+        else:
+            said_late = False
+            answer = answer_to(building, line)
+        out.write(json.dumps(plain(answer), sort_keys=True, allow_nan=False) + "\n")
+        out.flush()
+        between(answer)
+        if answer["answer"] == "stopped":
+            return
+
+
+def answer_to(building: Building, line: bytes) -> Answer:
+    """Answer one line; nothing that comes in ends the server."""
+    try:
+        message = parsed(line)
+        known: dict[str, Callable[[], Answer]] = {
+            "start": building.start,
+            "height": lambda: building.height(message),
+            "status": building.status,
+            "reset": building.status,
+            "stop": lambda: {"answer": "stopped"},
+        }
+        event: Any = message.get("event")
+        if not isinstance(event, str) or event not in known:
+            raise Refused("event", f"event {event!r:.20}: known are {', '.join(known)}")
+        return known[event]()
+    except Refused as refused:
+        return refused.answer
+    except Exception as error:  # a full disk, say: what was published stays
+        return {"answer": "error", "reason": failure_of(error)}
+
+
+SETTLED = 3
+"""Layers after which all that stays is loaded: kernels and modules come with the first that need them."""
+
+WORK = ("published", "released", "kept", "done", "built")
+"""Answers after which a layer's work is done."""
+
+
+class BetweenLayers:
+    """What is done after each answer of a build."""
+
+    def __init__(self, building: Building) -> None:
+        self._building, self._layers = building, 0
+
+    def __call__(self, answer: Mapping[str, Any]) -> None:
+        """Do it; the answer was sent already."""
+        self._building.heights.write(ended=self._building.finished)
+        if answer.get("answer") not in WORK:
+            return
+        gc.collect()
+        self._layers += 1
+        if self._layers <= SETTLED:
+            gc.freeze()

@@ -24,8 +24,7 @@ from ebamcheck.heat.melting import least_power_share, melted_mm3_s
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import speed_window
-from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, wire_area_mm2
+from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, speed_window, wire_area_mm2
 from ebamcheck.writing.wire import MOST_MENDED
 
 Mode = Literal["uniform", "listed", "adaptive"]

@@ -35,8 +35,7 @@ from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates
-from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.cross_check import compared_layers
+from ebamcheck.pipeline.cross_check import compared_layers, witness_backend
 from ebamcheck.pipeline.fit import fitted
 from ebamcheck.pipeline.stages import (
     judged_program,
@@ -55,7 +54,7 @@ from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.slicing import PartSettings
+from ebamcheck.settings.stages import PartSettings
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 

@@ -6,11 +6,14 @@ that is looked at once more, by `verify`, and by the server before it tells anyb
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import json
 import math
 import os
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,10 +23,11 @@ from ebamcheck.json_values import json_text, plain, sha256_of_file, sha256_of_js
 from ebamcheck.live.making import LayerMaker, MadeLayer
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import LONGEST_NAME
+from ebamcheck.regular_file import regular_file
 from ebamcheck.result import gate_record
+from ebamcheck.settings.checking import values_as_toml
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s
-from ebamcheck.settings.text import values_as_toml
 from ebamcheck.version import __version__
 from ebamcheck.writing.blocks import BlockFormat
 from ebamcheck.writing.table import tilt_of
@@ -245,3 +249,94 @@ def _sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+JOURNAL_FORMAT = "ebamcheck journal 2"
+"""Of the first line: its entries count layers from 1; those of a journal without a format counted them from 0."""
+
+FIRST = "0" * 64
+"""In place of a hash in the first line."""
+
+
+class Journal(AbstractContextManager["Journal"]):
+    """A journal that is written to; locked against a second writer."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._file = path.open("ab")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.close()
+            raise SettingsError(
+                f"{path}: another `ebamcheck live` writes to it: end that one first"
+            ) from None
+        try:
+            self._last, whole, self.lines = FIRST, 0, 0
+            for line, _ in _lines(path):
+                self._last, whole, self.lines = _hash(line), whole + len(line), self.lines + 1
+            self._file.truncate(whole)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __exit__(self, *_: object) -> None:
+        """Close the file."""
+        self.close()
+
+    def close(self) -> None:
+        """Close the file and let go of the lock."""
+        self._file.close()
+
+    def append(self, entry: Mapping[str, Any]) -> None:
+        """Add a line; it is on disk when this returns."""
+        text = json.dumps(plain({**entry, "after": self._last}), sort_keys=True, separators=(",", ":"))
+        line = text.encode() + b"\n"
+        self._file.write(line)
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._last, self.lines = _hash(line), self.lines + 1
+
+
+def read_journal(path: Path) -> Iterator[dict[str, Any]]:
+    """Entries of a journal, from the first; a last line that a kill has cut off is left out, a damaged one raises :class:`InputError`."""
+    for _, entry in _lines(path):
+        yield entry
+
+
+def check_format(first: Mapping[str, Any], path: Path) -> None:
+    """Refuse to go on with a journal of another format, by its first entry."""
+    if first.get("format") != JOURNAL_FORMAT:
+        raise InputError(
+            f"{path}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, or give another "
+            "folder with -o"
+        )
+
+
+def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    last, number = FIRST, 0
+    try:
+        file = regular_file(path).open("rb")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    with file:
+        for line in file:
+            number += 1
+            if not line.endswith(b"\n"):
+                return
+            try:
+                entry = json.loads(line)
+                after = entry["after"]
+            except (ValueError, KeyError, TypeError):
+                raise InputError(f"{path}:{number}: is no line of a journal") from None
+            if after != last:
+                raise InputError(
+                    f"{path}:{number}: does not follow the line before: one was changed or is missing"
+                )
+            last = _hash(line)
+            yield line, entry
+
+
+def _hash(line: bytes) -> str:
+    return hashlib.sha256(line).hexdigest()

@@ -7,7 +7,7 @@ import numpy as np
 from ebamcheck.errors import InputError
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.settings.tilt import OnTable
+from ebamcheck.settings.machine import OnTable
 
 RIGID_MM = 1e-6
 """Largest residual of the motion between two parts of the same file."""

@@ -34,7 +34,7 @@ from ebamcheck.mesh.part import FROM_PARTS, Part, Vector
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.base import Angle, Between, Place, Section, known_as
 from ebamcheck.settings.checking import checked, read_toml
-from ebamcheck.settings.slicing import Component, PartSettings
+from ebamcheck.settings.stages import Component, PartSettings
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry

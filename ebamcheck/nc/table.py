@@ -22,7 +22,7 @@ from ebamcheck.nc.preheating import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.tilt import RotaryAxis
+from ebamcheck.settings.machine import RotaryAxis
 
 NONE = np.eye(4)[:3]
 """No frame: turn and shift (3, 4)."""

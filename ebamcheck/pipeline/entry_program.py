@@ -5,6 +5,7 @@ It is no proof of the part, but the end of a whole program that is.
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -19,16 +20,17 @@ from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.nc.files import ProgramFiles
+from ebamcheck.nc.control import control
+from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.program import Check, read_program
+from ebamcheck.program import read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
-from ebamcheck.result import check_record
+from ebamcheck.result import Check, check_record
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.writing.posts import begin_at_layer
 
-FOLDER = "entry"
+ENTRY = "entry"
 """Folder of the program within a run."""
 
 
@@ -57,7 +59,7 @@ class Entry:
 
 def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -> Entry:
     """Write the program that begins at `layer`, beside the whole one that is not yet marked, and check it."""
-    folder = files.folder.parent / FOLDER
+    folder = files.folder.parent / ENTRY
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(files.folder, folder)
     begun = begin_at_layer(replace(files, folder=folder), layer)
@@ -72,16 +74,16 @@ def checked_again(
 
     Its status is that of the whole program: either is called validated only with the other.
     """
-    entry = record.get(FOLDER)
+    entry = record.get(ENTRY)
     if entry is None:
         return []
-    folder, validated = run / FOLDER, bool(record["validated"])
+    folder, validated = run / ENTRY, bool(record["validated"])
     names = [str(file["name"]) for file in entry["files"]]
     try:
         nc = read_program(whole, config)
         check = _checked(nc, folder / names[0], int(entry["layer"]), z_of, config, validated)
     except InputError as error:
-        check = Check.fault("entry", FOLDER, str(error))
+        check = Check.fault("entry", ENTRY, str(error))
     if bool(entry["validated"]) != validated:
         text = f"is recorded as {_status(not validated)}, the whole program is {_status(validated)}"
         check = replace(check, passed=False, where=f"{names[0]}:1", text=text)
@@ -119,7 +121,7 @@ def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
             raise SettingsError(f"{whole}: this run wrote no program")
         config = validated(run.manifest()["settings"], f"{whole / MANIFEST}: settings")
         whole = run.program_folder / record["files"][0]["name"]
-        inside = Path(realpath(program)).is_relative_to(realpath(run.path / FOLDER))
+        inside = Path(realpath(program)).is_relative_to(realpath(run.path / ENTRY))
         said_validated = inside and bool(record["validated"])
     complete, entry = read_program(whole, config), read_program(program, config)
     tops = np.unique(np.round(complete.end[complete.deposit, 2], 3))
@@ -156,3 +158,60 @@ def _first(nc: NCProgram) -> int:
 def _first_mm(nc: NCProgram) -> float:
     first = _first(nc)
     return float(nc.end[first, 2]) if first >= 0 else np.nan
+
+
+LIVE = "live"
+"""Folder of the program within a run."""
+
+NAME = "handshake"
+
+
+def check_waits(config: Config) -> None:
+    """Refuse a control for which no main program that waits is written."""
+    name = config.machine.control
+    if not control(name).waiting:
+        raise SettingsError(
+            f"--live: for machine.control {name!r} there is no main program that waits between layers"
+        )
+
+
+def write_live(
+    run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]
+) -> dict[str, Any]:
+    """Write the waiting main program into a run folder and judge its text; its record.
+
+    It says validated where the whole program does and the check passes. Its layers are no part of it: each is released with a
+    proof of its own.
+    """
+    own = control(config.machine.control)
+    name, text = own.load("waiting")(config, top_mm, header)
+    check: Check = own.load("handshake")(text, name, config, top_mm)
+    if validated and check.passed:
+        text = text.replace(NOT_VALIDATED, VALIDATED, 1)
+    (run / LIVE).mkdir(exist_ok=True)
+    (run / LIVE / name).write_text(text, encoding="ascii", newline="\n")
+    sha256 = hashlib.sha256(text.encode("ascii")).hexdigest()
+    return {
+        "name": name,
+        "sha256": sha256,
+        "validated": validated and check.passed,
+        "check": check_record(check),
+    }
+
+
+def live_checked_again(run: Path, record: Mapping[str, Any], config: Config, top_mm: float) -> list[Check]:
+    """Judge the waiting main program of a run again, of a part whose top is to lie at a Z; nothing for a run without one."""
+    live = record.get(LIVE)
+    if live is None:
+        return []
+    path = run / LIVE / str(live["name"])
+    try:
+        text = path.read_bytes().decode("ascii")
+    except (OSError, UnicodeDecodeError) as error:
+        return [Check.fault(NAME, f"{LIVE}/{live['name']}", f"cannot be read: {error}")]
+    check: Check = control(config.machine.control).load("handshake")(text, path.name, config, top_mm)
+    said = f"\n{VALIDATED}\n" in text
+    if check.passed and said and not record["validated"]:
+        text = "says validated, the whole program does not"
+        check = Check.fault(NAME, f"{path.name}:1", text)
+    return [check]

@@ -31,7 +31,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.fit import REMEDY, WHY, FitVerdict
 from ebamcheck.preflight.report import Ready
-from ebamcheck.preflight.suspicions import of_bodies, suspicions
+from ebamcheck.preflight.room import of_bodies, suspicions
 from ebamcheck.result import Check, Place, Severity
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config

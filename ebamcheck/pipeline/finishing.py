@@ -11,8 +11,7 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import findings, gates
-from ebamcheck.pipeline.choice import unavailable_backends
-from ebamcheck.pipeline.cross_check import CrossCheck, primary_of
+from ebamcheck.pipeline.cross_check import CrossCheck, primary_of, unavailable_backends
 from ebamcheck.pipeline.job import Job, RunResult
 from ebamcheck.pipeline.manifest import manifest as make_manifest
 from ebamcheck.pipeline.programming import make_program

@@ -21,10 +21,9 @@ from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline.cross_check import evidence_records
-from ebamcheck.pipeline.entry_program import FOLDER as ENTRY
+from ebamcheck.pipeline.entry_program import ENTRY, LIVE
 from ebamcheck.pipeline.fit import FitResult
 from ebamcheck.pipeline.job import Job
-from ebamcheck.pipeline.live_program import FOLDER as LIVE
 from ebamcheck.pipeline.programming import ProgramResult
 from ebamcheck.pipeline.tables import sums_of
 from ebamcheck.plugins import registry

@@ -23,9 +23,8 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import gates
-from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.cross_check import CrossCheck
-from ebamcheck.pipeline.entry_program import Entry, write_entry
+from ebamcheck.pipeline.cross_check import CrossCheck, witness_backend
+from ebamcheck.pipeline.entry_program import Entry, write_entry, write_live
 from ebamcheck.pipeline.findings import (
     consumable_findings,
     failed_checks,
@@ -41,7 +40,6 @@ from ebamcheck.pipeline.findings import (
 )
 from ebamcheck.pipeline.fit import FitResult, fit_result, fitted, other_fits
 from ebamcheck.pipeline.job import Job, one_beside
-from ebamcheck.pipeline.live_program import write_live
 from ebamcheck.pipeline.stages import (
     LaidOut,
     header_of,

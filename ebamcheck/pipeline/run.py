@@ -10,12 +10,11 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_reference
 from ebamcheck.nc.control import control
 from ebamcheck.nc.templates import usable_templates
-from ebamcheck.pipeline.choice import chosen_backends
-from ebamcheck.pipeline.cross_check import cross_check
+from ebamcheck.pipeline.cross_check import chosen_backends, cross_check
+from ebamcheck.pipeline.entry_program import check_waits
 from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
-from ebamcheck.pipeline.live_program import check_waits
 from ebamcheck.preflight.report import Ready, ready
-from ebamcheck.preflight.slab_work import wanted_slabs
+from ebamcheck.preflight.workload import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.slicers.worker_pool import WorkerPool

@@ -28,13 +28,11 @@ from ebamcheck.layers.heights import cut_heights, layer_blocks
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slabs import Division, FacetFile, Slab, SlabInspection, divided, facet_count, read_once
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.pipeline.choice import chosen_backends
-from ebamcheck.pipeline.cross_check import CrossCheck, compared_layers
+from ebamcheck.pipeline.cross_check import CrossCheck, chosen_backends, compared_layers
 from ebamcheck.pipeline.finishing import SlabRecord, finish
 from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
 from ebamcheck.preflight.report import Preflight
-from ebamcheck.preflight.slab_work import slab_workload
-from ebamcheck.preflight.workload import work_checks
+from ebamcheck.preflight.workload import slab_workload, work_checks
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
 from ebamcheck.slicers.worker_pool import WorkerPool

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.layers.heights import cut_heights
+from ebamcheck.layers.layer_rule import nearest_fitting, share_off
 from ebamcheck.mesh.inspection import Inspection, inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.preflight.layer_height import chosen_height
-from ebamcheck.preflight.room import room_checks
-from ebamcheck.preflight.sense import sense_checks
-from ebamcheck.preflight.suspicions import of_bodies, sizes, suspicions
+from ebamcheck.preflight.room import of_bodies, room_checks, sense_checks, sizes, suspicions
 from ebamcheck.preflight.workload import RUN, Workload, work_checks, workload
 from ebamcheck.result import Check, preflight_record
 from ebamcheck.settings.config import Config
@@ -167,3 +165,53 @@ def _wire(part: Part, spool_kg: float, config: Config) -> Check:
         return Check.preflight(SPOOL, "pass", text, part_kg, spool_kg, "kg")
     remedy = "begin with a fuller spool (machine.spool_kg), or stop before layers to put on another (machine.optional_stop)"
     return Check.preflight(SPOOL, "warning", text, part_kg, spool_kg, "kg", remedy)
+
+
+NAME = "layer height"
+
+
+class ChosenHeight(NamedTuple):
+    """What the layers of a run are to be as high as, and why."""
+
+    config: Config
+    """Settings with the layer height that was chosen."""
+    check: Check
+    fitted: bool
+    """Whether that is another height than a bead's."""
+
+
+def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
+    """Settings of a run with a layer height that fits the part, where they leave it open: layer height, listed heights or a base are kept.
+
+    Of a mesh that is not `sound`, and so encloses no volume, nothing is known.
+    """
+    bead_mm, limit = config.layer_height_mm, config.process.mass_tolerance
+    if config.layers.layer_height_mm is not None or config.layers.heights_mm or config.base_mm > 0.0:
+        return _kept(config, f"{bead_mm:g} mm, as set" if not config.layers.heights_mm else "as listed")
+    if not (sound and config.layers.fit_height):
+        return _kept(config, f"{bead_mm:g} mm, that of a bead")
+    share = share_off(part, config)
+    if share <= limit:
+        text = f"{bead_mm:g} mm, that of a bead: layers are off by {100.0 * share:.2f} % of the solid's metal"
+        return ChosenHeight(config, Check.preflight(NAME, "pass", text, share, limit, "of the part"), False)
+    found = nearest_fitting(part, config)
+    if found is None:
+        text = (
+            f"layers of {bead_mm:g} mm, or of any other height near that, add {100.0 * share:.2f} % to the metal of the solid or "
+            "leave as much out: level faces of the part lie within layers"
+        )
+        remedy = "list the layers (layers.heights_mm), or move the faces"
+        return ChosenHeight(
+            config, Check.preflight(NAME, "warning", text, share, limit, "of the part", remedy), False
+        )
+    text = (
+        f"layers of {found.height_mm:g} mm in place of a bead's {bead_mm:g} mm, which would be off by {100.0 * share:.2f} % of the "
+        f"solid's metal, since level faces lie within such layers; these are off by {100.0 * found.share:.2f} %"
+    )
+    fitting = config.changed(layers={"layer_height_mm": found.height_mm})
+    return ChosenHeight(fitting, Check.preflight(NAME, "pass", text, found.share, limit, "of the part"), True)
+
+
+def _kept(config: Config, text: str) -> ChosenHeight:
+    check = Check.preflight(NAME, "pass", text, config.layer_height_mm, None, "mm")
+    return ChosenHeight(config, check, False)

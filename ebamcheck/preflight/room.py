@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ebamcheck.errors import EbamcheckError
+from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.preflight.workload import RUN
 from ebamcheck.result import Check
+from ebamcheck.settings.base import UNITS_MM
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
+from ebamcheck.settings.process_window import outside_window, unusual_layers
 
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
@@ -164,3 +169,218 @@ def _winding(corners: Floats, z: Floats, x: float, y: float, height: float) -> i
     over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
     at = (s[over] * z[over]).sum(axis=1) / whole[over]
     return int(np.sign(whole[over])[at > height].sum())
+
+
+FEW_BEADS_ACROSS = 2.0
+"""Cells narrower than this many beads are all ends and starts."""
+
+
+def sense_checks(config: Config) -> Iterator[Check]:
+    """Check layer height, wire and energy against the process window, and what else excludes itself."""
+    window = [replace(found, name="process window", stops=(RUN,)) for found in outside_window(config)]
+    layer, bead = config.layer_height_mm, config.process.bead_height_mm
+    said = (
+        f"layers of {layer:.4g} mm, {layer / bead:.3g} of the height of one bead; within the process window"
+    )
+    yield from window or [Check.preflight("process window", "pass", said, layer / bead, None, "of the bead")]
+    yield from (replace(found, name="layer height") for found in unusual_layers(config))
+    yield _control(config)
+    yield _feed(config)
+    yield from _cells(config)
+    yield from _temperatures(config)
+
+
+def _control(config: Config) -> Check:
+    """There must be such a control, its programs must be read back, and its templates must make blocks."""
+    # What writes programs is loaded where it is asked for: the rest of a preflight needs none of it.
+    from ebamcheck.nc.control import control
+    from ebamcheck.nc.templates import usable_templates
+
+    name = config.machine.control
+    try:
+        if not control(name).is_read:
+            text = f"machine.control {name!r} is a simulator's case, which is not read back and so never validated"
+            remedy = "run for a control, then `ebamcheck post` for the simulator"
+            return Check.preflight("control", "fault", text, remedy=remedy, stops=(RUN,))
+        templates = usable_templates(config, name)
+    except EbamcheckError as error:
+        remedy = "mend that setting of the machine; `ebamcheck config` shows the default ones"
+        return Check.preflight("control", "fault", str(error), remedy=remedy, stops=(RUN,))
+    return Check.preflight("control", "pass", f"{name}, with {len(templates)} templates that make blocks")
+
+
+def _feed(config: Config) -> Check:
+    """The axes must be able to drive the travel speed."""
+    machine, speed = config.machine, config.process.travel_speed_mm_s
+    axes = config.kinematics.axis_speed_mm_s
+    limits = (
+        (machine.feed_min_mm_s, "machine.feed_min_mm_s", "under", speed < machine.feed_min_mm_s),
+        (machine.feed_max_mm_s, "machine.feed_max_mm_s", "over", speed > machine.feed_max_mm_s),
+        (max(axes[:2]), "kinematics.axis_speed_mm_s", "over", speed > max(axes[:2])),
+    )
+    for limit, name, how, broken in limits:
+        if broken:
+            text = f"process.travel_speed_mm_s {speed:g} is {how} {name} {limit:g}"
+            remedy = "change the travel speed, with wire and current, or the limit"
+            return Check.preflight("feed", "fault", text, speed, limit, "mm/s", remedy, (RUN,))
+    return Check.preflight("feed", "pass", f"beads at {speed:g} mm/s", speed, machine.feed_max_mm_s, "mm/s")
+
+
+def _cells(config: Config) -> Iterator[Check]:
+    """A cell must hold a few beads."""
+    side, bead = config.scan.hexagon_side_mm, config.process.bead_width_mm
+    if side is None or config.scan.partition == "whole":
+        return
+    width, least = 3.0**0.5 * side, FEW_BEADS_ACROSS * bead
+    text = f"cells of scan.hexagon_side_mm {side:g} are {width:.4g} mm wide, beads {bead:g} mm"
+    if width >= least:
+        yield Check.preflight("cells", "pass", text, width, least, "mm")
+        return
+    remedy = "give a larger side, or leave it out: it is planned then"
+    yield Check.preflight("cells", "warning", text, width, least, "mm", remedy)
+
+
+def _temperatures(config: Config) -> Iterator[Check]:
+    """Temperatures of the material rise, and the chamber is colder than what a bead may be entered at."""
+    material, process = config.material, config.process
+    order = (material.solidus_k, material.liquidus_k, material.boiling_k)
+    if not order[0] <= order[1] < order[2]:
+        text = f"solidus, liquidus and boiling point are {order[0]:g}, {order[1]:g} and {order[2]:g} K"
+        yield Check.preflight("material", "fault", text, remedy="give them in rising order", stops=(RUN,))
+    limit = process.interpass_limit_k or material.interpass_limit_k
+    if process.interpass != "off" and limit <= process.ambient_temperature_k:
+        yield Check.preflight(
+            "interpass limit",
+            "fault",
+            f"no bead may be entered over {limit:g} K, and the chamber has {process.ambient_temperature_k:g} K",
+            limit,
+            process.ambient_temperature_k,
+            "K",
+            "raise process.interpass_limit_k",
+            (RUN,),
+        )
+
+
+FEW_BEADS = 3.0
+"""A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another."""
+
+INCH_MM = UNITS_MM["in"]
+
+INCH_PARTS = 16
+"""Extents in drawings in inches are whole sixteenths."""
+
+ROUND_MM = 0.5
+"""Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
+
+MOST_BODIES = 8
+"""Bodies that are told one by one."""
+
+ROUNDING = 2e-6
+"""Of an extent: coordinates of single precision on both sides of it."""
+
+
+def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
+    """What the size of the part and its file say of its unit."""
+    for note in found.notes:
+        yield Check.finding(
+            "warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit"
+        )
+    largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
+    size = sizes(found.size_mm)
+    if largest < few_mm:
+        yield Check.finding(
+            "warning",
+            "part-under-beads",
+            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads",
+            "part.units",
+            largest,
+            few_mm,
+            "mm",
+            f"check the unit of the file (--units){_in_other_units(found, config)}",
+        )
+    # Of a file in inches that is what one expects.
+    if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
+        inches = sizes(np.array(found.size_mm) / INCH_MM)
+        yield Check.finding(
+            "warning",
+            "part-round-in-inches",
+            f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres",
+            "part.units",
+            remedy="check that the file was not converted twice",
+        )
+    yield from _beyond_travel(found, config)
+
+
+def of_bodies(found: Inspection) -> Iterator[Check]:
+    """How the bodies of a part lie to each other, and what is made of them."""
+    lost = [relation for relation in found.relations if relation.lost]
+    for relation in lost[:MOST_BODIES]:
+        code = "body-doubled" if relation.kind == "doubled" else "body-in-body"
+        remedy = (
+            "delete one of the two in the model"
+            if relation.kind == "doubled"
+            else "turn its facets over in the model if it is a cavity, else delete it"
+        )
+        yield Check.finding("warning", code, relation.text, f"body {relation.body}", remedy=remedy)
+    if len(lost) > MOST_BODIES:
+        more = f"{len(lost) - MOST_BODIES} or more further bodies lie in others of the same sense, or are doubled"
+        yield Check.finding("warning", "body-in-body", more, remedy="`ebamcheck inspect` lists them")
+    rest = [relation.text for relation in found.relations if not relation.lost]
+    if rest:
+        more = f"; and {len(rest) - MOST_BODIES} more" if len(rest) > MOST_BODIES else ""
+        yield Check.finding("note", "bodies-related", "; ".join(rest[:MOST_BODIES]) + more)
+    if not found.union_known:
+        yield Check.finding(
+            "warning",
+            "bodies-related",
+            f"bodies may overlap, and the volume of {found.volume_mm3:.6g} mm3 is the sum of all of them",
+            remedy="unite them in the model",
+        )
+
+
+def sizes(size: np.typing.ArrayLike) -> str:
+    """Extents as text.
+
+    Examples
+    --------
+    >>> sizes([100.0, 50.8, 25.4])
+    '100 x 50.8 x 25.4'
+    """
+    return " x ".join(f"{extent:.6g}" for extent in np.asarray(size, np.float64).tolist())
+
+
+def round_in_inches(size_mm: tuple[float, float, float]) -> bool:
+    """Whether every extent is whole sixteenths of an inch, and not every one whole halves of a millimetre."""
+    size = np.array(size_mm)
+
+    def whole(unit_mm: float) -> bool:
+        return bool((np.abs(size - unit_mm * np.round(size / unit_mm)) <= ROUNDING * size).all())
+
+    return bool((size > 0.0).all()) and whole(INCH_MM / INCH_PARTS) and not whole(ROUND_MM)
+
+
+def _in_other_units(found: Inspection, config: Config) -> str:
+    """What a small part would be in inches, or in metres where it is small in inches, too; of numbers read as millimetres."""
+    if found.units != "mm":
+        return ""
+    few_mm = FEW_BEADS * config.process.bead_width_mm
+    unit, name = ("in", "inches") if INCH_MM * max(found.size_mm) >= few_mm else ("m", "metres")
+    return f": in {name} it would be {sizes(UNITS_MM[unit] * np.array(found.size_mm))} mm"
+
+
+def _beyond_travel(found: Inspection, config: Config) -> Iterator[Check]:
+    machine = config.machine
+    for axis, extent, low, high in zip(
+        "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
+    ):
+        if extent > high - low:
+            yield Check.finding(
+                "warning",
+                "part-beyond-travel",
+                f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm",
+                f"machine.travel_max_mm {axis}",
+                extent,
+                high - low,
+                "mm",
+                "check the unit of the file (--units), or turn the part",
+            )

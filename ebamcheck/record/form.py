@@ -1,4 +1,4 @@
-"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.record.certificate_form` is that of the certificate.
+"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.record.form` is that of the certificate.
 
 Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
 name, and a file's name is one inside of the run folder. What a record *says* is believed by nobody; that is for
@@ -417,3 +417,90 @@ def in_form(kind: type[_Form], found: Any, where: Path) -> dict[str, Any]:
         what = printable(first["msg"].removeprefix("Value error, "), 2 * PRINTED)
         raise InputError(f"{where}: is not whole: {place or 'all of it'}: {what}{more}") from None
     return dict(found)
+
+
+CERTIFICATE_FORMAT = 2
+
+
+class ReleaseForm(Form):
+    """What a person adds."""
+
+    part_number: str
+    revision: str
+    machine_serial: str
+    lots: dict[str, str]
+    operator: str
+    approver: str
+    date: str
+    deviations: list[str]
+
+
+class CertifiedProgram(Form):
+    """One file of the program in a certificate."""
+
+    name: FileName
+    sha256: Sha256
+
+
+class SmoothingForm(Form):
+    """How far the control may leave the path."""
+
+    words: list[str]
+    tolerance_mm: float
+
+
+class SourceForm(Form):
+    """State of the source."""
+
+    commit: str
+    dirty: str
+    sha256: Sha256
+
+
+class DeviceForm(Form):
+    """What a slicer ran on."""
+
+    device: str
+    versions: dict[str, str]
+
+
+class SoftwareForm(Form):
+    """What took part in a run."""
+
+    ebamcheck: str
+    source: SourceForm
+    python: str
+    system: str
+    dependencies: dict[str, str]
+    backends: dict[SlicerName, DeviceForm]
+
+
+class CertificateForm(Form):
+    """``certificate.json``."""
+
+    format: Literal[2]
+    finished: str
+    part: PartOfRun
+    heights: HeightsForm
+    settings_sha256: Sha256
+    profile_sha256: Sha256
+    record_sha256: Sha256
+    programs: list[CertifiedProgram]
+    primary: SlicerName | Literal[""]
+    witness: SlicerName | Literal[""]
+    software: SoftwareForm
+    control: str
+    curve_form: str
+    spline_convention: str
+    smoothing: SmoothingForm
+    gates: list[GateForm]
+    checks: list[CheckForm]
+    validated: bool
+    not_proved: list[str]
+    plate: list[dict[str, JsonValue]] = Field(default_factory=list)
+    findings: list[FindingForm] = Field(default_factory=list)
+    proved: list[str] = Field(default_factory=list)
+    left_to_do: list[str] = Field(default_factory=list)
+    release: ReleaseForm
+    files: dict[RunFile, Sha256]
+    seal: str

@@ -6,20 +6,31 @@ file, a plate, a table of tolerances, the command line or the arguments of a fun
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import math
+import sys
+import textwrap
 import tomllib
+import types
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
+from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.regular_file import regular_file
-from ebamcheck.settings.slicing import MachineChoice
-from ebamcheck.settings.text import wanted
+from ebamcheck.settings.base import Between, Section
+from ebamcheck.settings.stages import MachineChoice
 from ebamcheck.showing.short_text import did_you_mean
+
+if TYPE_CHECKING:
+    from ebamcheck.settings.config import Config
 
 _Kind = TypeVar("_Kind", bound=BaseModel)
 
@@ -153,3 +164,329 @@ def _told(place: _Place, first: Mapping[str, Any]) -> str:
     return f"{place.told()}: it takes {place.takes()}" + (
         shown or f" (given a {'table' if isinstance(given, dict) else 'value'})"
     )
+
+
+PLACEHOLDERS: Mapping[str, str] = {
+    "power_w": "power of the beam, W",
+    "voltage_kv": "accelerating voltage, kV",
+    "current_ma": "beam current, mA",
+    "wire_mm_s": "wire speed, mm/s",
+    "wire_retract_mm": "wire drawn back, mm",
+    "feed_mm_min": "feed along a bead, mm/min",
+    "layer_pause_s": "wait between two layers, s",
+    "layer": "number of the layer, from 1",
+    "height_mm": "Z of the layer, mm",
+    "defocus": "focus of the beam, in the machine's own unit; in set_focus alone",
+}
+"""What is filled in where it stands in braces in a template of the machine."""
+
+TEMPLATES: Mapping[str, str] = {
+    "beam_on": '["M60 ; beam on"]',
+    "beam_off": '["M61 ; beam off"]',
+    "set_beam": '["H1={voltage_kv}", "H2={current_ma}"]',
+    "set_power": '["H2={current_ma}"]',
+    "wire_start": '["H3={wire_mm_s}", "M62"]',
+    "set_wire": '["H3={wire_mm_s}"]',
+    "wire_stop": '["M63"]',
+    "wire_retract": '["H4={wire_retract_mm}"]',
+    "set_focus": '["H5={defocus} ; focus"]',
+    "layer_pause": '["G4 F{layer_pause_s}"]',
+    "layer_begin": '["MSG(\\"LAYER {layer} AT {height_mm}\\")"]',
+    "layer_end": '["M77"]',
+}
+"""Templates of the machine's blocks, with an example each."""
+
+EXAMPLES: Mapping[str, str] = {
+    **{f"machine.{name}": example for name, example in TEMPLATES.items()},
+    "machine.beam_codes": '["M60: on", "M61: off", "H2: current_ma"]',
+    "machine.wire_codes": '["M62: on", "M63: off", "H3: wire_mm_s"]',
+    "machine.aux_codes": '["M77", "H9"]',
+    "layers.heights_mm": "[0.5, 1.5, 3.0]",
+    "process.keep_out": '[{ name = "clamp", outline_mm = [[0, 0], [20, 0], [20, 10]], z_mm = [0, 50] }]',
+    "process.keep_out.outline_mm": "[[0, 0], [20, 0], [20, 10]]",
+    "process.travel_sectors_deg": "[[-45, 45], [135, 225]]",
+    "process.power_schedule": "[[0, 1], [60, 0.5]]",
+    "slicing.backends": '["planecut", "manifold"]',
+    "slicing.required": '["planecut"]',
+    "slicing.witnesses": '["all"]',
+}
+"""Examples of settings whose default does not show what they take; each is TOML."""
+
+_NUMBERS = "a list of numbers"
+
+
+def example_of(section: str, key: str, info: FieldInfo) -> str:
+    """An example of a setting as TOML; empty for one whose value shows nothing."""
+    if (told := EXAMPLES.get(f"{section}.{key}")) is not None:
+        return told
+    default = None if info.is_required() else info.get_default(call_default_factory=True)
+    if default is None or default in ((), "", {}):
+        return ""
+    return value_text(default)
+
+
+def wanted(section: str, key: str, info: FieldInfo) -> str:
+    """What a setting takes.
+
+    Examples
+    --------
+    >>> from ebamcheck.settings.machine import MachineSettings
+    >>> wanted("machine", "beam_on", MachineSettings.model_fields["beam_on"])
+    'a list of blocks, such as ["M60 ; beam on"]'
+    >>> wanted("machine", "clearance_mm", MachineSettings.model_fields["clearance_mm"])
+    'a number from 0.01 to 10000, such as 5.0'
+    """
+    kind = _kind(info.annotation, info.metadata)
+    if key in TEMPLATES and section == "machine":
+        kind = "a list of blocks"
+    example = example_of(section, key, info)
+    choices = get_origin(info.annotation) is Literal
+    return kind + (f", such as {example}" if example and not choices else "")
+
+
+def _kind(annotation: Any, metadata: Sequence[Any] = ()) -> str:
+    if get_origin(annotation) is Annotated:
+        inner, *more = get_args(annotation)
+        return _kind(inner, [*metadata, *_flat(more)])
+    origin, inside = get_origin(annotation), get_args(annotation)
+    if origin in (Union, types.UnionType):
+        named = [_kind(one, metadata) for one in inside if one is not type(None)]
+        return " or ".join(named)
+    if origin is Literal:
+        return (
+            "one of " + ", ".join(value_text(value) for value in inside)
+            if len(inside) > 1
+            else value_text(inside[0])
+        )
+    if origin is tuple:
+        return _list(inside, metadata)
+    if origin is dict or annotation is dict:
+        return "a table of settings by name"
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"a table with {', '.join(annotation.model_fields)}"
+    plain = {bool: "true or false", int: "a whole number", float: "a number", str: "a text in quotes"}
+    return plain.get(annotation, "a value") + _range(metadata)
+
+
+def _list(inside: Sequence[Any], metadata: Sequence[Any]) -> str:
+    if len(inside) == 2 and inside[1] is Ellipsis:
+        one = _kind(inside[0])
+        if one.startswith("a number"):
+            one = one.replace("a number", _NUMBERS, 1)
+        names = {"a text in quotes": "a list of texts in quotes"}
+        least = next((m.min_length for m in _flat(metadata) if isinstance(m, MinLen)), 0)
+        told = one if one.startswith(_NUMBERS) else names.get(one, f"a list, each {one}")
+        return told + (f" ({least} or more)" if least else "")
+    kinds = {_kind(one) for one in inside}
+    return f"a list of {len(inside)} numbers" + (
+        next(iter(kinds)).removeprefix("a number") if len(kinds) == 1 else ""
+    )
+
+
+def _flat(metadata: Sequence[Any]) -> list[Any]:
+    """Metadata of a type, those within a field among them."""
+    found: list[Any] = []
+    for one in metadata:
+        found += _flat(one.metadata) if isinstance(one, FieldInfo) else [one]
+    return found
+
+
+def _range(metadata: Sequence[Any]) -> str:
+    words = []
+    for one in _flat(metadata):
+        if isinstance(one, Between):
+            words.append(f"from {one.least:.10g} to {one.greatest:.10g}")
+        elif isinstance(one, Gt):
+            words.append(f"over {one.gt:g}")
+        elif isinstance(one, Ge):
+            words.append(f"from {one.ge:g} up")
+        elif isinstance(one, Lt):
+            words.append(f"under {one.lt:g}")
+        elif isinstance(one, Le):
+            words.append(f"up to {one.le:g}")
+    return (" " + " and ".join(words)).replace(" up and up to", " to") if words else ""
+
+
+@cache
+def explanations(kind: type[BaseModel]) -> dict[str, str]:
+    """What each setting of a section is, by name; those that say nothing are left out."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if issubclass(base, BaseModel) and base is not BaseModel:
+            found |= _docstrings(base)
+    described = {name: info.description for name, info in kind.model_fields.items() if info.description}
+    return {name: text for name, text in (found | described).items() if name in kind.model_fields}
+
+
+def _docstrings(kind: type[BaseModel]) -> dict[str, str]:
+    """Texts that stand under the annotations of one class."""
+    made = _classes(kind.__module__).get(kind.__qualname__) or _class_within(kind)
+    return {
+        line.target.id: inspect.cleandoc(under.value.value)
+        for line, under in itertools.pairwise(made.body)
+        if isinstance(line, ast.AnnAssign)
+        and isinstance(line.target, ast.Name)
+        and isinstance(under, ast.Expr)
+        and isinstance(under.value, ast.Constant)
+        and isinstance(under.value.value, str)
+    }
+
+
+@cache
+def _classes(module: str) -> dict[str, ast.ClassDef]:
+    """Classes of the top level of a module by name, its source read once for all of them."""
+    found = ast.parse(inspect.getsource(sys.modules[module])).body
+    return {made.name: made for made in found if isinstance(made, ast.ClassDef)}
+
+
+def _class_within(kind: type[BaseModel]) -> ast.ClassDef:
+    """A class that is defined within something else."""
+    made = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    assert isinstance(made, ast.ClassDef)
+    return made
+
+
+def explained_schema(kind: type[BaseModel]) -> dict[str, Any]:
+    """JSON schema of settings, with what each of them is."""
+    schema = kind.model_json_schema()
+    known = {one.__name__: one for one in _kinds(kind)}
+    for name, part in ((kind.__name__, schema), *schema.get("$defs", {}).items()):
+        for key, text in explanations(known[name]).items():
+            if key in part.get("properties", {}):
+                part["properties"][key]["description"] = text
+    return schema
+
+
+def _kinds(kind: type[BaseModel]) -> list[type[BaseModel]]:
+    """All classes of settings whose base is that of a section."""
+    root = next(
+        base for base in reversed(kind.__mro__) if issubclass(base, BaseModel) and base is not BaseModel
+    )
+    found, waiting = [root], [root]
+    while waiting:
+        below = waiting.pop().__subclasses__()
+        found += below
+        waiting += below
+    return found
+
+
+WIDTH = 100
+
+
+def values_as_toml(config: Config) -> str:
+    """Settings as TOML without a word of explanation, which takes a while to find: for a file that programs read."""
+    lines = ["# Settings of ebamcheck: `ebamcheck config` explains every key.", ""]
+    for name in type(config).model_fields:
+        lines += _of_section(name, getattr(config, name), False)
+    return "\n".join(lines)
+
+
+def as_toml(config: Config) -> str:
+    """Settings as TOML: every key with its value, its explanation as a comment before it.
+
+    A key that is not set has its automatic meaning explained and stands as a comment.
+    """
+    lines = ["# Settings of ebamcheck. Every key may be left out; these are the values in force.", ""]
+    for name in type(config).model_fields:
+        lines += _of_section(name, getattr(config, name))
+    return "\n".join(lines)
+
+
+_written: dict[tuple[int, bool], tuple[Section, list[str]]] = {}
+"""Lines of sections that were written last. Sections do not change, and settings that differ in one share the others."""
+
+MOST_WRITTEN = 64
+
+
+def _of_section(name: str, section: Section, explained: bool = True) -> list[str]:
+    """Lines of one section; those of the same object are written once."""
+    known = _written.get((id(section), explained))
+    if known is not None and known[0] is section:
+        return known[1]
+    lines = (
+        [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}", f"[{name}]"]
+        if explained
+        else [f"[{name}]"]
+    )
+    tables: list[str] = []
+    said = explanations(type(section)) if explained else {}
+    for key in type(section).model_fields:
+        value = getattr(section, key)
+        lines += _explained(said.get(key, ""))
+        lines += told_beside(name, key) if explained else []
+        if isinstance(value, dict):
+            tables += _tables(f"{name}.{key}", value)
+            lines += [f"# [{name}.{key}.NAME]"] if explained and not value else []
+        elif value is None:
+            lines += [f"# {key} ="] if explained else []
+        else:
+            lines.append(f"{key} = {_same_text(f'{name}.{key}', value)}")
+    if section.model_extra:
+        named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
+        import tomlkit
+
+        tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
+    while len(_written) >= MOST_WRITTEN:
+        del _written[next(iter(_written))]
+    made = [*lines, "", *tables]
+    _written[id(section), explained] = section, made
+    return made
+
+
+@cache
+def _explained(description: str) -> tuple[str, ...]:
+    return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
+
+
+_texts: dict[str, tuple[Any, str]] = {}
+"""Value and text of each key as it was written last: a section that differs in one value shares the others."""
+
+
+def _same_text(key: str, value: Any) -> str:
+    """Text of the value of a key; that of the same object is made once."""
+    known = _texts.get(key)
+    if known is None or known[0] is not value:
+        known = _texts[key] = value, value_text(value)
+    return known[1]
+
+
+def told_beside(section: str, key: str) -> list[str]:
+    """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
+    lines = []
+    if section == "machine" and key == next(iter(TEMPLATES)):
+        lines.append("# Placeholders, filled in where they stand in braces in the blocks of these templates:")
+        lines += [f"#   {{{name}}}  {meaning}" for name, meaning in PLACEHOLDERS.items()]
+    if example := EXAMPLES.get(f"{section}.{key}"):
+        lines.append(f"# Example: {key} = {example}")
+    return lines
+
+
+def _tables(path: str, values: dict[str, Any]) -> list[str]:
+    plain = {name: value for name, value in values.items() if not isinstance(value, dict)}
+    lines = (
+        [f"[{path}]", *(f"{name} = {value_text(value)}" for name, value in plain.items()), ""]
+        if plain
+        else []
+    )
+    for name, table in values.items():
+        if name in plain:
+            continue
+        lines += [
+            f"[{path}.{name}]",
+            *(f"{k} = {value_text(v)}" for k, v in table.items() if v is not None),
+            "",
+        ]
+    return lines
+
+
+def value_text(value: Any) -> str:
+    """Value of a key as TOML."""
+    import tomlkit
+
+    if isinstance(value, tuple):
+        return str(tomlkit.array("[" + ", ".join(value_text(v) for v in value) + "]").as_string())
+    if isinstance(value, Section):
+        table = tomlkit.inline_table()
+        table.update(value.model_dump(mode="json"))
+        return str(table.as_string())
+    return str(tomlkit.item(value).as_string())

@@ -17,16 +17,19 @@ from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 from ebamcheck.settings.materials import MaterialSettings
 from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.settings.process import ProcessSettings
-from ebamcheck.settings.slicing import (
+from ebamcheck.settings.stages import (
     ComparisonSettings,
+    CurveSettings,
+    HeightMapSettings,
     LayerSettings,
     MachineSections,
     PartSettings,
+    PreheatSettings,
     RegressionSettings,
+    ScanSettings,
     SlicingSettings,
     WorkSettings,
 )
-from ebamcheck.settings.stages import CurveSettings, HeightMapSettings, PreheatSettings, ScanSettings
 from ebamcheck.showing import short_text
 
 

@@ -16,8 +16,8 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Section
+from ebamcheck.settings.checking import WIDTH, as_toml, explanations, told_beside, value_text
 from ebamcheck.settings.config import Config, validated
-from ebamcheck.settings.text import WIDTH, as_toml, explanations, told_beside, value_text
 from ebamcheck.showing.short_text import did_you_mean
 
 

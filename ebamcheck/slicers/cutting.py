@@ -24,8 +24,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric import compiling
 from ebamcheck.plugins import registry
-from ebamcheck.slicers.layer_forms import form_fault
-from ebamcheck.slicers.outcome import Limits, Outcome, bounds_fault
+from ebamcheck.slicers.outcome import Limits, Outcome, bounds_fault, form_fault
 
 
 class NotLayers(Exception):

@@ -29,7 +29,6 @@ from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words, has_ended, last_words, size_of
 from ebamcheck.scratch import scratch_folder
-from ebamcheck.slicers.layer_forms import file_fault
 from ebamcheck.slicers.outcome import (
     CHUNK_BYTES,
     FLOOD_BYTES,
@@ -40,6 +39,7 @@ from ebamcheck.slicers.outcome import (
     NoEvent,
     bounds_fault,
     event_of,
+    file_fault,
     probe_of,
 )
 from ebamcheck.slicers.outcome import Limits as Limits

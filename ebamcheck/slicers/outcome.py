@@ -7,16 +7,21 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from ebamcheck.backend import Probe
-from ebamcheck.errors import BackendFailed, BackendMissing
+from ebamcheck.errors import BackendFailed, BackendMissing, InputError
+from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.processes import one_line
 
 Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
@@ -170,3 +175,157 @@ def probe_of(told: Mapping[str, Any]) -> Probe:
 
 def _shown(line: bytes) -> str:
     return repr(one_line(line[:200].decode("utf-8", "replace"), 60))
+
+
+ABSURD = 1e6
+"""Coordinates farther off than this many times the largest extent or coordinate of the part are no section of it: no
+mistake of units is that large, and squares of such numbers overflow."""
+
+
+def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
+    """What is wrong with the layers that a slicer returned for a part at heights (L,), mm, in one line; empty if nothing."""
+    if not isinstance(layers, Layers):
+        return f"it returned {type(layers).__name__}, not Layers"
+    checks = (_column_faults(layers), _height_faults(layers, heights), _ring_faults(layers))
+    for faults in (
+        *checks,
+        _value_faults(layers, part),
+        _edge_faults(layers, part),
+        _label_faults(layers, part),
+    ):
+        for fault in faults:
+            return f"it returned layers that are not valid: {fault}"
+    return ""
+
+
+def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool) -> str:
+    """What is wrong with a worker's file of layers, in one line; empty if nothing.
+
+    With `whole` every layer is read: of a stranger's worker even what it has checked itself is not believed.
+    """
+    try:
+        with LayerFile(file) as stack:
+            if stack.part != part.sha256:
+                return f"its file holds layers of part {stack.part[:12] or 'unknown'}, given was {part.sha256[:12]}"
+            if not np.array_equal(stack.heights, heights):
+                return (
+                    f"its file holds {len(stack)} layers, and not those of the {heights.size} heights given"
+                )
+            for fault in doubt_faults(stack.settings):
+                return fault
+            borders = stack.borders if whole else np.zeros(1, np.int64)
+            for start, stop in pairwise(borders.tolist()):
+                if fault := form_fault(stack.block(start, stop), part, heights[start:stop]):
+                    return fault
+    except InputError as error:
+        return f"its file is not one of layers: {error}"
+    return ""
+
+
+def _column_faults(layers: Layers) -> Iterable[str]:
+    """Columns of another type or shape."""
+    columns: Mapping[str, tuple[Any, type[np.generic], tuple[int | None, ...]]] = {
+        "heights": (layers.heights, np.float64, (None,)),
+        "points": (layers.points, np.float64, (None, 2)),
+        "ring_starts": (layers.ring_starts, np.int64, (None,)),
+        "layer_starts": (layers.layer_starts, np.int64, (None,)),
+        "closed": (layers.closed, np.bool_, (None,)),
+        "dropped": (layers.dropped, np.int64, (None,)),
+    }
+    for name, (column, kind, shape) in columns.items():
+        if not isinstance(column, np.ndarray):
+            yield f"{name} is {type(column).__name__}, not an array"
+            return
+        if column.dtype != kind:
+            yield f"{name} is of {column.dtype}, not of {np.dtype(kind)}"
+        if column.ndim != len(shape) or (len(shape) == 2 and column.shape[1] != shape[1]):
+            yield f"{name} has the shape {column.shape}"
+
+
+def _height_faults(layers: Layers, heights: NDArray[np.float64]) -> Iterable[str]:
+    """Other layers than those that were asked for."""
+    if layers.heights.size != heights.size:
+        yield f"{layers.heights.size} for {heights.size} heights"
+    elif not np.array_equal(layers.heights, heights):
+        k = int(np.flatnonzero(layers.heights != heights)[0])
+        yield f"layer {k + 1} of the block is at z = {layers.heights[k]} mm, asked for was {heights[k]} mm"
+
+
+def _ring_faults(layers: Layers) -> Iterable[str]:
+    """Rings whose borders do not fit their points."""
+    for name, starts, past in (
+        ("ring_starts", layers.ring_starts, len(layers.points)),
+        ("layer_starts", layers.layer_starts, layers.closed.size),
+    ):
+        if not starts.size or starts[0] != 0 or starts[-1] != past or (np.diff(starts) < 0).any():
+            yield f"{name} does not rise from 0 to {past}"
+            return
+    if layers.ring_starts.size != layers.closed.size + 1:
+        yield f"{layers.ring_starts.size - 1} rings, of which {layers.closed.size} are told whether they are closed"
+    elif layers.layer_starts.size != layers.heights.size + 1:
+        yield f"{layers.layer_starts.size - 1} layers of rings at {layers.heights.size} heights"
+    elif layers.dropped.size != layers.heights.size:
+        yield f"{layers.dropped.size} counts of dropped rings for {layers.heights.size} layers"
+    else:
+        least = np.where(layers.closed, 3, 1)
+        short = np.flatnonzero(np.diff(layers.ring_starts) < least)
+        if short.size:
+            yield f"ring {int(short[0])} has {int(np.diff(layers.ring_starts)[short[0]])} points"
+
+
+def _value_faults(layers: Layers, part: Part) -> Iterable[str]:
+    """Coordinates that are no numbers, or are nowhere near the part."""
+    if not layers.points.size:
+        return
+    largest = ABSURD * float(max(np.abs(part.bounds).max(), part.size.max()))
+    good = np.abs(layers.points) <= largest  # false for NaN
+    if not good.all():
+        row, axis = np.argwhere(~good)[0]
+        yield (
+            f"point {row}, {'xy'[axis]} is {layers.points[row, axis]}; the part lies from "
+            f"{part.bounds[0, axis]:g} to {part.bounds[1, axis]:g} mm"
+        )
+
+
+def _edge_faults(layers: Layers, part: Part) -> Iterable[str]:
+    """Cut edges that are none of the part's."""
+    if (layers.edge is None) != (layers.edge_t is None):
+        yield "edge and edge_t go together, and one of them is missing"
+    elif layers.edge is not None and layers.edge_t is not None:
+        count = len(layers.points)
+        if not isinstance(layers.edge, np.ndarray) or layers.edge.dtype != np.int32:
+            yield "edge is no array of int32"
+        elif not isinstance(layers.edge_t, np.ndarray) or layers.edge_t.dtype != np.float64:
+            yield "edge_t is no array of float64"
+        elif layers.edge.shape != (count, 2) or layers.edge_t.shape != (count,):
+            yield f"edge and edge_t have shapes {layers.edge.shape}, {layers.edge_t.shape} for {count} points"
+        elif count and not (layers.edge.min() >= -1 and layers.edge.max() < len(part.vertices)):
+            yield f"edge names a vertex that the part, of {len(part.vertices)}, does not have"
+
+
+def _label_faults(layers: Layers, part: Part) -> Iterable[str]:
+    """Labels of another part, or that no file can hold."""
+    if layers.part != part.sha256:
+        yield f"they are of part {str(layers.part)[:12] or 'unknown'}, given was {part.sha256[:12]}"
+    try:
+        layers.labels_json()
+        settings = dict(layers.settings)
+    except (TypeError, ValueError, RecursionError) as error:
+        yield f"their labels cannot be written: {error}"
+        return
+    yield from doubt_faults(settings)
+
+
+def doubt_faults(settings: Mapping[str, Any]) -> Iterable[str]:
+    """Declared ``doubtful_regions`` of another form (see :meth:`ebamcheck.backend.Prepared.slice`)."""
+    regions = settings.get("doubtful_regions", ())
+    if not isinstance(regions, list | tuple):
+        yield "doubtful_regions is no list"
+        return
+    for region in regions:
+        box = region.get("box_mm") if isinstance(region, Mapping) else None
+        numbers = list(box) if isinstance(box, list | tuple) else []
+        sound = len(numbers) == 6 and all(isinstance(n, int | float) and np.isfinite(n) for n in numbers)
+        if not (sound and isinstance(region.get("why"), str)):
+            yield "doubtful_regions has an entry that is not {'box_mm': six numbers, 'why': a line}"
+            return

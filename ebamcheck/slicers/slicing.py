@@ -22,7 +22,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
 from ebamcheck.scratch import scratch_folder
-from ebamcheck.settings.slicing import SlicingSettings
+from ebamcheck.settings.stages import SlicingSettings
 from ebamcheck.showing import short_text
 from ebamcheck.slicers.cutting import cut_here, fits_here, may_run_here
 from ebamcheck.slicers.outcome import Limits, Outcome

@@ -30,7 +30,7 @@ laws
     vertices and subdivision do nothing; areas integrate to the volume; rings follow the Euler number.
 
 The exact section of a mesh that the kit compares with is computed here by plain means
-(:mod:`ebamcheck.testing.sections`), from your part alone: no other slicer takes part.
+(:mod:`ebamcheck.testing.solids`), from your part alone: no other slicer takes part.
 
 A :class:`BackendFailed` is an answer where the part is open or its shells overlap; on any other solid it
 is a violation. Every violation names the check, solid, layer, value, limit and place.
@@ -41,10 +41,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.testing.checks import CHECKS, Check
-from ebamcheck.testing.conformance import Conformance, conform, examine, markdown_table
-from ebamcheck.testing.figures import Figure, violations
-from ebamcheck.testing.subject import Subject
+from ebamcheck.testing.conformance import CHECKS, Check, Conformance, conform, examine, markdown_table
+from ebamcheck.testing.subject import Figure, Subject, violations
 
 if TYPE_CHECKING:
     from ebamcheck.testing.suite import ControlSuite, SlicerSuite

@@ -12,22 +12,25 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.mesh.welding import weld
 from ebamcheck.plugins.model import Model
-from ebamcheck.testing.figures import NO_LAYER, Figure, truth
-from ebamcheck.testing.sections import HOUSE_RULE, house_rule, region, sections, winding_rule
 from ebamcheck.testing.solids import (
     FRAME_MM,
+    HOUSE_RULE,
     SIMPLE,
     attackers,
     box,
     frame,
+    house_rule,
     joined,
     mapped,
     named,
+    region,
+    sections,
     simple,
     steps,
     turn,
+    winding_rule,
 )
-from ebamcheck.testing.subject import Subject, generic_heights, rounding_mm
+from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, generic_heights, rounding_mm, truth
 
 LOOSEST = 3.0
 """A bound more than this many times the worst case that the kit finds is idle."""

@@ -25,7 +25,7 @@ from ebamcheck.pipeline.stages import bead_paths, plan_program, smooth_layers
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
-from ebamcheck.testing.figures import Figure, truth
+from ebamcheck.testing.subject import Figure, truth
 
 LAYERS = 3
 LONGEST_BLOCK = 255

@@ -14,10 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.testing.figures import NO_LAYER, Figure, truth
-from ebamcheck.testing.sections import house_rule, sections
-from ebamcheck.testing.solids import joined, mapped, named, simple, turn
-from ebamcheck.testing.subject import Subject, differences, generic_heights
+from ebamcheck.testing.solids import house_rule, joined, mapped, named, sections, simple, turn
+from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, differences, generic_heights, truth
 
 LARGE_OFFSET_MM = (2.0**17, -(2.0**18), 2.0**16)
 """A part placed 0.1 .. 0.3 km from the origin, as in plant coordinates."""

@@ -15,10 +15,8 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.plugins.registry import SLICER_ATTRIBUTES
-from ebamcheck.testing.figures import Figure, truth
-from ebamcheck.testing.sections import winding_rule
-from ebamcheck.testing.solids import box, joined, mapped, named, simple
-from ebamcheck.testing.subject import Subject, generic_heights
+from ebamcheck.testing.solids import box, joined, mapped, named, simple, winding_rule
+from ebamcheck.testing.subject import Figure, Subject, generic_heights, truth
 
 SIGNATURES = {
     "probe": (),

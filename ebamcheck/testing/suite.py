@@ -9,10 +9,9 @@ import pytest
 
 from ebamcheck.backend import Slicer
 from ebamcheck.plugins.model import models as installed_models
-from ebamcheck.testing.checks import CHECKS, Check
+from ebamcheck.testing.conformance import CHECKS, Check
 from ebamcheck.testing.control_checks import CONTROL_CHECKS, ControlSubject
-from ebamcheck.testing.figures import Figure, violations
-from ebamcheck.testing.subject import Subject
+from ebamcheck.testing.subject import Figure, Subject, violations
 
 
 class SlicerSuite:

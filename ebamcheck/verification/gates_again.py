@@ -33,13 +33,11 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import gates
-from ebamcheck.pipeline.choice import witness_backend
-from ebamcheck.pipeline.cross_check import compared_layers
-from ebamcheck.pipeline.entry_program import checked_again
+from ebamcheck.pipeline.cross_check import compared_layers, witness_backend
+from ebamcheck.pipeline.entry_program import NAME as HANDSHAKE
+from ebamcheck.pipeline.entry_program import checked_again, live_checked_again
 from ebamcheck.pipeline.findings import metal_findings, narrow_findings, part_findings, profile_findings
 from ebamcheck.pipeline.fit import FitVerdict, fitted
-from ebamcheck.pipeline.live_program import NAME as HANDSHAKE
-from ebamcheck.pipeline.live_program import live_checked_again
 from ebamcheck.pipeline.stages import judged_program, smooth_sections
 from ebamcheck.pipeline.tables import (
     Table,

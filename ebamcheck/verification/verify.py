@@ -24,10 +24,10 @@ from ebamcheck.mesh.part_source import PlatePart, read_part
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.pipeline.choice import witness_backend
+from ebamcheck.pipeline.cross_check import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.stages import smooth_sections
-from ebamcheck.preflight.layer_height import chosen_height
+from ebamcheck.preflight.report import chosen_height
 from ebamcheck.program import read_program, verify_file
 from ebamcheck.record.certificate import find_certificate, find_record, read_certificate
 from ebamcheck.record.certificate_checks import (

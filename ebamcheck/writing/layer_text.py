@@ -16,7 +16,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.preheating import pass_lines
 from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.feed_along import feed_shares, wire_at
+from ebamcheck.settings.process_window import feed_shares, wire_at
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import layer_power
 from ebamcheck.writing.blocks import BlockFormat, Templates, end_blocks, entry_blocks, start_blocks

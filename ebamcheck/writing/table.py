@@ -20,7 +20,7 @@ from ebamcheck.nc.conventions import comment
 from ebamcheck.nc.special_rules import carried_corners
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.tilt import RotaryAxis
+from ebamcheck.settings.machine import RotaryAxis
 from ebamcheck.writing.blocks import BlockFormat
 
 PARALLEL = 1e-12

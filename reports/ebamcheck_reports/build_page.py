@@ -12,8 +12,7 @@ import numpy as np
 from ebamcheck.errors import InputError
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.heights_table import TABLE, heights_plot, read_heights
-from ebamcheck.live.journal import read_journal
-from ebamcheck.live.publishing import JOURNAL, LAYERS, SETTINGS, read_certificate
+from ebamcheck.live.publishing import JOURNAL, LAYERS, SETTINGS, read_certificate, read_journal
 from ebamcheck.live.verifying import VerifiedLayer, read_verified
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config, load_config

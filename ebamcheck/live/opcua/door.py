@@ -18,7 +18,6 @@ from typing import Any
 
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.live.building import Answer, Building
-from ebamcheck.live.journal import read_journal
 from ebamcheck.live.making import failure_of
 from ebamcheck.live.opcua.handshake import (
     BUILT,
@@ -32,6 +31,7 @@ from ebamcheck.live.opcua.handshake import (
     written_before,
 )
 from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken, within
+from ebamcheck.live.publishing import read_journal
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import OpcuaSettings
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from ebamcheck.settings.text import as_toml
+from ebamcheck.settings.checking import as_toml
 from ebamcheck_reports.markup import Markup, collapsed, element, facts, paragraph, section
 from ebamcheck_reports.run_data import RunData
 

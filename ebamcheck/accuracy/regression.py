@@ -10,22 +10,22 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck import __version__
-from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
-from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models as installed_models
-from ebamcheck.regression.baselines import (  # fmt: skip
+from ebamcheck.accuracy.baselines import (  # fmt: skip
     FORMAT_VERSION,
     STORED,
+    Difference,
     Entry,
     Key,
     UpdateMode,
+    differences,
     read_baselines,
     write_baselines,
 )
-from ebamcheck.regression.difference import Difference, differences
-from ebamcheck.regression.matrix import Case, Matrix, Subject, chosen_models, read_matrix, rounds
-from ebamcheck.regression.measurement import Truth, measure_outcome, truth_of
-from ebamcheck.regression.settings import Tolerances
+from ebamcheck.accuracy.matrix import Case, Matrix, Subject, Tolerances, chosen_models, read_matrix, rounds
+from ebamcheck.accuracy.measurement import Truth, measure_outcome, truth_of
+from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models as installed_models
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 

@@ -5,15 +5,24 @@ It needs no scripts and no network, and it holds no time and no date: the same r
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import sqlite3
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 
+from junitparser.xunit2 import JUnitXml
+
+from ebamcheck import __version__
+from ebamcheck.accuracy.baselines import Difference, Key
+from ebamcheck.accuracy.measurement import MEASURED, METRICS, WHOLE
+from ebamcheck.accuracy.regression import Regression
 from ebamcheck.atomic_file import replacing
-from ebamcheck.regression.difference import Difference
-from ebamcheck.regression.history import Trend, trends
-from ebamcheck.regression.job import Regression
-from ebamcheck.regression.measurement import MEASURED, METRICS, WHOLE
+from ebamcheck.errors import InputError
+from ebamcheck.json_values import sha256_of_json
+from ebamcheck.showing import junit
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.markup import Markup, element, join, text
 
@@ -156,3 +165,134 @@ def _line(line: Trend, rank: int, last: int, most: float) -> Markup:
 def _legend(line: Trend, rank: int) -> Markup:
     named = f"\u25a0 {line.key.backend} {line.key.settings_hash}"
     return element("span", named, class_="key", style=f"color:{COLOURS[rank % len(COLOURS)]}")
+
+
+HISTORY = "history.sqlite"
+
+SCHEMA = """
+CREATE TABLE IF NOT EXISTS results (
+    result INTEGER PRIMARY KEY,
+    sha256 TEXT NOT NULL UNIQUE,
+    ebamcheck TEXT NOT NULL,
+    first_seen TEXT NOT NULL,
+    last_seen TEXT NOT NULL,
+    times_seen INTEGER NOT NULL
+);
+CREATE TABLE IF NOT EXISTS figures (
+    result INTEGER NOT NULL REFERENCES results (result),
+    model TEXT NOT NULL,
+    backend TEXT NOT NULL,
+    settings_hash TEXT NOT NULL,
+    metric TEXT NOT NULL,
+    value REAL NOT NULL,
+    PRIMARY KEY (result, model, backend, settings_hash, metric)
+) WITHOUT ROWID;
+"""
+
+
+@dataclass(frozen=True)
+class Trend:
+    """One metric of one entry over the results recorded."""
+
+    key: Key
+    metric: str
+    results: tuple[int, ...]
+    values: tuple[float, ...]
+
+
+def record(path: Path, regression: Regression) -> int:
+    """Add what was measured to a history file, which is made where there is none; return the result's number.
+
+    Raises
+    ------
+    InputError
+        If the file is no history or cannot be written.
+    """
+    figures = [
+        (*(key.model, key.backend, key.settings_hash), metric, value)
+        for key, entry in regression.entries.items()
+        for metric, value in entry.measured.metrics.items()
+    ]
+    versions = {str(key): entry.metadata for key, entry in regression.entries.items()}
+    sha256 = sha256_of_json({"figures": figures, "metadata": versions})
+    now = datetime.now(UTC).isoformat(timespec="seconds")
+    with _opened(path) as database:
+        found = database.execute("SELECT result FROM results WHERE sha256 = ?", (sha256,)).fetchone()
+        if found is not None:
+            database.execute(
+                "UPDATE results SET last_seen = ?, times_seen = times_seen + 1 WHERE result = ?",
+                (now, found[0]),
+            )
+            return int(found[0])
+        result = database.execute(
+            "INSERT INTO results (sha256, ebamcheck, first_seen, last_seen, times_seen) VALUES (?, ?, ?, ?, 1)",
+            (sha256, __version__, now, now),
+        ).lastrowid
+        database.executemany(
+            "INSERT INTO figures VALUES (?, ?, ?, ?, ?, ?)", [(result, *row) for row in figures]
+        )
+        return int(result or 0)
+
+
+def trends(path: Path, metric: str) -> list[Trend]:
+    """Trend of a metric for every entry that the history holds, by key."""
+    query = (
+        "SELECT model, backend, settings_hash, result, value FROM figures WHERE metric = ? "
+        "ORDER BY model, backend, settings_hash, result"
+    )
+    rows: dict[Key, list[tuple[int, float]]] = {}
+    with _opened(path) as database:
+        for model, backend, settings_hash, result, value in database.execute(query, (metric,)):
+            rows.setdefault(Key(model, backend, settings_hash), []).append((result, value))
+    return [
+        Trend(key, metric, tuple(r for r, _ in points), tuple(v for _, v in points))
+        for key, points in rows.items()
+    ]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a history file; what the block does is kept whole or not at all."""
+    try:
+        with closing(sqlite3.connect(path)) as database:
+            database.executescript(SCHEMA)
+            with database:
+                yield database
+    except sqlite3.Error as error:
+        raise InputError(
+            f"{path}: is no history that can be used ({error}): name another with --history"
+        ) from None
+
+
+JUNIT = "junit.xml"
+
+NAME = "ebamcheck.regress"
+
+SKIPPED = ("new", "not run")
+"""Verdicts on entries that there was nothing to hold against, or that could not run."""
+
+
+def write_junit(regression: Regression, folder: Path) -> Path:
+    """Write the file, whole or not at all; its times are 0, the true ones stand in ``timings.json``."""
+    path = folder / JUNIT
+    junit.write_junit(junit_document(regression), path)
+    return path
+
+
+def junit_document(regression: Regression) -> JUnitXml:
+    """Build one suite, one case an entry."""
+    return junit.junit(NAME, {NAME: [_case(difference) for difference in regression.differences]})
+
+
+def _case(difference: Difference) -> junit.Case:
+    key = difference.key
+    settings = difference.title.removeprefix(f"{key.model} {key.backend}").strip()
+    classname, name = f"{NAME}.{key.backend}", f"{key.model} {settings}".strip()
+    if difference.verdict in SKIPPED:
+        why = difference.why or "there is no baseline to hold it against"
+        return junit.Case(classname, name, "skipped", why)
+    if not difference.fails:
+        return junit.Case(classname, name)
+    head, *_ = lines = difference.lines()
+    kind: junit.Kind = "error" if difference.verdict == "failed" else "failure"
+    return junit.Case(classname, name, kind, head, difference.verdict, "\n".join(lines))
