@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from ebamcheck.curves import Curves as Curves
     from ebamcheck.curves import fit as fit
     from ebamcheck.errors import EbamcheckError as EbamcheckError
-    from ebamcheck.export.saving import save as save
     from ebamcheck.layers.heights import layer_heights as layer_heights
     from ebamcheck.layers.stack import Layers as Layers
     from ebamcheck.mesh.files import load as load
@@ -23,6 +22,7 @@ if TYPE_CHECKING:
     from ebamcheck.runs import Run as Run
     from ebamcheck.runs import check as check
     from ebamcheck.runs import run as run
+    from ebamcheck.saving import save as save
     from ebamcheck.scan import compare_orders as compare_orders
     from ebamcheck.scan import plan_scan as plan_scan
     from ebamcheck.settings.config import Config as Config
@@ -50,7 +50,7 @@ _PUBLIC = {
     "plan_scan": "ebamcheck.scan",
     "read_program": "ebamcheck.program",
     "run": "ebamcheck.runs",
-    "save": "ebamcheck.export.saving",
+    "save": "ebamcheck.saving",
     "slice": "ebamcheck.slicers.slicing:slice_part",
     "verify": "ebamcheck.verification.verify",
     "write_program": "ebamcheck.program",

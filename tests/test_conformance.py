@@ -17,7 +17,7 @@ from fake_distribution import environment
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ebamcheck.commands.conform import conform_command
+from ebamcheck.commands.accuracy import conform_command
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models

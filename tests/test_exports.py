@@ -15,10 +15,10 @@ from parts import box
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
-from ebamcheck.export.saving import CURVE_TOLERANCE_MM
 from ebamcheck.layers.files import read_layers
 from ebamcheck.layers.slices_3mf import keeping_locale, slice_heights
 from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.saving import CURVE_TOLERANCE_MM
 from ebamcheck_models import BLADE
 
 EXACT_MM = 1e-5

@@ -26,7 +26,7 @@ from ebamcheck.errors import BackendFailed, ExitCode, InputError, SettingsError
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
-from ebamcheck.showing.image import binary_image, png
+from ebamcheck.showing.colours import binary_image, png
 from ebamcheck_reports.charts import Series
 from ebamcheck_reports.paper import bitmap, paper, partition, published, timing
 from ebamcheck_reports.paper import effort as efforts

@@ -77,7 +77,7 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_matplotlib_is_loaded_by_a_plot_alone() -> None:
-    code = "import sys, ebamcheck.export.saving, ebamcheck.showing.plotting, ebamcheck.runs; print('matplotlib' in sys.modules)"
+    code = "import sys, ebamcheck.saving, ebamcheck.showing.plotting, ebamcheck.runs; print('matplotlib' in sys.modules)"
     made = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert made.stdout.strip() == "False"
 

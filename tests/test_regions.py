@@ -35,10 +35,10 @@ from ebamcheck.curves.regions.planes import coordinate_error_mm, plane_tolerance
 from ebamcheck.curves.regions.surfaces import surfaces
 from ebamcheck.curves.sides import NO_PLANE
 from ebamcheck.curves.vertex_normals import surface_normals
-from ebamcheck.drawing.regions import regions_svg
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.showing.pictures import regions_svg
 from ebamcheck.slicers.slicing import slice_part
 
 TRUTH_MM = 1e-4
@@ -257,6 +257,8 @@ def test_inspect_lists_and_draws_regions(tmp_path: Path) -> None:
 
 def test_the_picture_shows_each_kind_with_its_count() -> None:
     part = rounded_box([60, 40, 30], 4.0, 0.05)
-    drawn = regions_svg(part, surfaces(part, SETTINGS))
+    drawn = regions_svg(
+        part.triangles, [(s.kind, s.facets) for s in surfaces(part, SETTINGS)], f"Regions of {part.name}"
+    )
     assert "plane (6)" in drawn
     assert "cylinder (12)" in drawn

@@ -20,7 +20,7 @@ from ebamcheck.accuracy.baselines import Entry, differences, read_baselines, wri
 from ebamcheck.accuracy.matrix import Tolerances
 from ebamcheck.accuracy.regression import accepted, run_regression, updated
 from ebamcheck.accuracy.report import record, trends
-from ebamcheck.commands.regress import regress, summary
+from ebamcheck.commands.accuracy import regress, summary
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.slicers.cutting import cut_here

@@ -36,7 +36,7 @@ from ebamcheck.accuracy.measurement import (
     summarised,
     truth_of,
 )
-from ebamcheck.commands.regress import regress
+from ebamcheck.commands.accuracy import regress
 from ebamcheck.errors import BackendMissing, InputError, SettingsError
 from ebamcheck.plugins.model import models
 from ebamcheck_planecut import PlaneCut

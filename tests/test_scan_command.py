@@ -16,14 +16,11 @@ import shapely
 from command_line import WIDE_TOML, command, ebamcheck, write_stl
 from PIL import Image
 
-from ebamcheck.drawing.islands import field_svg, islands_svg
-from ebamcheck.drawing.orders import frontier, pareto_svg
-from ebamcheck.drawing.scene import TemperatureScale
 from ebamcheck.heat import contour_modes
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.settings.config import Config
 from ebamcheck.showing.colours import SCALE as COLOURS
-from ebamcheck.showing.image import palette_image, png
+from ebamcheck.showing.colours import palette_image, png
+from ebamcheck.showing.pictures import TemperatureScale, field_svg, frontier, islands_svg, pareto_svg
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -173,7 +170,7 @@ def test_pictures_of_a_layer_share_frame_path_and_scale(plate, tmp_path):
 
 
 def test_rises_are_printed_between_nothing_and_boiling():
-    scale = TemperatureScale.of(Config(), 9000.0)
+    scale = TemperatureScale.of(9000.0, 1877.0 - 293.15, 3533.0 - 293.15)
     assert scale.greatest == scale.boiling == pytest.approx(3533.0 - 293.15)
     assert [scale.told(k) for k in (-30.2, -0.2, 0.0, 17.6, 3239.8, 3240.4)] == [
         "0",
@@ -183,9 +180,9 @@ def test_rises_are_printed_between_nothing_and_boiling():
         "3240",
         "over 3240",
     ]
-    assert TemperatureScale.of(Config(), -4.0).greatest == 1.0
+    assert TemperatureScale.of(-4.0, 1583.85, 3239.85).greatest == 1.0
     islands = np.array([shapely.box(10 * n, 0, 10 * n + 10, 10) for n in range(2)], object)
-    picture = islands_svg(islands, np.array([-50.0, 5000.0]), "a", " K", labels=True, temperatures=scale)
+    picture = islands_svg(islands, np.array([-50.0, 5000.0]), "a", " K", temperatures=scale)
     root = ElementTree.fromstring(picture)
     texts = [t.text for t in root.findall(f"{SVG}text")]
     assert {"0", "over 3240", "solidus 1584 K", "boiling 3240 K"} <= set(texts)
@@ -289,9 +286,7 @@ def test_an_interrupt_keeps_what_is_done(plate, tmp_path, asked, file, told):
 
 def test_colours_run_from_end_to_end():
     islands = np.array([shapely.box(10 * n, 0, 10 * n + 10, 10) for n in range(3)], object)
-    root = ElementTree.fromstring(
-        islands_svg(islands, np.array([0.0, 5.0, 10.0]), "a < b", " K", labels=True)
-    )
+    root = ElementTree.fromstring(islands_svg(islands, np.array([0.0, 5.0, 10.0]), "a < b", " K"))
     assert [p.get("fill") for p in root.findall(f"{SVG}path")] == ["#440154", "#21918c", "#fde725"]
     texts = [t.text for t in root.findall(f"{SVG}text")]
     assert texts == ["a < b", "0", "5", "10", "0 K", "10 K"]
@@ -317,7 +312,11 @@ def test_a_field_is_drawn_where_it_is():
     plane = contour_modes(section, 0.02, 200)
     _, column = np.nonzero(plane.grid.number >= 0)
     x = plane.grid.origin[0] + (column + 0.5) * plane.grid.step[0]
-    colours = np.asarray(image_of(field_svg(plane.grid, x, section, "a < b", " K", 100.0)).convert("RGB"))
+    colours = np.asarray(
+        image_of(
+            field_svg(lambda at: plane.grid.interpolation(at) @ x, section, "a < b", " K", 100.0)
+        ).convert("RGB")
+    )
     rows, columns = colours.shape[:2]
     assert columns / rows == pytest.approx(2.0, rel=0.02)
     for share in (0.1, 0.5, 0.9):
@@ -329,7 +328,7 @@ def test_a_field_is_drawn_where_it_is():
 def test_pictures_of_thin_walls_stay_small(wide):
     section = shapely.box(0, 0, wide, 180.0 / wide)
     plane = contour_modes(section, 0.5, 20)
-    picture = field_svg(plane.grid, plane.values[:, 0], section, "a", " K", 1.0)
+    picture = field_svg(lambda at: plane.grid.interpolation(at) @ plane.values[:, 0], section, "a", " K", 1.0)
     root = ElementTree.fromstring(picture)
     assert float(root.get("height")) < 1400
     assert min(image_of(picture).size) >= 1

@@ -22,7 +22,7 @@ from ebamcheck.accuracy.selection import (
     workpiece_of_part,
     write_choice,
 )
-from ebamcheck.commands.select import select
+from ebamcheck.commands.accuracy import select
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.pipeline import run_job
 from ebamcheck.plugins.model import models

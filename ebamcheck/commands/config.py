@@ -1,27 +1,46 @@
-"""``ebamcheck config``: the settings in force, as a text, a new file, or new keys of an old one."""
+"""``ebamcheck backends``: the slicers that are installed, and what keeps others out."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from ebamcheck.commands.options import ConfigOption, print_json, settings_of
+from ebamcheck.commands.options import ConfigOption, JsonOption, print_json, settings_of
 from ebamcheck.errors import ExitCode, SettingsError
+
+
+def backends(as_json: JsonOption = False) -> ExitCode:
+    """List the slicers: availability, versions, device, rules and error bound; and what is wrong with a plugin."""
+    from ebamcheck.commands.summaries import backend_record, backends_text, broken_record
+    from ebamcheck.plugins import registry
+
+    with warnings.catch_warnings():
+        # What is wrong with a plugin stands in the list.
+        warnings.simplefilter("ignore", registry.BrokenPluginWarning)
+        registry.forget(kept=True)
+        records = [backend_record(name) for name in registry.slicers()]
+        left_out = registry.broken_plugins()
+    if as_json:
+        print_json([*records, *(broken_record(plugin) for plugin in left_out)])
+        return ExitCode.PASS
+    print(backends_text(records, left_out))
+    return ExitCode.PASS
 
 
 def config_command(
     config_file: ConfigOption = None,
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Write them into a new FILE; one that is there stays."),
+        Path | None, Option("-o", "--output", help="Write them into a new FILE; one that is there stays.")
     ] = None,
     merge: Annotated[
         Path | None,
-        typer.Option(help="Add the keys that FILE lacks, with their explanations; keep what is set in it."),
+        Option(help="Add the keys that FILE lacks, with their explanations; keep what is set in it."),
     ] = None,
-    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema instead.")] = False,
+    schema: Annotated[bool, Option("--schema", help="Print the JSON schema instead.")] = False,
 ) -> ExitCode:
     """Print all settings in force, with their explanations, as TOML."""
     from ebamcheck.settings.checking import as_toml

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ebamcheck.commands.options import (
     ConfigOption,
@@ -18,9 +19,9 @@ from ebamcheck.commands.options import (
     loaded,
     print_json,
     settings_of,
+    stack_of_run,
     within_work,
 )
-from ebamcheck.commands.run_stack import stack_of_run
 from ebamcheck.controls.thesis import SCRIPT, case_post
 from ebamcheck.curves import (
     METHODS,
@@ -31,7 +32,6 @@ from ebamcheck.curves import (
     fit_deviation,
     fit_for_program,
 )
-from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.layers.heights import cut_heights
@@ -44,26 +44,26 @@ from ebamcheck.preflight.report import chosen_height
 from ebamcheck.program import write_program
 from ebamcheck.record.run_folder import MANIFEST
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.showing.short_text import counted
+from ebamcheck.showing.short_text import counted, text_table
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.writing.posts import begin_at_layer, check_entry
 
 ALL = "all"
 
-PartFile = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
+PartFile = Annotated[Path, Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
 
 
 def fit_command(
     part: PartFile,
     method: Annotated[
-        str, typer.Option(help=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.")
+        str, Option(help=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.")
     ] = "",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="FILE.parquet for the curves of one method.")
+        Path | None, Option("-o", "--output", help="FILE.parquet for the curves of one method.")
     ] = None,
-    tolerance: Annotated[float | None, typer.Option(help="Tolerance of `bounded`, mm.")] = None,
+    tolerance: Annotated[float | None, Option(help="Tolerance of `bounded`, mm.")] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="A finer mesh of the same part: errors are measured against it.")
+        Path | None, Option(help="A finer mesh of the same part: errors are measured against it.")
     ] = None,
     layer_height: LayerHeightOption = None,
     config_file: ConfigOption = None,
@@ -118,19 +118,15 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
 
 
 def post_command(
-    source: Annotated[Path, typer.Argument(help="A finished run folder, or a part to slice, fit and plan.")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Folder for the program; replaced whole.")],
-    control: Annotated[
-        str, typer.Option(help="Post-processor; default: machine.control of the settings.")
-    ] = "",
+    source: Annotated[Path, Argument(help="A finished run folder, or a part to slice, fit and plan.")],
+    output: Annotated[Path, Option("-o", "--output", help="Folder for the program; replaced whole.")],
+    control: Annotated[str, Option(help="Post-processor; default: machine.control of the settings.")] = "",
     layer: Annotated[
-        int | None, typer.Option(help="Case of one layer, counted from 1, for a heat simulator.")
+        int | None, Option(help="Case of one layer, counted from 1, for a heat simulator.")
     ] = None,
     from_layer: Annotated[
         int,
-        typer.Option(
-            min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."
-        ),
+        Option(min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."),
     ] = 1,
     layer_height: LayerHeightOption = None,
     config_file: ConfigOption = None,

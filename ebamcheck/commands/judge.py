@@ -7,17 +7,17 @@ from typing import Annotated
 
 import pandas as pd
 import typer
+from typer import Argument, Option
 
 from ebamcheck.accuracy.heat_judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
 from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.commands.options import ConfigOption, JsonOption, print_json
+from ebamcheck.commands.options import ConfigOption, JsonOption, print_json, stack_of_run
 from ebamcheck.commands.progress import watched
-from ebamcheck.commands.run_stack import stack_of_run
-from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode
 from ebamcheck.layer_numbers import index_of_number
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.short_text import text_table
 
 TABLE, CASE = "judged.csv", "case"
 
@@ -40,17 +40,16 @@ FIGURES = {
 
 
 def judge_command(
-    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
-    layer: Annotated[int, typer.Option(help="Layer, counted from 1.")],
+    run: Annotated[Path, Argument(help="A finished run folder.")],
+    layer: Annotated[int, Option(help="Layer, counted from 1.")],
     output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge."),
+        Path | None, Option("-o", "--output", help=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge.")
     ] = None,
     beads: Annotated[
-        str, typer.Option(help=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.")
+        str, Option(help=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.")
     ] = BEADS[0],
     body: Annotated[
-        str, typer.Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
+        str, Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
     ] = BODIES[0],
     config_file: ConfigOption = None,
     as_json: JsonOption = False,

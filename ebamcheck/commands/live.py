@@ -4,33 +4,42 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
+import numpy as np
 import typer
+from typer import Argument, Option
 
-from ebamcheck.commands.options import numbers
+from ebamcheck.checks.table import stands_of
+from ebamcheck.commands.options import JsonOption, numbers, print_json
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.json_values import plain
+from ebamcheck.layer_numbers import index_of_number
+from ebamcheck.live.before import Before
 from ebamcheck.live.building import Answer, BetweenLayers, Building, Lines, serve
+from ebamcheck.live.height_map import MapCells, figures_of, in_cells, read_map
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.link import checked
 from ebamcheck.live.publishing import JOURNAL, read_journal
-from ebamcheck.live.relaying import finished_run
+from ebamcheck.live.relaying import FinishedRun, Relayered, check_below, finished_run, relayer, tilted
+from ebamcheck.nc.files import preheat_name
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.opcua import OpcuaSettings
 
 MODES = ("uniform", "adaptive", "listed")
 
-FinishedRunArgument = Annotated[Path, typer.Argument(help="A finished run folder.")]
-MovedPart = Annotated[Path | None, typer.Option(help="File of the part, if it was moved since the run.")]
+FinishedRunArgument = Annotated[Path, Argument(help="A finished run folder.")]
+MovedPart = Annotated[Path | None, Option(help="File of the part, if it was moved since the run.")]
 AnnealingOption = Annotated[
-    int,
-    typer.Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time."),
+    int, Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
 ]
 
 
@@ -38,35 +47,31 @@ def live_command(
     run: FinishedRunArgument,
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "-o",
             "--output",
             help="Folder of the build; default: RUN.live. A build that was begun there goes on.",
         ),
     ] = None,
     part: MovedPart = None,
-    heights: Annotated[str, typer.Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
-    cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
-    tops: Annotated[
-        str, typer.Option(help="Tops of listed heights over the base plate, mm, with commas.")
-    ] = "",
+    heights: Annotated[str, Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
+    cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
+    tops: Annotated[str, Option(help="Tops of listed heights over the base plate, mm, with commas.")] = "",
     annealing: AnnealingOption = 0,
-    timeout: Annotated[float, typer.Option(help="Time without a line after which it says so, s.")] = 3600.0,
+    timeout: Annotated[float, Option(help="Time without a line after which it says so, s.")] = 3600.0,
     replay: Annotated[
         Path | None,
-        typer.Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
+        Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
     ] = None,
     opcua: Annotated[
-        bool, typer.Option("--opcua", help="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].")
+        bool, Option("--opcua", help="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].")
     ] = False,
     url: Annotated[
-        str, typer.Option(help="With --opcua: address of the control, in place of that of the settings.")
+        str, Option(help="With --opcua: address of the control, in place of that of the settings.")
     ] = "",
     config_file: Annotated[
         Path | None,
-        typer.Option(
-            "-c", "--config", help="With --opcua: file whose section [opcua] stands for that of the run."
-        ),
+        Option("-c", "--config", help="With --opcua: file whose section [opcua] stands for that of the run."),
     ] = None,
 ) -> ExitCode:
     """Follow a build: for every measured height that comes in, publish the next layer, proved.
@@ -151,3 +156,122 @@ def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
     layers = sum(entry["kind"] == "layer" for entry in read_journal(journal))
     typer.echo(f"{journal}: {layers} layers made again, every byte is the same")
     return ExitCode.PASS
+
+
+def relayer_command(
+    run: FinishedRunArgument,
+    layer: Annotated[int, Option(help="Layer that comes next, counted from 1.")],
+    measured_z: Annotated[
+        float | None, Option(help="Height of what stands, over the base plate, mm: the layer is laid on it.")
+    ] = None,
+    height_map: Annotated[
+        Path | None,
+        Option(help="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF."),
+    ] = None,
+    direction: Annotated[
+        str, Option(help="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.")
+    ] = "",
+    output: Annotated[
+        Path | None, Option("-o", "--output", help="Folder of the new layers; default: RUN.live.")
+    ] = None,
+    part: MovedPart = None,
+    annealing: AnnealingOption = 0,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one.
+
+    Example: ebamcheck relayer blade.run --layer 13 --measured-z 20.4
+    """
+    if (measured_z is None) == (height_map is None):
+        raise SettingsError("give --measured-z or --height-map: the mean of a map is its height")
+    if height_map is not None and direction:
+        raise SettingsError("--height-map is of the layers that were laid: it does not go with --direction")
+    if measured_z is not None and (not math.isfinite(measured_z) or measured_z < 0.0):
+        raise SettingsError(f"--measured-z {measured_z}: give a height over the base plate in mm")
+    turned = None
+    if direction:
+        turned = numbers(direction, "--direction")
+        if len(turned) != 3:
+            raise SettingsError(f"--direction {direction!r}: give three numbers")
+    found = finished_run(run, part, turned)
+    if turned is not None and alike(turned, run):
+        turned, found = None, finished_run(run, part)
+    index = index_of_number(layer, len(found.thickness_mm))
+    upright, built_mm = None, 0.0
+    if turned is not None:
+        machine = found.config.machine
+        if not (machine.tilt_axes or machine.rotary):
+            raise SettingsError(
+                f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
+                "(machine.tilt_axes)"
+            )
+        upright = finished_run(run, part)
+        built_mm = float(upright.tops_mm[index - 1]) if index else 0.0
+        found = replace(found, config=tilted(upright, found, built_mm))
+    before = found.before(index)
+    folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
+    with LayerMaker(found.part, found.config, found.primary, annealing) as maker:
+        if upright is not None:
+            maker.stands = stands_of(upright.part, found.part, built_mm, upright.config)
+            # Along another direction other layers would have been laid than those that the run knows.
+            before = replace(before, below=None)
+        cells: MapCells | None = None
+        if height_map is not None:
+            before, cells, measured_z = mapped(found, maker, index, before, height_map)
+        assert measured_z is not None
+        if upright is None:
+            check_below(folder, found, index, measured_z)
+        done = relayer(maker, before, index, measured_z, folder, cells)
+    if as_json:
+        print_json({**done.certificate, "place": done.place, "said": done.said, "seconds": done.made.seconds})
+    else:
+        _tell(done, found, index)
+    return ExitCode.PASS if done.place is not None else ExitCode.OUT_OF_TOLERANCE
+
+
+def alike(direction: tuple[float, ...], run: Path) -> bool:
+    """Whether a direction is that of a run."""
+    was = np.array(RunFolder(run).manifest()["settings"]["part"]["direction"], np.float64)
+    now = np.array(direction, np.float64)
+    return bool(np.allclose(was / np.linalg.norm(was), now / np.linalg.norm(now), atol=1e-9))
+
+
+def mapped(
+    found: FinishedRun, maker: LayerMaker, layer: int, before: Before, file: Path
+) -> tuple[Before, MapCells, float]:
+    """What stands under a layer of a run with its section, a map in the cells of that, and the mean of the map."""
+    if layer == 0:
+        raise SettingsError("--height-map is of a layer that was laid: on the plate give --measured-z")
+    middle_mm = float(found.tops_mm[layer - 1] - 0.5 * found.thickness_mm[layer - 1])
+    before = before.on_section(maker.section_at(middle_mm), found.part, found.config)
+    assert before.surface is not None
+    cells = in_cells(read_map(file, found.config.height_map), before.surface)
+    return before, cells, figures_of(cells, before.surface, found.config).mean_mm
+
+
+def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
+    """Print what came of it."""
+    wanted = done.made.wanted
+    for text in done.said:
+        typer.echo(f"note: {text}")
+    old = found.program_of(layer)
+    was = f" in place of {old['name']}" if old else ""
+    scan = preheat_name(found.config.machine.program_name, layer)
+    if old and scan in {Path(file["name"]).stem for file in found.manifest["program"]["files"]}:
+        was += f" and of {scan}, the scan before it"
+    if done.place is None:
+        stays = f", {old['name']}" if old else ""
+        typer.echo(f"layer {layer + 1}: {done.made.why}; the old layer stays{stays}")
+        return
+    if of_map := done.certificate.get("height_map"):
+        typer.echo(
+            f"map: mean {of_map['mean_mm']:.3f} mm, {of_map['hump_mm']:.2f} mm over it at {tuple(of_map['hump_at_mm'])}, "
+            f"{of_map['dip_mm']:.2f} mm under it at {tuple(of_map['dip_at_mm'])}, slope {of_map['slope_deg']:.2f} deg; "
+            f"{100 * of_map['mended']:.0f} % of it is mended"
+        )
+    seconds = sum(done.made.seconds.values())
+    typer.echo(
+        f"layer {layer + 1}: Z {wanted.base_mm:.3f} to {wanted.top_mm:.3f} mm, cut at {done.made.cut_mm:.3f} mm, "
+        f"{done.made.islands} islands, {len(done.made.gates)} gates open, {seconds:.2f} s"
+    )
+    typer.echo(f"{done.place}: {done.certificate['called']}{was}; wait {done.made.wait_s:g} s before it")

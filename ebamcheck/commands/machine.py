@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.live import FinishedRunArgument, MovedPart, opcua_of
@@ -38,32 +39,28 @@ def machine_command(
     run: FinishedRunArgument,
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "-o",
             "--output",
             help="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
         ),
     ] = None,
     part: MovedPart = None,
-    drift: Annotated[
-        float, typer.Option(help="Share by which every layer comes out higher than planned.")
-    ] = 0.0,
-    noise: Annotated[float, typer.Option(help="Standard deviation of that share.")] = 0.0,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
-    speed: Annotated[float, typer.Option(help="How many times faster than planned layers are laid.")] = 100.0,
-    heights: Annotated[str, typer.Option(help="How heights are chosen: uniform, adaptive.")] = "uniform",
-    cusp: Annotated[float, typer.Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
+    drift: Annotated[float, Option(help="Share by which every layer comes out higher than planned.")] = 0.0,
+    noise: Annotated[float, Option(help="Standard deviation of that share.")] = 0.0,
+    seed: Annotated[int, Option(min=0, help="Seed of the noise.")] = 0,
+    speed: Annotated[float, Option(help="How many times faster than planned layers are laid.")] = 100.0,
+    heights: Annotated[str, Option(help="How heights are chosen: uniform, adaptive.")] = "uniform",
+    cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
     opcua: Annotated[
         bool,
-        typer.Option(
-            "--opcua", help="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal."
-        ),
+        Option("--opcua", help="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal."),
     ] = False,
-    url: Annotated[str, typer.Option(help="With --opcua: address to listen at.")] = "",
+    url: Annotated[str, Option(help="With --opcua: address to listen at.")] = "",
     fault: Annotated[
-        list[str] | None, typer.Option(help=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.")
+        list[str] | None, Option(help=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.")
     ] = None,
-    sessions: Annotated[int, typer.Option(min=1, help="Sessions that the OPC UA server has.")] = SESSIONS,
+    sessions: Annotated[int, Option(min=1, help="Sessions that the OPC UA server has.")] = SESSIONS,
 ) -> ExitCode:
     """Play a control with an OPC UA server, start `ebamcheck live RUN` beside it, and build the part, whose layers grow by a stated law.
 

@@ -14,16 +14,13 @@ from collections.abc import Callable
 from typing import Annotated, Any, TextIO, TypeVar, cast
 
 import typer
+from typer import Option
 
 from ebamcheck import __version__
-from ebamcheck.commands.backends import backends
 from ebamcheck.commands.command_group import CommandGroup, ended_by, guarded, tell
-from ebamcheck.commands.compare import compare
-from ebamcheck.commands.config import config_command
-from ebamcheck.commands.inspect import inspect
-from ebamcheck.commands.run import check, run
-from ebamcheck.commands.slice import slice_command
-from ebamcheck.commands.verify import verify
+from ebamcheck.commands.config import backends, config_command
+from ebamcheck.commands.run import check, run, verify
+from ebamcheck.commands.slice import compare, inspect, slice_command
 from ebamcheck.commands.warm_command import warm_command
 from ebamcheck.errors import ExitCode
 from ebamcheck.printable import PrintableStream, printable
@@ -79,10 +76,9 @@ def _show_version(asked: bool) -> None:
 
 @app.callback()
 def _global(
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks and debug messages.")] = False,
+    debug: Annotated[bool, Option("--debug", help="Show tracebacks and debug messages.")] = False,
     version: Annotated[
-        bool,
-        typer.Option("--version", help="Print the version and leave.", is_eager=True, callback=_show_version),
+        bool, Option("--version", help="Print the version and leave.", is_eager=True, callback=_show_version)
     ] = False,
 ) -> None:
     if debug:
@@ -99,9 +95,9 @@ def _global(
 # -- commands ------------------------------------------------------------------------------------------
 
 
-command(
-    epilog="Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl",
-)(run)
+command(epilog="Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl")(
+    run
+)
 
 
 command(epilog="Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run")(check)

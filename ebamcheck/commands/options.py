@@ -8,14 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.printable import printable
 
 if TYPE_CHECKING:
+    from ebamcheck.curves import Curves
     from ebamcheck.mesh.part import Part
     from ebamcheck.numeric.rings import Floats
     from ebamcheck.preflight.report import Ready
+    from ebamcheck.scan import ScanPlan
     from ebamcheck.settings.config import Config
 
 DEFAULT_CONFIG = Path("ebamcheck.toml")
@@ -23,55 +26,49 @@ DEFAULT_CONFIG = Path("ebamcheck.toml")
 
 ConfigOption = Annotated[
     Path | None,
-    typer.Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
+    Option("-c", "--config", help="Settings (TOML); default: ./ebamcheck.toml where there is one."),
 ]
 UnitsOption = Annotated[
     str,
-    typer.Option(
+    Option(
         help="Unit of the part's file: mm, cm, m, um, in (inch, inches), ft. Default: that of the file where it has one, else mm."
     ),
 ]
-DirectionOption = Annotated[str, typer.Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
-PartArgument = Annotated[Path, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
-JobPart = Annotated[Path | None, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
+DirectionOption = Annotated[str, Option(help="Slicing direction in the file's coordinates, as X,Y,Z.")]
+JsonOption = Annotated[bool, Option("--json", help="Print JSON instead of a table.")]
+PartArgument = Annotated[Path, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
+JobPart = Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")]
 PlateOption = Annotated[
-    Path | None,
-    typer.Option(help="In place of a part: plate.toml, with several parts or copies on one plate."),
+    Path | None, Option(help="In place of a part: plate.toml, with several parts or copies on one plate.")
 ]
 PlaceOption = Annotated[
     str,
-    typer.Option(
-        help="Where the middle of the part's box comes to lie, as X,Y; and its lowest point, as X,Y,Z."
-    ),
+    Option(help="Where the middle of the part's box comes to lie, as X,Y; and its lowest point, as X,Y,Z."),
 ]
 RotateOption = Annotated[
-    float | None, typer.Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
+    float | None, Option(help="Turn about the vertical, degrees, counter-clockwise from above.")
 ]
 YesOption = Annotated[
-    bool,
-    typer.Option("--yes", help="Run the job even where it is more work than the settings allow (work.*)."),
+    bool, Option("--yes", help="Run the job even where it is more work than the settings allow (work.*).")
 ]
 LayerHeightOption = Annotated[
-    float | None, typer.Option(help="Layer height, mm; default: that of one bead of the process.")
+    float | None, Option(help="Layer height, mm; default: that of one bead of the process.")
 ]
 
-RunFolderOption = Annotated[
-    Path | None, typer.Option("-o", "--output", help="Run folder; default: NAME.run.")
-]
+RunFolderOption = Annotated[Path | None, Option("-o", "--output", help="Run folder; default: NAME.run.")]
 BackendsOption = Annotated[
-    str, typer.Option(help="Backends to run, comma-separated; default: all of the house that are available.")
+    str, Option(help="Backends to run, comma-separated; default: all of the house that are available.")
 ]
 WitnessesOption = Annotated[
-    str, typer.Option(help="Outside programs that slice, too, comma-separated; `all`: those installed here.")
+    str, Option(help="Outside programs that slice, too, comma-separated; `all`: those installed here.")
 ]
 FixOption = Annotated[
-    bool, typer.Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
+    bool, Option("--fix-orientation", help="Turn flipped facets and inside-out bodies over.")
 ]
-ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on with a killed job of the same input.")]
+ResumeOption = Annotated[bool, Option("--resume", help="Go on with a killed job of the same input.")]
 ForceOption = Annotated[
     bool,
-    typer.Option(
+    Option(
         "--force",
         help="Run even where OUTPUT holds a finished run; that one is moved to a name with its date.",
     ),
@@ -211,3 +208,22 @@ def print_json(value: Any) -> None:
 
     # ASCII alone, so that it is valid JSON under every encoding of the terminal.
     typer.echo(json.dumps(plain(value), indent=2, sort_keys=True, allow_nan=False))
+
+
+def stack_of_run(folder: Path, config_file: Path | None) -> tuple[Config, Curves, ScanPlan, str]:
+    """Settings, paths of the contour beads, scan plan and part's hash of a finished run; other settings only where a file names them."""
+    from ebamcheck.curves import Curves
+    from ebamcheck.record.run_folder import MANIFEST, RunFolder
+    from ebamcheck.scan import ScanPlan
+    from ebamcheck.settings.config import validated
+
+    manifest = RunFolder(folder).manifest()
+    if config_file is not None:
+        config = settings_of(config_file, "", "", None)
+    else:
+        config = validated(manifest["settings"], MANIFEST)
+    beads, plan = folder / "beads.parquet", folder / "scan.parquet"
+    if not beads.is_file() or not plan.is_file():
+        raise InputError(f"{folder}: has no bead paths: make it with `ebamcheck run`, not `check`")
+    sha256 = str(manifest["part"]["sha256"])
+    return config, Curves.from_parquet(beads), ScanPlan.from_parquet(plan), sha256

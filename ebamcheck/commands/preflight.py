@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from ebamcheck.commands.options import (
     ConfigOption,
@@ -24,22 +25,20 @@ from ebamcheck.commands.options import (
     print_json,
     settings_of,
 )
-from ebamcheck.drawing.tables import text_table
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.preflight.report import Preflight, ready
 from ebamcheck.preflight.workload import EVERY, RUN
 from ebamcheck.result import Check, known
+from ebamcheck.showing.short_text import text_table
 
 SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}
 """Levels as the table has them."""
 
 
 def preflight_command(
-    part: Annotated[
-        Path | None, typer.Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")
-    ] = None,
+    part: Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")] = None,
     plate: PlateOption = None,
-    job: Annotated[str, typer.Option(help="Job that is meant: run, or check without a program.")] = RUN,
+    job: Annotated[str, Option(help="Job that is meant: run, or check without a program.")] = RUN,
     config_file: ConfigOption = None,
     layer_height: LayerHeightOption = None,
     units: UnitsOption = "",

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
+import csv
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
+import pandas as pd
+import shapely
 import typer
+from typer import Option
 
+from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.options import (
     ConfigOption,
     DirectionOption,
@@ -17,44 +29,92 @@ from ebamcheck.commands.options import (
     YesOption,
     loaded,
     names,
+    print_json,
     settings_of,
+    within_work,
 )
-from ebamcheck.commands.scan_layer import scan_layer
-from ebamcheck.commands.scan_part import scan_all
-from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.commands.progress import watched
+from ebamcheck.errors import ExitCode, SettingsError, interruptible
+from ebamcheck.heat import ContourModes
+from ebamcheck.json_values import plain
+from ebamcheck.layers.heights import cut_heights, heights_within
+from ebamcheck.layers.stack import from_polygons
+from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import simulators
-from ebamcheck.scan.plan.comparing import RANDOM, SEEDS, compared_orders
+from ebamcheck.numeric.rings import Floats
+from ebamcheck.pipeline.stages import bead_paths
+from ebamcheck.program import write_program
+from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.order.simulation import entered, island_history
+from ebamcheck.scan.plan.comparing import (
+    RANDOM,
+    SEEDS,
+    OrderComparison,
+    OrderResult,
+    compared_orders,
+    figures_of,
+)
+from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.settings.stages import order_names
+from ebamcheck.showing.pictures import (
+    Scene,
+    TemperatureScale,
+    field_svg,
+    islands_svg,
+    layer_animation,
+    pareto_svg,
+)
+from ebamcheck.showing.short_text import text_table
+from ebamcheck.slicers.slicing import slice_part
 
 ALL = "all"
+
+ORDERS_TABLE, LAYERS_TABLE = "orders.json", "layers.csv"
+
+BUILT = "built_s"
+"""Column: time from the start of the build to the end of a layer, with the waits between layers."""
+
+LEAST_HEIGHT_MM = 1e-3
+"""A layer at the very bottom of a part is exported so high over the plate."""
+
+HEADINGS = {
+    "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",
+    "interval_p10_s": "interval p10, s", "interval_min_s": "min, s", "travel_mm": "travel, mm", "starts": "starts",
+    "time_s": "time, s",
+}  # fmt: skip
+"""Figures of the printed table of orders, and their headings."""
+
+COMMON = 0.9
+"""Share of the cells whose temperatures the colours of the last field tell apart, at least: the last islands are far
+hotter."""
 
 
 def scan_command(
     part: PartArgument,
-    height: Annotated[float | None, typer.Option(help="Absolute height z of the layer, mm.")] = None,
+    height: Annotated[float | None, Option(help="Absolute height z of the layer, mm.")] = None,
     all_layers: Annotated[
-        bool, typer.Option("--all", help="All layers from below, with the heat of those under them.")
+        bool, Option("--all", help="All layers from below, with the heat of those under them.")
     ] = False,
     pause: Annotated[
         float | None,
-        typer.Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
+        Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
     ] = None,
     layer_height: LayerHeightOption = None,
     orders: Annotated[
-        str, typer.Option(help=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.")
+        str, Option(help=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.")
     ] = "",
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", help="Folder for orders.json and pictures.")
+        Path | None, Option("-o", "--output", help="Folder for orders.json and pictures.")
     ] = None,
     export: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Also write the path of each order for heat simulators, by the names of their controls, or for all."
         ),
     ] = "",
-    seeds: Annotated[int, typer.Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
+    seeds: Annotated[int, Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
     config_file: ConfigOption = None,
     units: UnitsOption = "",
     direction: DirectionOption = "",
@@ -67,7 +127,9 @@ def scan_command(
     """
     config = settings_of(config_file, units, direction, layer_height)
     checked_window(config)
-    wanted = _orders(orders, config)
+    wanted = compared_orders() if orders == ALL else names(orders) or (config.scan.order,)
+    for name in wanted:  # an unknown one is refused before anything is computed
+        config.changed(scan={"order": name})
     exported = _exported(export, output)
     if seeds < 1:
         raise SettingsError(f"--seeds {seeds}: give at least 1")
@@ -85,16 +147,7 @@ def scan_command(
     return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json)
 
 
-def _orders(orders: str, config: Config) -> tuple[str, ...]:
-    """Orders that are asked for; an unknown name is refused before anything is computed."""
-    wanted = compared_orders() if orders == ALL else names(orders) or (config.scan.order,)
-    for name in wanted:
-        config.changed(scan={"order": name})
-    return wanted
-
-
 def _exported(export: str, output: Path | None) -> tuple[str, ...]:
-    """Simulators that the paths are written for."""
     known = simulators()
     exported = known if export == ALL else names(export)
     if unknown := set(exported) - set(known):
@@ -102,3 +155,238 @@ def _exported(export: str, output: Path | None) -> tuple[str, ...]:
     if exported and output is None:
         raise SettingsError("--export: give the folder with -o")
     return exported
+
+
+# -- all layers --------------------------------------------------------------------------------------
+
+
+def scan_all(
+    part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool
+) -> ExitCode:
+    """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
+    layers = slice_part(part, within_work(part, cut_heights(part, config), config, yes))
+    sections = [layers.section(k) for k in range(len(layers))]
+    heights_mm = np.asarray(layers.heights) - float(part.bounds[0][2])
+    found = scan_part(sections, heights_mm, config, order, config.scan.seed)
+    rows: list[dict[str, Any]] = []
+    built_s = 0.0
+    file = os.devnull if output is None else made_folder(output) / LAYERS_TABLE
+    with (
+        closing(found),
+        open(file, "w", newline="", encoding="utf-8", buffering=1) as opened,
+        watched() as observer,
+    ):
+        table = csv.DictWriter(opened, [*WHOLE_PART, BUILT])
+        table.writeheader()
+        observer.stage("order and heat", len(sections))
+        try:
+            with interruptible():
+                for row in found:
+                    row["layer"] += 1
+                    built_s += float(np.nansum([row["wait_s"], row["time_s"]]))
+                    row[BUILT] = built_s
+                    table.writerow(row)
+                    rows.append(row)
+                    observer.advance(1)
+        except KeyboardInterrupt:
+            # It may come between the line of a layer and the count of it.
+            done = len(rows) if output is None else Path(file).read_bytes().count(b"\n") - 1
+            kept = f", kept in {file}" if output is not None and done else ""
+            raise KeyboardInterrupt(f"{done} of {len(sections)} layers are done{kept}") from None
+    if as_json:
+        print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
+        return ExitCode.PASS
+    typer.echo(f"{len(rows)} layers in the order {order}, {config.process.base} base\n")
+    shown = [*(name for name in WHOLE_PART if name != "stored_j"), BUILT]
+    typer.echo(text_table(shown, [[_figure(row[name]) for name in shown] for row in rows]))
+    return ExitCode.PASS
+
+
+def _figure(value: float) -> str:
+    return "-" if value != value else f"{value:.6g}" if isinstance(value, int) else f"{value:.1f}"
+
+
+# -- one layer ---------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Compared:
+    """What is known of the orders so far: their figures, and the plan of the first seed of each, which is drawn."""
+
+    rows: list[dict[str, Any]] = field(default_factory=list)
+    shown: dict[str, OrderResult] = field(default_factory=dict)
+
+    def records(self) -> list[dict[str, Any]]:
+        """Rows with None for what is not a number."""
+        found: list[dict[str, Any]] = json.loads(pd.DataFrame(self.rows).to_json(orient="records"))
+        return found
+
+    def write(self, folder: Path) -> None:
+        """Write the table into a folder that is there."""
+        text = json.dumps(plain(self.records()), indent=2, sort_keys=True) + "\n"
+        _write(folder, {ORDERS_TABLE: text})
+
+
+def scan_layer(
+    part: Part,
+    config: Config,
+    height_mm: float,
+    orders: tuple[str, ...],
+    seeds: int,
+    simulators: tuple[str, ...],
+    output: Path | None,
+    as_json: bool,
+) -> ExitCode:
+    """Plan one layer of a placed part in several orders; an interrupt keeps the orders that are done."""
+    cut = heights_within(part, [height_mm], "--height")
+    if output is not None:
+        made_folder(output)
+    layers = slice_part(part, cut)
+    over_plate_mm = height_mm - float(part.bounds[0][2])
+    number = max(0, round(over_plate_mm / config.layer_height_mm - 0.5))
+    layer = OrderComparison.of(layers.polygons(0), config, number, max(over_plate_mm, 0.0))
+    done, interrupted = _Compared(), False
+    try:
+        with interruptible():
+            for _ in _compare(layer, orders, seeds, done):
+                if output is not None:
+                    done.write(output)
+    except KeyboardInterrupt:
+        interrupted = True
+    if output is not None and done.shown:
+        done.write(output)
+        figures = {row["order"]: (row["travel_mm"], row["entry_max_k"]) for row in done.rows}
+        _write(output, order_pictures(layer, done.shown, figures, f"{part.name}, z = {height_mm:g} mm"))
+        _export(output, simulators, done.shown, height_mm, over_plate_mm, config)
+    if interrupted:
+        kept = f", kept in {output}" if output is not None and done.rows else ""
+        raise KeyboardInterrupt(f"{len(done.rows)} of {len(orders)} orders are done{kept}")
+    if as_json:
+        print_json(done.records())
+    else:
+        rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
+        count, base = len(layer.laid.islands), config.process.base
+        low, high = part.bounds[:, 2].tolist()
+        beside = "" if count else f" (the part reaches from {low:g} to {high:g} mm)"
+        typer.echo(f"{count} islands at z = {height_mm:g} mm{beside}, {base} base\n")
+        typer.echo(text_table(list(HEADINGS.values()), rows))
+    return ExitCode.PASS
+
+
+def _compare(layer: OrderComparison, orders: tuple[str, ...], seeds: int, done: _Compared) -> Iterator[None]:
+    """Plan and simulate one order after the other, with a bar that moves with each plan."""
+    with watched() as observer:
+        observer.stage("orders", sum(seeds if name == RANDOM else 1 for name in orders))
+        for name in orders:
+            results = []
+            for result in layer.results(name, seeds):
+                results.append(result)
+                observer.advance(1)
+            done.shown[name] = results[0]
+            done.rows.append(figures_of(name, results))
+            yield
+
+
+def _export(
+    folder: Path,
+    simulators: tuple[str, ...],
+    shown: dict[str, OrderResult],
+    height_mm: float,
+    over_plate_mm: float,
+    config: Config,
+) -> None:
+    """Write the path of each order for each simulator, as paths/ORDER/SIMULATOR, at the height over the plate.
+
+    Posts count Z from the first layer of a stack, which is as high as its step to the second: so the layer is the second of two, the
+    lower one empty, and lies at twice that step.
+    """
+    step_mm = 0.5 * max(over_plate_mm, LEAST_HEIGHT_MM)
+    heights = np.array([height_mm - step_mm, height_mm])
+    for name, result in shown.items() if simulators else ():
+        plan = result.plan
+        plan = replace(
+            plan,
+            heights=heights,
+            contours=np.array([shapely.Polygon(), *plan.contours], object),
+            island_layer=plan.island_layer + 1,
+            metrics=pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0),
+            sections=None if plan.sections is None else np.array([shapely.Polygon(), *plan.sections], object),
+        )
+        beads = bead_paths(from_polygons(heights, [[], []]), plan, config)
+        for simulator in simulators:
+            program = config.changed(machine={"control": simulator})
+            write_program(beads, plan, program, folder / "paths" / name / simulator)
+
+
+def _write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        with replacing(folder / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return value if isinstance(value, str) else f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
+
+
+def order_pictures(
+    compared: OrderComparison,
+    results: Mapping[str, OrderResult],
+    figures: Mapping[str, tuple[float, float]],
+    what: str,
+) -> dict[str, str]:
+    """Texts by file name: two maps an order, its last temperatures and its animation.
+
+    All show the same frame with contour beads and path, and all temperatures of all orders have one scale: it ends at
+    the hottest entry or at what most of a finished layer is under, whichever is more, and at the boiling point at last.
+    `figures` are travel and greatest entry temperature of each order, as the table has them.
+    """
+    islands, section = compared.laid.islands, compared.laid.regions.section
+    scenes = {
+        name: Scene.of(section, result.plan.contours[0], result.plan.vectors_of(0))
+        for name, result in results.items()
+    }
+    files = {}
+    for name, result in results.items():
+        rank = result.rank.astype(np.float64)
+        files[f"{name}-rank.svg"] = islands_svg(islands, rank, f"{what}: rank, {name}", scene=scenes[name])
+    if compared.heat is None:
+        return files
+    plane = compared.heat.model.plane
+    if not isinstance(plane, ContourModes):
+        return files
+    at_end = {name: _at_end(compared.heat, plane, result) for name, result in results.items()}
+    hottest = max(float(result.entry_k.max()) for result in results.values())
+    warmest = max(float(np.quantile(last_k, COMMON)) for last_k in at_end.values())
+    config = compared.config
+    ambient_k = config.process.ambient_temperature_k
+    solidus, boiling = (k - ambient_k for k in (config.material.solidus_k, config.material.boiling_k))
+    scale = TemperatureScale.of(max(hottest, warmest), solidus, boiling)
+    for name, result in results.items():
+        title = f"{what}: entry temperature rise, {name}"
+        files[f"{name}-entry.svg"] = islands_svg(
+            islands, result.entry_k, title, " K", scene=scenes[name], temperatures=scale
+        )
+        title = f"{what}: temperature rise when the layer is done, {name}"
+        files[f"{name}-field.svg"] = field_svg(
+            partial(_rises, plane, at_end[name]), section, title, " K", scale.greatest, scenes[name], scale
+        )
+        order = np.argsort(result.rank)
+        history = island_history(compared.heat, order, result.start_s, result.end_s)
+        files[f"{name}.html"] = layer_animation(
+            islands, order, result.end_s, history, f"{what}, {name}", scale, scenes[name]
+        )
+    files["pareto.svg"] = pareto_svg(figures, f"{what}: {len(islands)} islands")
+    return files
+
+
+def _rises(plane: ContourModes, of_cells: Floats, points: Floats) -> Floats:
+    """Rises at points (n, 2) between those in the cells of the section."""
+    return plane.grid.interpolation(points) @ of_cells
+
+
+def _at_end(heat: IslandHeat, plane: ContourModes, result: OrderResult) -> Floats:
+    """Temperature rise in the cells of the section when an order is done, (M,)."""
+    _, state = entered(heat, np.argsort(result.rank), result.start_s, result.end_s)
+    return np.asarray(plane.values @ (state @ heat.modes.in_layer), np.float64)  # noqa: PD011

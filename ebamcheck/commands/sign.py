@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from ebamcheck.errors import ExitCode
 from ebamcheck.printable import printable
@@ -16,10 +17,8 @@ from ebamcheck.record.signing import SIGNATURES, asked_password, make_key, read_
 
 
 def key_command(
-    name: Annotated[Path, typer.Argument(help="NAME.key (private, mode 600) and NAME.pub are made.")],
-    protect: Annotated[
-        bool, typer.Option("--protect", help="Ask for a password for the private key.")
-    ] = False,
+    name: Annotated[Path, Argument(help="NAME.key (private, mode 600) and NAME.pub are made.")],
+    protect: Annotated[bool, Option("--protect", help="Ask for a password for the private key.")] = False,
 ) -> ExitCode:
     """Make a pair of Ed25519 keys: the private one signs, the public one goes to those who verify.
 
@@ -32,23 +31,21 @@ def key_command(
 
 
 def sign_command(
-    run: Annotated[Path, typer.Argument(help="A finished run folder.")],
-    key: Annotated[Path, typer.Option(help="Private key (PEM), made by `ebamcheck key`.")],
-    name: Annotated[str, typer.Option(help="Name of who signs.")],
-    role: Annotated[str, typer.Option(help="What he or she signs as.")] = "approver",
-    part_number: Annotated[str, typer.Option(help="Number of the part.")] = "",
-    revision: Annotated[str, typer.Option(help="Revision of the part.")] = "",
-    machine_serial: Annotated[str, typer.Option(help="Serial number of the machine.")] = "",
+    run: Annotated[Path, Argument(help="A finished run folder.")],
+    key: Annotated[Path, Option(help="Private key (PEM), made by `ebamcheck key`.")],
+    name: Annotated[str, Option(help="Name of who signs.")],
+    role: Annotated[str, Option(help="What he or she signs as.")] = "approver",
+    part_number: Annotated[str, Option(help="Number of the part.")] = "",
+    revision: Annotated[str, Option(help="Revision of the part.")] = "",
+    machine_serial: Annotated[str, Option(help="Serial number of the machine.")] = "",
     lot: Annotated[
-        list[str] | None, typer.Option(help="NAME=NUMBER of a lot, such as wire=W-1234. May be given again.")
+        list[str] | None, Option(help="NAME=NUMBER of a lot, such as wire=W-1234. May be given again.")
     ] = None,
-    operator: Annotated[str, typer.Option(help="Who runs the build.")] = "",
-    approver: Annotated[
-        str, typer.Option(help="Who releases it; default: NAME, if the role is approver.")
-    ] = "",
-    date: Annotated[str, typer.Option(help="Date of the release, as your records write it.")] = "",
+    operator: Annotated[str, Option(help="Who runs the build.")] = "",
+    approver: Annotated[str, Option(help="Who releases it; default: NAME, if the role is approver.")] = "",
+    date: Annotated[str, Option(help="Date of the release, as your records write it.")] = "",
     deviation: Annotated[
-        list[str] | None, typer.Option(help="A deviation that is accepted. May be given again.")
+        list[str] | None, Option(help="A deviation that is accepted. May be given again.")
     ] = None,
 ) -> ExitCode:
     """Add part number, lots, approver and deviations to a run's certificate, and sign it.

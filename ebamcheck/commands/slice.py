@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import logging
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from ebamcheck.atomic_file import made_folder
 from ebamcheck.commands.options import (
     ConfigOption,
     DirectionOption,
+    JsonOption,
     LayerHeightOption,
     PartArgument,
     UnitsOption,
@@ -20,11 +23,15 @@ from ebamcheck.commands.options import (
     assignments,
     loaded,
     numbers,
+    print_json,
     settings_of,
     within_work,
 )
-from ebamcheck.errors import ExitCode
+from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 from ebamcheck.showing.short_text import counted
+
+if TYPE_CHECKING:
+    from ebamcheck.curves.regions.surfaces import Surface
 
 _log = logging.getLogger(__name__)
 
@@ -33,21 +40,21 @@ def slice_command(
     part: PartArgument,
     output: Annotated[
         Path,
-        typer.Option(
+        Option(
             "-o",
             "--output",
             help="FILE.parquet, .cli (Common Layer Interface), .svg, .dxf, .vtp, .3mf or .csv.",
         ),
     ],
     backend: Annotated[
-        str, typer.Option(help="Backend; default: the available exact one of the highest priority.")
+        str, Option(help="Backend; default: the available exact one of the highest priority.")
     ] = "",
     layer_height: LayerHeightOption = None,
     heights: Annotated[
-        str, typer.Option(help="Listed heights, mm, comma-separated, instead of uniform layers.")
+        str, Option(help="Listed heights, mm, comma-separated, instead of uniform layers.")
     ] = "",
     setting: Annotated[
-        list[str] | None, typer.Option("--set", help="Backend setting NAME=VALUE; repeatable.")
+        list[str] | None, Option("--set", help="Backend setting NAME=VALUE; repeatable.")
     ] = None,
     config_file: ConfigOption = None,
     units: UnitsOption = "",
@@ -108,3 +115,128 @@ def slice_command(
     ]
     print(f"{', '.join(counts)}: {output}")
     return ExitCode.PASS
+
+
+HEIGHT_ROUNDING_MM = 1e-4
+"""What formats with 32-bit numbers may round heights by, over a metre; a tenth of the default tolerance on a slope of 45 degrees."""
+
+
+def compare(
+    a: Annotated[
+        Path, Argument(help="Layers of one slicer (.parquet, .cli, .svg, .dxf, .vtp, .3mf or .csv).")
+    ],
+    b: Annotated[Path, Argument(help="Layers of another, at the same heights.")],
+    tolerance: Annotated[float, Option(help="Depth of the symmetric difference allowed, mm.")] = 0.001,
+    output: Annotated[Path | None, Option("-o", "--output", help="Write the table as CSV.")] = None,
+    any_part: Annotated[bool, Option("--any-part", help="Compare slices of different parts, too.")] = False,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
+    import numpy as np
+
+    from ebamcheck.atomic_file import replacing
+    from ebamcheck.comparison import compare as compare_layers
+    from ebamcheck.comparison.pairwise import check_comparable
+    from ebamcheck.layer_numbers import numbered
+    from ebamcheck.layers.files import read_layers
+    from ebamcheck.showing.short_text import text_table
+
+    if not tolerance >= 0.0:
+        raise SettingsError(f"--tolerance {tolerance}: give 0 or a positive number of millimetres")
+    one, other = read_layers(a), read_layers(b)
+    if len(one) == len(other) and np.allclose(one.heights, other.heights, rtol=0.0, atol=HEIGHT_ROUNDING_MM):
+        other = replace(other, heights=one.heights)
+    if one.part and other.part and one.part != other.part and not any_part:
+        raise SettingsError(f"{a} and {b} are of different parts: give slices of one part, or --any-part")
+    check_comparable({str(a): one, str(b): other}, check_part=False)
+    table = numbered(compare_layers(one, other, tolerance_mm=tolerance, check_part=False))
+    if not len(table):
+        raise NothingCompared(f"{a} and {b} hold no layers: nothing was compared")
+    if output is not None:
+        with replacing(output) as temporary:
+            table.to_csv(temporary, index=False)
+    shown = [
+        "layer",
+        "height_mm",
+        "area_difference_mm2",
+        "symmetric_difference_mm2",
+        "iou",
+        "hausdorff_mm",
+        "depth_mm",
+        "agrees",
+    ]
+    if as_json:
+        print_json(table.to_dict(orient="records"))
+    else:
+        rows = table[~table["agrees"]] if not table["agrees"].all() else table.nlargest(10, "depth_mm")
+        print(text_table(shown, rows[shown].head(20).itertuples(index=False)))
+        print(f"\n{int(table['agrees'].sum())} of {len(table)} layers agree within {tolerance:g} mm")
+    return ExitCode.PASS if table["agrees"].all() else ExitCode.OUT_OF_TOLERANCE
+
+
+def inspect(
+    part: PartArgument,
+    units: UnitsOption = "",
+    regions: Annotated[
+        bool, Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform.")
+    ] = False,
+    picture: Annotated[Path | None, Option(help="Draw the surfaces into FILE.svg; with --regions.")] = None,
+    config_file: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
+    from ebamcheck.mesh.inspection import inspect as inspect_part
+    from ebamcheck.mesh.part_source import read_part
+    from ebamcheck.settings.base import unit_named
+    from ebamcheck.settings.checking import checked
+    from ebamcheck.settings.stages import PartSettings
+
+    if picture is not None and (not regions or picture.suffix.lower() != ".svg"):
+        raise SettingsError(f"--picture {picture}: it draws regions as SVG; give --regions and FILE.svg")
+    loaded_part, _ = read_part(
+        part, checked(PartSettings, {"units": unit_named(units)} if units else {}, "--units")
+    )
+    found = inspect_part(loaded_part)
+    listed: list[Surface] = []
+    if regions:
+        from ebamcheck.curves.regions.surfaces import surfaces
+        from ebamcheck.showing.pictures import regions_svg
+
+        listed = surfaces(loaded_part, settings_of(config_file, "", "", None).curves)
+        if picture is not None:
+            picture.write_text(
+                regions_svg(
+                    loaded_part.triangles,
+                    [(s.kind, s.facets) for s in listed],
+                    f"Regions of {loaded_part.name}",
+                ),
+                encoding="utf-8",
+            )
+    if as_json:
+        figures = found.as_dict()
+        print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
+    else:
+        figures = found.as_dict()
+        for key in ("name", "verdict", "why", "notes", "passed", "relations", "union_known", "units_from"):
+            figures.pop(key)
+        figures["size_mm"] = " x ".join(f"{s:.6g}" for s in found.size_mm)
+        figures["units"] = f"{found.units} ({found.units_from})"
+        figures["lower_mm"] = ", ".join(f"{s:.6g}" for s in found.lower_mm)
+        for key, value in figures.items():
+            typer.echo(
+                f"{key.replace('_', ' '):20} {value:.9g}"
+                if isinstance(value, float)
+                else f"{key.replace('_', ' '):20} {value}"
+            )
+        for relation in found.relations:
+            typer.echo(f"{'warning' if relation.lost else 'bodies':20} {relation.text}")
+        if not found.union_known:
+            typer.echo(f"{'warning':20} the volume is the sum of all bodies, which may overlap")
+        for note in found.notes:
+            typer.echo(f"{'note':20} {note}")
+        typer.echo(f"{'verdict':20} {found.verdict}: {found.why}")
+        if regions:
+            from ebamcheck.curves.regions.surfaces import table
+
+            typer.echo(f"\n{table(listed)}")
+    return ExitCode.PASS if found.passed else ExitCode.OUT_OF_TOLERANCE

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ebamcheck.backend import Slicer
-from ebamcheck.drawing.tables import text_table
 from ebamcheck.installed import BrokenPlugin
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.strangers import StrangerSlicer
 from ebamcheck.plugins.trial import cube
 from ebamcheck.result import Place, in_words
+from ebamcheck.showing.short_text import text_table
 
 
 def backend_record(name: str) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def main_job(folder: Path) -> None:
 
 def other_jobs(folder: Path) -> None:
     """Do what other commands do with a run, a section and a part, after :func:`main_job` in the same folder."""
-    from ebamcheck.commands.scan_layer import scan_layer
+    from ebamcheck.commands.scan import scan_layer
     from ebamcheck.mesh.files import load
     from ebamcheck.verification.verify import verify
 

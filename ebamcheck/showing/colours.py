@@ -1,8 +1,16 @@
-"""Colours that readers tell apart, colour-blind ones too: of lines, and along a scale."""
+"""Colours that readers tell apart, colour-blind ones too: of lines, and along a scale; and images in them as PNG."""
 
 from __future__ import annotations
 
+import base64
+from io import BytesIO
+from typing import TYPE_CHECKING
+
 import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#882255")
 """Okabe and Ito's colours, with Tol's wine in place of their yellow, which is not seen on white."""
@@ -36,3 +44,31 @@ def ramp(share: float) -> str:
 
 SCALE = np.array([mixed(n / 255.0) for n in range(256)], np.uint8)
 """(256, 3) colours of an image along the scale."""
+
+
+def palette_image(pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:
+    """Image of indices (rows, columns), the uppermost row first, of colours (256, 3)."""
+    from PIL import Image
+
+    image = Image.fromarray(np.ascontiguousarray(pixels))
+    image.putpalette(palette.astype(np.uint8).tobytes())
+    return image
+
+
+def binary_image(black: NDArray[np.bool_]) -> Image.Image:
+    """Image (rows, columns) of one bit a pixel, the uppermost row first: true pixels black, false ones white."""
+    from PIL import Image
+
+    return Image.fromarray(np.ascontiguousarray(~black))
+
+
+def png(image: Image.Image) -> bytes:
+    """Return the PNG file of an image."""
+    file = BytesIO()
+    image.save(file, "PNG", optimize=True)
+    return file.getvalue()
+
+
+def png_address(image: Image.Image) -> str:
+    """Return the data address of an image, which needs no file beside the page."""
+    return "data:image/png;base64," + base64.b64encode(png(image)).decode("ascii")

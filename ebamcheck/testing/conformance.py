@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ebamcheck.backend import Slicer
-from ebamcheck.drawing.tables import text_table
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models as installed_models
+from ebamcheck.showing.short_text import text_table
 from ebamcheck.testing import accuracy, laws, protocol
 from ebamcheck.testing.subject import NO_LAYER, Figure, Raised, Subject, violations
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.metal import LayerField
-from ebamcheck.drawing.islands import ring_path
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.showing.image import palette_image, png_address
+from ebamcheck.showing.colours import palette_image, png_address
 from ebamcheck.showing.markup import Markup, element, svg_file, text
+from ebamcheck.showing.pictures import ring_path
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, BAR_PX = 880, 16, 28, 40, 240
 """Width of the picture, its margin, and the room for the title of a field and for its colour scale."""

@@ -7,9 +7,6 @@ import re
 from pathlib import Path
 
 from ebamcheck.checks.metal import deposit
-from ebamcheck.drawing.islands import islands_svg
-from ebamcheck.drawing.orders import pareto_svg
-from ebamcheck.drawing.scene import Scene
 from ebamcheck.layers.stack import Layers
 from ebamcheck.layers.svg import layer_svg, overlay_svg, sheet_svg
 from ebamcheck.program import NCProgram, read_program
@@ -17,6 +14,7 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan
 from ebamcheck.scan.plan.comparing import SEEDS, OrderComparison, compared_orders, figures_of
 from ebamcheck.settings.config import Config
+from ebamcheck.showing.pictures import Scene, islands_svg, pareto_svg
 from ebamcheck_reports import metal_picture, overlays, part_picture, program_picture, scan_picture
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.run_data import RunData, layer_name
@@ -166,14 +164,13 @@ def orders(exact: Layers, config: Config, what: str) -> dict[str, str]:
     figures = {row["order"]: (row["travel_mm"], row["entry_max_k"]) for row in rows}
     thermal = next(compared.results("thermal", seeds=1))
     islands = compared.laid.islands
-    scene = Scene.of(compared.laid.regions.section, thermal.plan)
+    scene = Scene.of(compared.laid.regions.section, thermal.plan.contours[0], thermal.plan.vectors_of(0))
     return {
         "orders-pareto": pareto_svg(figures, f"{what}: {len(islands)} islands"),
         "orders-rank": islands_svg(
             islands,
             thermal.rank.astype(float),
             f"{what}: rank in the order thermal",
-            labels=True,
             scene=scene,
         ),
     }

@@ -13,7 +13,7 @@ from ebamcheck.errors import BackendFailed, EbamcheckError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
-from ebamcheck.showing.image import binary_image, png_address
+from ebamcheck.showing.colours import binary_image, png_address
 from ebamcheck_reports.canvas import Canvas, around, outline
 from ebamcheck_reports.markup import Markup, element
 from ebamcheck_reports.paper import published

@@ -1,0 +1,293 @@
+"""``ebamcheck regress``: how far every slicer is from the truth, held against the baselines."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer import Argument, Option
+
+from ebamcheck.accuracy.baselines import UpdateMode, strict_json
+from ebamcheck.accuracy.matrix import Tolerances, read_tolerances
+from ebamcheck.accuracy.regression import Regression, accepted, default_baselines, run_regression, updated
+from ebamcheck.accuracy.report import HISTORY, record, write_junit, write_page
+from ebamcheck.accuracy.selection import (
+    REPEATS,
+    RULES,
+    Choice,
+    Trial,
+    Workpiece,
+    choose,
+    try_backends,
+    workpiece_of_model,
+    workpiece_of_part,
+    write_choice,
+)
+from ebamcheck.atomic_file import made_folder, replacing
+from ebamcheck.commands.options import (
+    DEFAULT_CONFIG,
+    ConfigOption,
+    JsonOption,
+    LayerHeightOption,
+    assignments,
+    names,
+    print_json,
+)
+from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
+from ebamcheck.mesh.part_source import read_part
+from ebamcheck.plugins import registry
+from ebamcheck.plugins.model import models
+from ebamcheck.settings.checking import checked
+from ebamcheck.settings.config import Config, load_config
+from ebamcheck.settings.stages import machine_name
+from ebamcheck.showing.short_text import text_table
+from ebamcheck.slicers.isolation import Limits
+from ebamcheck.testing.conformance import conform, conform_control, markdown_table
+
+RESULTS, TIMINGS = "results.json", "timings.json"
+
+
+def regress(
+    models: Annotated[str, Option(help="Models, comma-separated, or all; default: those of every day.")] = "",
+    backends: Annotated[str, Option(help="Backends, comma-separated; default: all available.")] = "",
+    baselines: Annotated[
+        Path | None, Option(help="Folder of the baselines; default: reports/baselines of the checkout.")
+    ] = None,
+    update_baseline: Annotated[
+        str, Option(metavar="failed|all", help="Show the differences, then accept them.")
+    ] = "",
+    tolerances: Annotated[
+        Path | None, Option(help="Tolerance of each metric (TOML); default: the shipped ones.")
+    ] = None,
+    history: Annotated[
+        Path | None, Option(help="SQLite file of the history; default: OUTPUT/history.sqlite.")
+    ] = None,
+    output: Annotated[Path, Option("-o", "--output", help="Folder for results, report and history.")] = Path(
+        "regress"
+    ),
+    config_file: Annotated[
+        Path | None,
+        Option(
+            "-c",
+            "--config",
+            help="Settings (TOML), table [regression] and [slicing.settings.NAME]; default: ./ebamcheck.toml.",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Measure the slicers on models with known sections; exit code 1 where one got worse than its baseline.
+
+    Writes results.json, junit.xml and regress.html, the same bytes for the same figures; timings.json holds all
+    timings, history.sqlite the results over time.
+
+    Example: ebamcheck regress --models cube,sphere --backends planecut -o regress
+    """
+    path = config_file or (DEFAULT_CONFIG if DEFAULT_CONFIG.is_file() else None)
+    config = load_config(path)
+    settings = config.regression
+    own = {name: values for name, values in config.slicing.settings.items() if values}
+    _check_update(update_baseline, own, path)
+    table = (
+        checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
+        if tolerances is None
+        else read_tolerances(tolerances)
+    )
+    found = run_regression(
+        default_baselines(baselines, settings.baselines),
+        names(models),
+        names(backends),
+        table,
+        limits=Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb),
+        note=lambda text: typer.echo(f"ebamcheck: {text}", err=True),
+        settings=own,
+    )
+    _write(found, output, history or (Path(settings.history) if settings.history else output / HISTORY))
+    typer.echo(
+        strict_json(found.record()) if as_json else "\n".join(summary(found, advise=not update_baseline))
+    )
+    if not update_baseline:
+        return found.exit_code
+    mode: UpdateMode = "all" if update_baseline == "all" else "failed"
+    changed = updated(found, mode)
+    if not as_json:
+        typer.echo(f"\nbaselines written: {', '.join(map(str, changed)) or 'none, nothing changed'}")
+    return accepted(found).exit_code
+
+
+def _check_update(update_baseline: str, own: Mapping[str, object], path: Path | None) -> None:
+    """Refuse an unknown mode, and baselines under slicers' settings (by name) of one's own."""
+    if update_baseline not in ("", "failed", "all"):
+        raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
+    if update_baseline and own:
+        raise SettingsError(
+            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
+            "out, or put it into the matrix as a variant"
+        )
+
+
+def summary(found: Regression, advise: bool = True) -> list[str]:
+    """What a report came to, for the terminal: differences first, then the counts, then what can be done if that is wanted."""
+    lines = [line for d in found.differences if d.verdict != "same" for line in d.lines()]
+    verdicts = [d.verdict for d in found.differences]
+    counts = [f"{verdicts.count(v)} {v}" for v in dict.fromkeys(sorted(verdicts))]
+    lines.append(f"{len(verdicts)} entries: {', '.join(counts) or 'none'}; baselines: {found.baselines}")
+    if not advise:
+        return lines
+    if any(d.fails for d in found.differences):
+        lines.append("accept what got worse, is new or vanished with --update-baseline=failed")
+    elif not found.compared:
+        lines.append("nothing was compared: make the baselines with --update-baseline=all")
+    return lines
+
+
+def _write(found: Regression, output: Path, history: Path) -> None:
+    """Write all files of the report."""
+    made_folder(output)
+    record(history, found)
+    for name, values in ((RESULTS, found.record()), (TIMINGS, found.timings)):
+        with replacing(output / name) as temporary:
+            temporary.write_text(strict_json(values) + "\n", encoding="utf-8")
+    write_junit(found, output)
+    write_page(found, history, output)
+
+
+DEFAULT_MODEL = "ladder"
+
+COARSE_MM = 0.4
+"""Tolerance of a model's mesh: of the ladder's sizes a coarse one, a tenth of a second to slice."""
+
+TOLERANCE_MM = 0.1
+"""Default of the error that a slicer may have: half of what the fitted curves may leave their contours by."""
+
+
+def select(
+    part: Annotated[Path | None, Option(help="Mesh file of a part like yours.")] = None,
+    model: Annotated[
+        str, Option(help="Reference model instead of a part; default: the ladder, a coarse size.")
+    ] = "",
+    tolerance_mm: Annotated[
+        float, Option(help="Error that a slicer may have, by its bound and as measured, mm.")
+    ] = TOLERANCE_MM,
+    layer_height: LayerHeightOption = None,
+    repeats: Annotated[int, Option(min=1, help="Timed runs of each backend.")] = REPEATS,
+    write: Annotated[bool, Option("--write", help="Write the choice into the settings file.")] = False,
+    config_file: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit.
+
+    Example: ebamcheck select --part blade.stl --tolerance-mm 0.05 --write
+    """
+    if part is not None and model:
+        raise SettingsError("give --part or --model, not both")
+    if not 0.0 < tolerance_mm < float("inf"):
+        raise SettingsError(f"--tolerance-mm {tolerance_mm}: give a positive number of millimetres")
+    path = config_file or DEFAULT_CONFIG
+    config = load_config(path if config_file or path.is_file() else None)
+    if layer_height is not None:
+        config = config.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
+    workpiece = _workpiece(part, model, config)
+    trials = try_backends(workpiece, config, repeats, lambda text: typer.echo(f"ebamcheck: {text}", err=True))
+    if not any(trial.available for trial in trials):
+        raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
+    choice = choose(trials, tolerance_mm)
+    circumstances = {
+        "part": workpiece.title,
+        "part_sha256": workpiece.part.sha256,
+        "layers": len(workpiece.timed),
+        "layer_height_mm": config.layer_height_mm,
+        "tolerance_mm": tolerance_mm,
+    }
+    if as_json:
+        print_json(_record(trials, choice, circumstances))
+    else:
+        typer.echo(_table(workpiece, trials, choice, tolerance_mm))
+    if not choice.primary:
+        return ExitCode.OUT_OF_TOLERANCE
+    if write:
+        write_choice(path, machine_name(), choice, trials, circumstances)
+        typer.echo(f"ebamcheck: {path}: wrote the section of machine {machine_name()!r}", err=True)
+    return ExitCode.PASS
+
+
+def _workpiece(part: Path | None, model: str, config: Config) -> Workpiece:
+    if part is not None:
+        placed, _ = read_part(part, config.part.model_copy(update={"fix_orientation": False}))
+        return workpiece_of_part(placed, config.layer_height_mm)
+    name = model or DEFAULT_MODEL
+    return workpiece_of_model(models([name])[name], COARSE_MM, config.layer_height_mm)
+
+
+def _record(trials: list[Trial], choice: Choice, circumstances: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "machine": machine_name(),
+        "primary": choice.primary,
+        "required": list(choice.required),
+        **circumstances,
+        "backends": {t.name: {**vars(t), "reason": choice.reasons[t.name]} for t in trials},
+    }
+
+
+def _table(workpiece: Workpiece, trials: list[Trial], choice: Choice, tolerance_mm: float) -> str:
+    columns = ["slicer", "available", "bound mm", "measured mm", "seconds", "device", "reason"]
+    rows = [
+        [t.name, t.available, t.bound_mm, t.measured_mm, t.seconds, t.device, choice.reasons[t.name]]
+        for t in trials
+    ]
+    chosen = (
+        f"primary: {choice.primary}; required: {', '.join(choice.required)}"
+        if choice.primary
+        else f"no slicer is accurate to {tolerance_mm:g} mm"
+    )
+    alone = (
+        ""
+        if choice.witness or not choice.primary
+        else "\nthere is no second slicer of that accuracy: a run needs two that agree"
+    )
+    head = f"machine {machine_name()}: {workpiece.title}, {len(workpiece.timed)} layers"
+    return f"{head}\n{text_table(columns, rows)}\n\n{RULES}\n\n{chosen}{alone}"
+
+
+def conform_command(
+    names: Annotated[
+        list[str] | None,
+        Argument(metavar="NAME", help="Backends, or controls; default: all that this machine can run."),
+    ] = None,
+    controls: Annotated[
+        bool, Option("--controls", help="Test controls: write, read back, plant faults.")
+    ] = False,
+    models: Annotated[
+        str | None, Option(help="Reference models, as a,b; default: all installed; none for none.")
+    ] = None,
+    setting: Annotated[
+        list[str] | None,
+        Option("--set", help="A setting of the backend, or of the machine, as NAME=VALUE; repeatable."),
+    ] = None,
+    as_json: JsonOption = False,
+    markdown: Annotated[
+        bool, Option("--markdown", help="Print one table of checks and backends for a document.")
+    ] = False,
+) -> ExitCode:
+    """Test backends against the protocol, the laws of sections and the reference models; or controls by what they write.
+
+    Exit code 1 if a check is broken, 4 if a backend is not available.
+
+    Example: ebamcheck conform planecut --models cube,sphere
+    """
+    values = assignments(setting or ())
+    if controls:
+        found = [conform_control(name, values) for name in names or registry.names(registry.CONTROLS)]
+    else:
+        wanted = list(names or [name for name in registry.house_slicers() if registry.probe(name).available])
+        chosen = None if models is None else [m for m in models.split(",") if m and m != "none"]
+        found = [conform(name, chosen, values) for name in wanted]
+    if as_json:
+        typer.echo(json.dumps([c.to_json() for c in found], indent=2, allow_nan=True))
+    elif markdown:
+        typer.echo(markdown_table(found))
+    else:
+        typer.echo("\n\n".join(c.table() for c in found))
+    return ExitCode.PASS if all(c.passed for c in found) else ExitCode.OUT_OF_TOLERANCE

@@ -1,1 +1,0 @@
-"""Pictures of islands, orders and regions, as SVG and HTML that need nothing else."""
