@@ -70,13 +70,7 @@ class Entry:
 
 
 def read_baselines(folder: Path, models: Iterable[str]) -> dict[Key, Entry]:
-    """Read the baselines of the models named; a model without a file has none.
-
-    Raises
-    ------
-    InputError
-        If a file is not what :func:`write_baselines` writes.
-    """
+    """Read the baselines of the models named; a model without a file has none."""
     found: dict[Key, Entry] = {}
     for model in models:
         path = _file(folder, model)
@@ -105,13 +99,7 @@ def _entry(model: str, name: str, record: Mapping[str, Any]) -> Entry:
 
 
 def write_baselines(folder: Path, entries: Iterable[Entry], models: Iterable[str]) -> list[Path]:
-    """Write the files of the models named, each whole or not at all; one without entries goes.
-
-    Returns
-    -------
-    list of Path
-        Files that changed.
-    """
+    """Write the files of the models named, each whole or not at all; one without entries goes. Returns the files that changed."""
     folder.mkdir(parents=True, exist_ok=True)
     by_model: dict[str, list[Entry]] = {model: [] for model in models}
     for entry in sorted(entries, key=lambda e: e.key):
@@ -294,23 +282,9 @@ def differences(
     not_run: Mapping[str, str],
     tolerances: Tolerances,
 ) -> list[Difference]:
-    """Hold every entry against its baseline.
+    """Hold every entry against its baseline; one difference for each key of either, in their order.
 
-    Parameters
-    ----------
-    entries
-        What was measured now.
-    baselines
-        What was accepted, of the same models and backends.
-    not_run
-        Backends that are not available here, and why: their baselines are neither met nor missed.
-    tolerances
-        What each metric may grow by.
-
-    Returns
-    -------
-    list of Difference
-        One for each key of either, in their order.
+    `not_run` has the backends that are not available here, and why: their baselines are neither met nor missed.
     """
     found = []
     for key in sorted({*entries, *baselines}):

@@ -74,16 +74,8 @@ COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class IslandVisits:
-    """When and where the beam enters the islands of a path that have beads, in the order in which it does.
-
-    Parameters
-    ----------
-    island
-        (E,) number in the plan.
-    entered_s, left_s, beam_s
-        (E,) from the beginning of the path; time with the beam on, counted by its power.
-    place
-        (E, 3) mm.
+    """When and where the beam enters the islands of a path that have beads (E,), in the order in which it does; `beam_s` is the time with the beam
+    on, counted by its power.
     """
 
     island: Ints
@@ -139,23 +131,9 @@ class JudgedLayer:
 
 @dataclass(frozen=True, eq=False)
 class LayerCase:
-    """A layer as 3DThesis gets it.
-
-    Parameters
-    ----------
-    path
-        Path of the layer.
-    islands
-        (E,) those that the beam enters, in the order in which it does.
-    visits
-        When and where it enters them.
-    section, height_mm
-        Solid region of the layer, and its height over the base plate: what our model knows of the part.
-    mirrors
-        Sides of the body of 3DThesis; a half space if None.
-    owner, places
-        (P,) visit of each place, rising; (P, 3) where temperatures are read, mm: first where the beam enters the island,
-        then over its area.
+    """A layer as 3DThesis gets it: the path; the islands (E,) that the beam enters, and its visits; section and height over the base plate, which
+    are what our model knows of the part; sides of the body of 3DThesis (None: a half space); and places (P, 3) where temperatures are read,
+    each with its visit: first where the beam enters the island, then over its area.
     """
 
     path: HeatPath
@@ -181,28 +159,7 @@ class LayerCase:
         body: str = BODIES[0],
         places: int = PLACES,
     ) -> LayerCase:
-        """Case of one layer of any plan.
-
-        Parameters
-        ----------
-        plan, layer
-            Plan of a stack, and which of its layers.
-        section, height_mm
-            Solid region of the layer, and its height over the base plate; as the plan says if None.
-        curves
-            Centre lines of the contour beads; without them there are none, in place or time.
-        beads, body
-            One of :data:`BEADS` and of :data:`BODIES`.
-        places
-            Places over which the temperature of an island is averaged, about.
-
-        Raises
-        ------
-        NothingCompared
-            If the layer has no islands with beads.
-        SettingsError
-            If `beads` or `body` is no choice.
-        """
+        """Case of one layer of any plan; without `curves` there are no contour beads, in place or time. About so many `places` make an island's mean."""
         for option, value, choices in (("--beads", beads, BEADS), ("--body", body, BODIES)):
             if value not in choices:
                 raise SettingsError(f"{option} {value!r}: choose from {', '.join(choices)}")
@@ -233,18 +190,7 @@ class LayerCase:
 def judge_layer(
     case: LayerCase, config: Config, progress: Callable[[int], None] = lambda done: None
 ) -> JudgedLayer:
-    """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model.
-
-    Parameters
-    ----------
-    progress
-        Told how many islands are done.
-
-    Raises
-    ------
-    BackendMissing, BackendFailed
-        See :func:`ebamcheck.accuracy.heat_judge.rises_k`.
-    """
+    """Judge one layer: its islands when the beam enters them, by 3DThesis and by our own model; `progress` is told how many are done."""
     owner, visits = case.owner, case.visits
     rises = rises_k(case.path, config, visits.entered_s, owner, case.places, case.mirrors, progress)
     spot = np.searchsorted(owner, np.arange(len(case.islands)))
@@ -315,7 +261,6 @@ def _middles(low: float, high: float, step: float) -> Floats:
 
 
 def _no_contours(plan: ScanPlan) -> Curves:
-    """Return curves of a stack that has none."""
     nothing = np.zeros(0, np.int64)
     start = np.zeros(1, np.int64)
     return Curves(
@@ -369,32 +314,10 @@ def rises_k(
     mirrors: Mirrors | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Floats:
-    """Temperature rises at places, each at the moment of its owner, by 3DThesis.
+    """Temperature rises (P,), K over ``process.ambient_temperature_k``, at places (P, 3), mm, each at the moment of its owner (E,), by 3DThesis.
 
-    Parameters
-    ----------
-    path
-        Path of one layer.
-    times_s
-        (E,) moments from the beginning of the path.
-    owner, places
-        (P,) moment of each place, rising; (P, 3) mm.
-    mirrors
-        Sides of the body; a half space if None.
-    progress
-        Told how many moments are done.
-
-    Returns
-    -------
-    rises
-        (P,) K over ``process.ambient_temperature_k``.
-
-    Raises
-    ------
-    BackendMissing
-        If 3DThesis is not installed.
-    BackendFailed
-        If it fails, runs too long, leaves no temperatures, or finds that a place was cooled.
+    Raises BackendMissing where it is not installed, BackendFailed where it fails, runs too long, leaves no temperatures, or finds that a
+    place was cooled.
     """
     THESIS.path()
     rises = np.empty(len(places))
@@ -416,7 +339,6 @@ def rises_k(
 
 
 def _run(case: Path, times_s: Floats, places: Floats, mirrors: Mirrors | None) -> Floats:
-    """Temperatures (E, P) of places at all of the moments."""
     for name, text in fill_case(readings(times_s.tolist(), places, mirrors)).items():
         (case / name).write_text(text, encoding="ascii")
     results = case / "Data"
@@ -426,7 +348,6 @@ def _run(case: Path, times_s: Floats, places: Floats, mirrors: Mirrors | None) -
 
 
 def _table(file: Path, places: Floats, said: str) -> Floats:
-    """Temperatures (P,) of one result file, which must be of these places."""
     try:
         lines = file.read_text(encoding="ascii").splitlines()
         table = np.array([[float(word) for word in line.split(",")] for line in lines[1:]])

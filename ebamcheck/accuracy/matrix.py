@@ -97,13 +97,7 @@ def chosen_models(matrix: Matrix, names: Sequence[str]) -> dict[str, Model]:
 
 
 def rounds(matrix: Matrix, model: str, backends: Sequence[str]) -> list[dict[str, Subject]]:
-    """Subjects of one model in rounds of one a backend, so that a round runs its processes side by side.
-
-    Raises
-    ------
-    SettingsError
-        If a variant has a setting that its backend does not know.
-    """
+    """Subjects of one model in rounds of one a backend, so that a round runs its processes side by side."""
     varied = not matrix.variant_models or model in matrix.variant_models
     found: list[dict[str, Subject]] = []
     for name in backends:
@@ -180,11 +174,5 @@ class Tolerances(Section):
 
 
 def read_tolerances(path: Path) -> Tolerances:
-    """Read a tolerance table, TOML with ``[metrics.NAME]`` and ``[backends.BACKEND.NAME]``.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read, is not TOML, or names what there is not.
-    """
+    """Read a tolerance table, TOML with ``[metrics.NAME]`` and ``[backends.BACKEND.NAME]``."""
     return checked(Tolerances, read_toml(path), path)

@@ -40,22 +40,8 @@ MEASURED, REFUSED = "measured", "refused"
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """A model made ready: its mesh, the heights, and what is exact there.
-
-    Parameters
-    ----------
-    part
-        Mesh that the slicers cut.
-    heights
-        (L,) mm, strictly increasing: middles of uniform layers, and planes through level faces.
-    uniform
-        (L,) which of them are middles of uniform layers.
-    layer_height_mm
-        Height of those layers.
-    layers
-        Exact sections of the model.
-    allowance_mm
-        (L,) depth that a section of the mesh may have against the exact one.
+    """A model made ready: the mesh that the slicers cut; heights (L,), middles of uniform layers and planes through level faces, and which are
+    which; exact sections of the model; and the depth (L,) that a section of the mesh may have against the exact one.
     """
 
     part: Part
@@ -80,15 +66,7 @@ class Measured:
 
 
 def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
-    """Tessellate a model and cut it exactly.
-
-    Parameters
-    ----------
-    tolerance_mm
-        Of the tessellation.
-    layers
-        Number of uniform layers.
-    """
+    """Tessellate a model within a tolerance and cut it exactly, in so many uniform layers and through its level faces."""
     part = model.tessellate(tolerance_mm)
     low, high = model.bounds[:, 2].tolist()
     step = (high - low) / layers
@@ -163,7 +141,6 @@ def _comparable(truth: Truth, outcome: Outcome) -> Bools:
 
 
 def _columns(exact: Layers, allowance_mm: Floats, outcome: Outcome, layers: Layers) -> dict[str, list[Any]]:
-    """Columns of the layers compared, rounded as baselines keep them."""
     pair = Pair(0, 1, DEPTH_SHARE * outcome.error_bound_mm, True, False)
     x0, y0 = shared_origin([exact, layers])
     figures = measure_stacks([exact, layers], [pair], (x0, y0))

@@ -86,29 +86,10 @@ def run_regression(
     note: Note = lambda text: None,
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Regression:
-    """Measure models x backends x settings and hold them against the baselines of a folder.
+    """Measure models x backends x settings and hold them against the baselines of a folder; where these are missing every entry is new.
 
-    Parameters
-    ----------
-    folder
-        Baselines; they may be missing, then every entry is new.
-    models, backends
-        Names; the default is every model of every day and every backend that is available.
-    tolerances
-        What each metric may grow by; the shipped ones where none are given.
-    limits
-        Time and memory of each backend's process; the defaults of a run where none are given.
-    note
-        Called with a line for each model begun, each backend left out and each that is measured under other settings.
-    settings
-        Settings by backend on top of those of the matrix; what they come to is held against the same baselines.
-
-    Raises
-    ------
-    SettingsError
-        If a model is unknown, the matrix is wrong, or a backend does not know a setting.
-    BackendMissing
-        If a backend that is named is unknown or not available.
+    Without names: every model of every day and every backend that is available. `note` gets a line for each model begun, each backend left out
+    and each that is measured under other `settings`, which go on top of those of the matrix and are held against the same baselines.
     """
     matrix = read_matrix(folder)
     chosen = chosen_models(matrix, models)
@@ -142,7 +123,6 @@ def run_regression(
 
 
 def _usable(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
-    """Backends to run, and those that this machine cannot run with the reason; a named one must be there."""
     if names:
         return [registry.available_slicer(name).name for name in dict.fromkeys(names)], {}
     usable, not_run = [], {}
@@ -173,7 +153,6 @@ def _measure(
     limits: Limits,
     given: Mapping[str, Mapping[str, Any]],
 ) -> list[tuple[Entry, Mapping[str, float]]]:
-    """Entries of one model, and their timings."""
     case = matrix.case(model)
     found: list[tuple[Entry, Mapping[str, float]]] = []
     for subjects in rounds(matrix, model, backends):
@@ -209,14 +188,9 @@ def _entry(model: str, truth: Truth, case: Case, subject: Subject, outcome: Outc
 
 
 def updated(regression: Regression, mode: UpdateMode) -> list[Path]:
-    """Write the baselines anew: those that failed, are new or vanished, or all that were measured.
+    """Write the baselines anew: those that failed, are new or vanished, or all that were measured; returns the files that changed.
 
     Crashes and entries that could not run here stay as they were.
-
-    Returns
-    -------
-    list of Path
-        Files that changed.
     """
     verdicts = {d.key: d.verdict for d in regression.differences}
     touched = [
@@ -245,13 +219,7 @@ def accepted(regression: Regression) -> Regression:
 
 
 def default_baselines(given: Path | None, setting: str) -> Path:
-    """Folder of the baselines: the one given, the one set, or ``reports/baselines`` of a checkout.
-
-    Raises
-    ------
-    SettingsError
-        If there is none.
-    """
+    """Folder of the baselines: the one given, the one set, or ``reports/baselines`` of a checkout."""
     if given is not None:
         return given
     if setting:

@@ -120,7 +120,6 @@ def _glossary() -> Markup:
 
 
 def _trends(history: Path, metric: str) -> Markup:
-    """One small chart a model: all its entries over the results."""
     by_model = groupby(trends(history, metric), key=lambda trend: trend.key.model)
     charts = [_chart(model, list(found), metric) for model, found in by_model]
     return join([element("h3", metric.replace("_", " ")), *charts])
@@ -201,13 +200,7 @@ class Trend:
 
 
 def record(path: Path, regression: Regression) -> int:
-    """Add what was measured to a history file, which is made where there is none; return the result's number.
-
-    Raises
-    ------
-    InputError
-        If the file is no history or cannot be written.
-    """
+    """Add what was measured to a history file, which is made where there is none; return the result's number."""
     figures = [
         (*(key.model, key.backend, key.settings_hash), metric, value)
         for key, entry in regression.entries.items()

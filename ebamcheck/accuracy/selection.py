@@ -40,20 +40,8 @@ REPEATS = 3
 
 @dataclass(frozen=True)
 class Workpiece:
-    """What the slicers are tried on.
-
-    Parameters
-    ----------
-    part
-        The part as placed.
-    judged
-        Heights on which accuracy is judged, mm.
-    timed
-        Heights of the whole stack, on which speed is.
-    truth
-        Exact sections at the judged heights, where the part is a reference model.
-    title
-        What it is, for a table and for the settings.
+    """What the slicers are tried on: a part as placed, heights on which accuracy and on which speed is judged, and exact sections at the first of
+    them where the part is a reference model.
     """
 
     part: Part
@@ -105,24 +93,10 @@ def try_backends(
     repeats: int = REPEATS,
     note: Callable[[str], None] = lambda text: None,
 ) -> list[Trial]:
-    """Try every installed backend, or those that the settings name (``slicing.backends``).
+    """Try every installed backend, or those that the settings name (``slicing.backends``); by name, and none raises.
 
-    Parameters
-    ----------
-    workpiece
-        What to slice.
-    config
-        Settings of the backends, limits of their processes, tolerance of the comparison.
-    repeats
-        Timed runs of each backend, one at a time.
-    note
-        Called with a line for each backend begun.
-
-    Returns
-    -------
-    list of Trial
-        By name; none raises. A backend has a fault where it is outvoted by the others on a layer, or on a
-        model leaves the exact section by more than its bound and the mesh allow.
+    A backend has a fault where it is outvoted by the others on a layer, or on a model leaves the exact section by more than its bound and
+    the mesh allow.
     """
     limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
     trials: dict[str, Trial] = {}
@@ -161,7 +135,6 @@ def try_backends(
 def _seconds(
     workpiece: Workpiece, name: str, settings: BackendSettings, limits: Limits, repeats: int
 ) -> tuple[float, str]:
-    """Median time of a backend on the whole stack, alone on the machine, and why there is none."""
     times = []
     for _ in range(repeats):
         with scratch_folder() as folder:
@@ -179,7 +152,6 @@ def _comparison(workpiece: Workpiece, config: Config, outcomes: Mapping[str, Out
 
 
 def _reference(outcomes: Mapping[str, Outcome]) -> str:
-    """The exact backend of the highest priority that sliced the part."""
     exact = [n for n, o in outcomes.items() if o.file is not None and registry.slicer(n).exact]
     return max(exact, key=lambda n: (registry.slicer(n).priority, n), default="")
 
@@ -198,7 +170,6 @@ def _measured_mm(name: str, outcomes: Mapping[str, Outcome], comparison: Compari
 
 
 def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> str:
-    """What is wrong with a backend's layers, with the first place; empty if nothing."""
     if workpiece.truth is not None:
         measured = measure_outcome(workpiece.truth, outcome)
         beyond = [k for k, by in enumerate(measured.columns["beyond_bound_mm"]) if by > 0.0]
@@ -314,23 +285,9 @@ FIGURE_DIGITS = 4
 def write_choice(
     path: Path, machine: str, choice: Choice, trials: Sequence[Trial], circumstances: Mapping[str, Any]
 ) -> None:
-    """Write ``[machines."NAME"]`` with primary, required and provenance, whole or not at all.
+    """Write ``[machines."NAME"]`` with primary, required and provenance into a settings file, whole or not at all; all other sections stay.
 
-    Parameters
-    ----------
-    path
-        Settings file, made where there is none; in a ``pyproject.toml`` the section goes under ``[tool.ebamcheck]``.
-    machine
-        Name of the machine; its section takes the place of a former one, all others stay.
-    choice, trials
-        What was chosen, and the figures behind it.
-    circumstances
-        Part, layers and tolerance of the trials.
-
-    Raises
-    ------
-    SettingsError
-        If the file is not TOML, holds something else at that key, or cannot be written.
+    In a ``pyproject.toml`` it goes under ``[tool.ebamcheck]``. `circumstances` are part, layers and tolerance of the trials.
     """
     document = _read(path)
     root: Any = document

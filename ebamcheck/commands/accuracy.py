@@ -144,7 +144,6 @@ def summary(found: Regression, advise: bool = True) -> list[str]:
 
 
 def _write(found: Regression, output: Path, history: Path) -> None:
-    """Write all files of the report."""
     made_folder(output)
     record(history, found)
     for name, values in ((RESULTS, found.record()), (TIMINGS, found.timings)):

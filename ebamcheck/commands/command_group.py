@@ -128,7 +128,6 @@ def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..
 
 
 def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
-    """Run a command; turn what it raises into a message and an exit code."""
     try:
         with interruptible():
             code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
@@ -165,7 +164,6 @@ def ended_by(error: BaseException) -> ExitCode:
 
 
 def _ending(error: BaseException) -> tuple[ExitCode, str]:
-    """Exit code for an error, and what is told of it."""
     chain = list(behind(error))
     numbers = {one.errno for one in chain if isinstance(one, OSError)}
     told = f"error: {_said(error)}"

@@ -100,7 +100,6 @@ def fit_command(
 
 
 def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dict[str, Any]:
-    """Figures of one method."""
     deviation = fit_deviation(curves, layers)
     row: dict[str, Any] = {
         "method": name,

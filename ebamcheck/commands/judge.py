@@ -81,7 +81,6 @@ def judge_command(
 
 
 def _tell(judged: JudgedLayer, layer: int, body: str, config: Config, folder: Path) -> None:
-    """Print the table and the figures."""
     most_k = config.material.boiling_k - config.process.ambient_temperature_k
     typer.echo(f"layer {layer}: rise of its {len(judged.table)} islands when the beam enters them\n")
     rows = [[_cell(name, row[name], most_k) for name in SHOWN] for _, row in judged.table.iterrows()]

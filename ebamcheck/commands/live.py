@@ -118,7 +118,6 @@ def opcua_of(config: Config, file: Path | None, url: str) -> OpcuaSettings:
 
 
 def _follow_control(building: Building, opcua: OpcuaSettings) -> None:
-    """Lead a build on a control to its end, and tell every answer as a line of JSON."""
     between = BetweenLayers(building)
 
     def tell(answer: Answer) -> None:
@@ -135,7 +134,6 @@ def _follow_control(building: Building, opcua: OpcuaSettings) -> None:
 
 
 def _tell_of_journal(folder: Path) -> None:
-    """Say beforehand what takes a while: the layers of a build that goes on are made again."""
     journal = folder / JOURNAL
     layers = sum(entry["kind"] == "layer" for entry in read_journal(journal)) if journal.is_file() else 0
     if layers:
@@ -143,7 +141,6 @@ def _tell_of_journal(folder: Path) -> None:
 
 
 def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
-    """Make the build of a journal again, in a folder of its own."""
     with TemporaryDirectory(prefix="ebamcheck-replay-") as folder:
         place = Path(folder)
         (place / JOURNAL).write_bytes(journal.read_bytes())
@@ -250,7 +247,6 @@ def mapped(
 
 
 def _tell(done: Relayered, found: FinishedRun, layer: int) -> None:
-    """Print what came of it."""
     wanted = done.made.wanted
     for text in done.said:
         typer.echo(f"note: {text}")

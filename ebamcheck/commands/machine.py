@@ -118,7 +118,6 @@ def machine_command(
 
 
 def _free_url() -> str:
-    """Address on this machine at which nobody listens."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"

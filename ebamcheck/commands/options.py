@@ -137,13 +137,7 @@ def loaded(path: Path, config: Config) -> Part:
 
 
 def begun(source: Path, config: Config, job: str, yes: bool) -> Ready:
-    """Part of a job that may begin; what the preflight warns of is told before anything else is loaded.
-
-    Raises
-    ------
-    InputError, SettingsError
-        If the part cannot be read, or the job cannot come to a good end.
-    """
+    """Part of a job that may begin; what the preflight warns of is told before anything else is loaded."""
     from ebamcheck.preflight.report import ready
     from ebamcheck.settings.process_window import checked_window
 

@@ -103,13 +103,7 @@ LINE_EVERY_S = 15.0
 
 
 class Announcer:
-    """Tells on standard error which kernel is compiled: by a bar on a terminal, else by a line now and then.
-
-    Parameters
-    ----------
-    bars
-        Those that are shown anyway; where there are none, they are made for the first kernel.
-    """
+    """Tells on standard error which kernel is compiled: by a bar on a terminal (`bars` are those that are shown anyway), else by a line now and then."""
 
     def __init__(self, bars: Progress | None = None) -> None:
         self._bars = bars

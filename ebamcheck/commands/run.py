@@ -153,7 +153,6 @@ def _first_slicers(config: Config) -> WorkerPool:
 
 
 def _told(result: RunResult, as_json: bool) -> ExitCode:
-    """Tell what a job came to."""
     from ebamcheck.commands.summaries import run_summary
 
     if as_json:
@@ -223,7 +222,6 @@ def verify(
 
 
 def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
-    """Verify every published layer of a live build from its text alone."""
     from ebamcheck.live.verifying import VerifiedLayer, verify_build
 
     if part is None:

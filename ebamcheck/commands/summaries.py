@@ -152,7 +152,6 @@ def _excess(finding: Mapping[str, Any]) -> float:
 
 
 def _disagreement(f: Mapping[str, Any]) -> str:
-    """A disagreement of ``run.json`` in words."""
     cause = f.get("cause_text") or f["cause"]
     place = Place(layer=f["layer"] - 1, cut_mm=f["height_mm"], z_mm=float(f.get("program_z_mm", math.nan)))
     size = f"{float(f['value']):.4g} over {float(f['limit']):.4g}"

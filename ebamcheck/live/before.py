@@ -38,18 +38,8 @@ LEAST_RISE_K = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Before:
-    """What stands when a layer begins.
-
-    Parameters
-    ----------
-    part, last
-        Heat of the part when its uppermost layer is done, and how that was driven; None: that is not known.
-    below
-        Sums of the metal over the layers that stand; None: nothing is known of them.
-    surface
-        Their surface by the text of their programs; None: taken as level.
-    spent
-        What they took of the spool and the cathode that are in use, where the profile says how much these hold.
+    """What stands when a layer begins: heat of the part when its uppermost layer is done, and how that was driven; sums of the metal over the
+    layers that stand; their surface by the text of their programs; and what they took of spool and cathode. None: not known, of the surface: level.
     """
 
     part: PartHeat

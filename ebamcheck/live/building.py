@@ -140,7 +140,6 @@ class Building:
         return self._decide(reading)
 
     def _read(self, message: dict[str, Any]) -> Reading:
-        """What a message says that was measured."""
         if self._standing is None and "height_map" in message:
             raise Refused("not-started", NOT_STARTED)
         warmth = warmth_of(message)
@@ -214,7 +213,6 @@ class Building:
         return answer
 
     def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:
-        """Let a decision become the state."""
         below = self._standing
         if below is not None:
             tops_mm, top_mm = self._planned_tops_mm, below.top_mm
@@ -282,7 +280,6 @@ class Building:
     # -- going on -----------------------------------------------------------------------------------
 
     def _of(self) -> dict[str, Any]:
-        """What a journal is of."""
         return {
             "format": JOURNAL_FORMAT,
             "part_sha256": self.maker.part.sha256,
@@ -316,7 +313,6 @@ class Building:
                 waiting = None
 
     def _again(self, reading: Reading, entry: dict[str, Any]) -> None:
-        """Make one decision of the journal again."""
         answer, made = self._made(reading)
         if made is None:
             if answer["answer"] != entry["kind"]:

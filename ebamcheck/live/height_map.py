@@ -98,7 +98,6 @@ def read_map(path: Path, settings: HeightMapSettings) -> HeightMap:
 
 
 def _frame(path: Path, settings: HeightMapSettings) -> HeightMapSettings:
-    """The frame beside a map, else that of the settings."""
     beside = path.with_name(path.name + FRAME)
     if not beside.is_file():
         return settings

@@ -86,18 +86,8 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class MadeLayer:
-    """A layer that was made, whether it may be published or not.
-
-    Parameters
-    ----------
-    after
-        What stands when it is done.
-    wait_s
-        Least time between the last bead below and the first of this layer.
-    deposit_s
-        Its time, with the waits within it.
-    seconds
-        Time that the making took, by stage.
+    """A layer that was made, whether it may be published or not: `after` is what stands when it is done, `wait_s` the least time between the last
+    bead below and its first one, `deposit_s` its time with the waits within it, and `seconds` the time that the making took, by stage.
     """
 
     wanted: Wanted
@@ -276,13 +266,11 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
     def _weighed(
         self, program: NCProgram, witness: Layers, before: Before, config: Config
     ) -> tuple[list[Check], Before]:
-        """Whether a layer is cut where it comes to lie, its section is that of the mesh, and its metal that of the section."""
         checks, after = metal_checks(program, witness, before, config)
         height = layer_check(self.part, float(witness.heights[0]), config.base_mm, config.layer_height_mm)
         return [*checks, height, sections_check(self.part, witness, config)], after
 
     def _cut(self, wanted: Wanted, config: Config) -> dict[str, Layers]:
-        """Section of the layer by both slicers."""
         cut_mm = config.layers.heights_mm[0]
         cuts = {name: slicing.at(cut_mm) for name, slicing in self._slicings.items()}
         if not any(len(cut.points) for cut in cuts.values()):
@@ -290,7 +278,6 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         return cuts
 
     def _agreement(self, cuts: dict[str, Layers], seconds: dict[str, float]) -> Check:
-        """Whether both methods agree on the layer."""
         with timed(seconds, "compare"):
             found = compared_layers(cuts, self.part, self._bounds, self.config, count_evidence=False)
             # Nothing is written here: an outcome is done when it has a file.

@@ -135,14 +135,8 @@ def publish(
 ) -> dict[str, Any]:
     """Publish a layer that passed, from the place where it was made, in the folder of the build; the content of ``current.json``.
 
-    `before` is called when the layer lies on disk under its name and is not yet the current one: the journal's entry.
-
-    Raises
-    ------
-    InputError
-        If the layer did not pass, or the control would be told what is not so.
-    SettingsError
-        If its files are not the ones that were verified, or a layer of that name with other bytes is there.
+    `before` is called when the layer lies on disk under its name and is not yet the current one: the journal's entry. Refused is a layer that
+    did not pass, one of which the control would be told what is not so, and files that are not those that were verified.
     """
     if not made.passed:
         raise InputError(

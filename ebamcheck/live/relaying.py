@@ -188,7 +188,6 @@ class FinishedRun:
         return replace(found, below=MetalBelow().and_layers(laid, self.config.process))
 
     def _column_under(self, layer: int) -> HeatColumn:
-        """Balance of the heat of the layers under one, by sections, waits and power of the plan."""
         config, plan, thickness_mm = self.config, self.plan, self.thickness_mm
         column = HeatColumn(config)
         if plan.sections is None:

@@ -94,7 +94,6 @@ def _slice(
     resume: bool,
     meanwhile: Callable[[], None] | None,
 ) -> dict[str, Outcome]:
-    """Slice with every backend, each in its own process; results are on disk as they come in."""
     chosen = job.config.slicing
     limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
     kept = _kept(job, backends) if resume else {}
@@ -268,7 +267,6 @@ def _asked_for(config: Config) -> list[str]:
 
 
 def _available() -> list[str]:
-    """House slicers that this machine can run."""
     usable = [name for name in registry.house_slicers() if registry.probe(name).available]
     if not usable:
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
@@ -276,7 +274,6 @@ def _available() -> list[str]:
 
 
 def _witnesses(config: Config) -> list[str]:
-    """Witnesses asked for; of `all`, those that this machine can run."""
     if ALL not in config.slicing.witnesses:
         return [registry.slicer(name).name for name in config.slicing.witnesses]
     return [name for name in registry.witnesses() if registry.probe(name).available]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -67,10 +68,7 @@ METAL: Mapping[str, tuple[str, str]] = {
     ),
     "height at edges": ("metal-excess", "change the inset of the contour beads (scan.contour_offset_mm)"),
     "height of layers": ("metal-excess", f"look at that layer in deposit.csv; {HATCH}"),
-    "height of zones": (
-        "metal-excess",
-        "look at that place in the picture of the metal; " + HATCH,
-    ),
+    "height of zones": ("metal-excess", "look at that place in the picture of the metal; " + HATCH),
     "metal of the solid": ("level-within-layer", LEVELS),
     "sections of the mesh": ("sections-off-mesh", OFF_MESH),
     "between the cuts": ("lost-between-cuts", FLAT),
@@ -92,24 +90,56 @@ LACKING: Mapping[str, str] = {
 """Remedies where the metal of a check lacks, other than those of one that has too much."""
 
 
+KINDS: Mapping[str, tuple[Severity, str, str]] = {
+    "backend-lost": ("warning", "", ""),
+    "backend-unavailable": ("note", "", ""),
+    "check-failed": ("fault", "", ""),
+    "consumable-change": ("warning", "", "have one at hand, and let the program stop there (M1)"),
+    "curve-fell-back": ("note", "", ""),
+    "curves-not-lifted": ("note", "", "slice with an exact method"),
+    "declared-doubt": ("warning", "mm", "mend thin facets of the mesh there, or forbid it (comparison.doubt_mm = 0)"),
+    "facets-turned-over": ("warning", "facets", "look at the sections, or mend the model"),
+    "heat-above-solidus": ("warning", "K", "wait or lower the power (process.interpass)"),
+    "height-off-part": ("fault", "mm", ""),
+    "interpass-limit": ("fault", "K", "wait and lower the power as the plan has it: make the program again"),
+    "interpass-wait": ("note", "s", ""),
+    "layer-height-fitted": ("note", "", ""),
+    "no-evidence": ("warning", "", ""),
+    "placeholder-codes": ("warning", "templates", "set the machine maker's codes"),
+    "power-taper": ("note", "W", ""),
+    "seam-at-corner": ("warning", "contours", "spread the seams (process.seam_shift_mm), or leave metal for machining (process.machining_allowance_mm)"),
+    "steep-overhang": ("warning", "", "set it (process.largest_overhang_deg), or support the overhang"),
+    "table-as-it-stands": ("warning", "axes", "bring the table to 0 before the program is started"),
+    "thin-set-aside": ("note", "rings", "join bodies that nearly touch in the model, or move them apart"),
+    "wire-drawn-back": ("warning", "mm", "make sure that the feeder does, or have it done by the codes of machine.wire_start"),
+}  # fmt: skip
+"""Severity, unit and remedy of each finding, by its code, where nothing else is said."""
+
+
+def _told(
+    code: str,
+    text: str,
+    place: str | Place = "",
+    figure: float | None = None,
+    limit: float | None = None,
+    **other: Any,
+) -> Check:
+    """A finding of :data:`KINDS`."""
+    severity, unit, remedy = KINDS[code]
+    named = {"severity": severity, "unit": unit, "remedy": remedy} | other
+    return Check.finding(code=code, text=text, place=place, figure=figure, limit=limit, **named)
+
+
 # -- the part ----------------------------------------------------------------------------------------
 
 
 def begun_findings(begun: Ready) -> Iterator[Check]:
     """What was done to a part before it is sliced, and the layer height that was chosen for it."""
     if begun.turned:
-        yield Check.finding(
-            "warning",
-            "facets-turned-over",
-            f"{begun.turned} of {len(begun.part.faces)} facets were turned over",
-            "part.fix_orientation",
-            float(begun.turned),
-            0.0,
-            "facets",
-            "look at the sections, or mend the model",
-        )
+        text = f"{begun.turned} of {len(begun.part.faces)} facets were turned over"
+        yield _told("facets-turned-over", text, "part.fix_orientation", float(begun.turned), 0.0)
     if begun.fitted:
-        yield Check.finding("note", "layer-height-fitted", begun.fitted, "layers.fit_height")
+        yield _told("layer-height-fitted", begun.fitted, "layers.fit_height")
 
 
 def part_findings(found: Inspection, config: Config) -> Iterator[Check]:
@@ -134,36 +164,29 @@ def slicer_findings(
     for outcome in started.values():
         if outcome.failure:
             text = f"backend {outcome.name} {outcome.failure}: {outcome.why}"
-            yield Check.finding("warning", "backend-lost", text, outcome.name)
+            yield _told("backend-lost", text, outcome.name)
     for name, why in comparison.without_weight.items():
-        yield Check.finding(
-            "warning",
-            "no-evidence",
-            f"agreement with {name} proves nothing: {why}, the share comparison.evidence_share of bead or layer",
-            name,
-            remedy=f"give {name} settings of a narrower bound, or run without it",
-        )
+        text = f"agreement with {name} proves nothing: {why}, the share comparison.evidence_share of bead or layer"
+        remedy = f"give {name} settings of a narrower bound, or run without it"
+        yield _told("no-evidence", text, name, remedy=remedy)
     yield from doubt_findings(comparison.pairs, config)
     yield from set_aside_findings(comparison.pairs)
     for outcome in outcomes.values():
         if outcome.failure == "unavailable":
             text = f"backend {outcome.name} is not available: {outcome.why}"
-            yield Check.finding("note", "backend-unavailable", text, "slicing.backends")
+            yield _told("backend-unavailable", text, "slicing.backends")
 
 
 def doubt_findings(pairs: pd.DataFrame, config: Config) -> Iterator[Check]:
     """Layers on which slicers agree only because one of them declares doubt."""
     for a, b, layers, depth_mm, added_mm in doubted_layers(pairs):
-        yield Check.finding(
-            "warning",
+        yield _told(
             "declared-doubt",
             f"{a} and {b} agree on {len(layers)} layers only within places that one of them declares doubtful: they are "
             f"{depth_mm:.3g} mm apart, {added_mm:.3g} mm are declared",
             f"layers {', '.join(str(k + 1) for k in layers[:5])}{' ...' if len(layers) > 5 else ''}",
             depth_mm,
             config.comparison.doubt_mm,
-            "mm",
-            "mend thin facets of the mesh there, or forbid it (comparison.doubt_mm = 0)",
         )
 
 
@@ -173,17 +196,12 @@ def set_aside_findings(pairs: pd.DataFrame) -> Iterator[Check]:
         return
     first, most = rows.sort_values("layer", kind="stable").iloc[0], int(rows["set_aside"].max())
     names = sorted({f"{a} and {b}" for a, b in zip(rows["a"], rows["b"], strict=True)})
-    yield Check.finding(
-        "note",
-        "thin-set-aside",
+    text = (
         f"{'; '.join(names)}: on {rows['layer'].nunique()} layers they agree once up to {most} rings or holes are set aside "
-        f"that only one of them has, of gaps and walls thinner than {2.0 * rows['limit_mm'].max():.3g} mm",
-        Place(layer=int(first["layer"]), cut_mm=first["height_mm"]),
-        float(most),
-        None,
-        "rings",
-        "join bodies that nearly touch in the model, or move them apart",
+        f"that only one of them has, of gaps and walls thinner than {2.0 * rows['limit_mm'].max():.3g} mm"
     )
+    place = Place(layer=int(first["layer"]), cut_mm=first["height_mm"])
+    yield _told("thin-set-aside", text, place, float(most), None)
 
 
 # -- the profile -------------------------------------------------------------------------------------
@@ -208,43 +226,24 @@ def profile_findings(config: Config) -> Iterator[Check]:
     """Codes that stand for those of the machine's maker, where a table has to stand, and what the wire feeder has to do by itself."""
     names = placeholder_codes(config)
     if names:
-        yield Check.finding(
-            "warning",
-            "placeholder-codes",
-            f"the codes of beam and wire are those of the default profile, {len(names)} of them",
-            ", ".join(f"machine.{name}" for name in names),
-            float(len(names)),
-            0.0,
-            "templates",
-            "set the machine maker's codes",
-        )
+        text = f"the codes of beam and wire are those of the default profile, {len(names)} of them"
+        place = ", ".join(f"machine.{name}" for name in names)
+        yield _told("placeholder-codes", text, place, float(len(names)), 0.0)
     if axes := [axis.name for axis in config.machine.rotary if config.part.on_table is None]:
-        yield Check.finding(
-            "warning",
-            "table-as-it-stands",
+        text = (
             f"the program does not command {' and '.join(axes)}: what was proved holds while the table stands at 0, which a layer on a "
-            "turned part that was broken off may have left otherwise",
-            "machine.rotary",
-            float(len(axes)),
-            0.0,
-            "axes",
-            "bring the table to 0 before the program is started",
+            "turned part that was broken off may have left otherwise"
         )
+        yield _told("table-as-it-stands", text, "machine.rotary", float(len(axes)), 0.0)
     process = config.process
     if process.wire_retract_mm > 0.0:
         wire_mm_s = wire_speed_mm_s(config, process.bead_width_mm, config.layer_height_mm)
         bare_mm = process.wire_retract_mm / wire_mm_s * process.travel_speed_mm_s
-        yield Check.finding(
-            "warning",
-            "wire-drawn-back",
+        text = (
             f"{process.wire_retract_mm:g} mm of wire are drawn back at the end of each bead, and no block feeds them forward again: "
-            f"unless the feeder does it at the next start, {bare_mm:.3g} mm of every bead have no metal",
-            "process.wire_retract_mm",
-            bare_mm,
-            0.0,
-            "mm",
-            "make sure that the feeder does, or have it done by the codes of machine.wire_start",
+            f"unless the feeder does it at the next start, {bare_mm:.3g} mm of every bead have no metal"
         )
+        yield _told("wire-drawn-back", text, "process.wire_retract_mm", bare_mm, 0.0)
 
 
 # -- the fit -----------------------------------------------------------------------------------------
@@ -254,11 +253,9 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
     """Rings that fell back, by cause, and what no method was found for."""
     found = verdict.evidence
     if not found.known:
-        yield Check.finding(
-            "note",
+        yield _told(
             "curves-not-lifted",
             "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are",
-            remedy="slice with an exact method",
         )
     for number, cause in enumerate(CAUSES):
         rings = np.flatnonzero((found.cause == number) & (found.method > 0))
@@ -267,14 +264,13 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
         worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
         plain = int((found.method[rings] == POLYLINE).sum())
         distance = cause in ("sagitta", "plane")
-        yield Check.finding(
-            "note",
+        yield _told(
             "curve-fell-back",
             f"{rings.size} of {found.cause.size} rings fell back to a more cautious fit, {plain} of them to the contour "
             f"itself, because {WHY[cause]}",
-            place=verdict.place_of(worst),
-            figure=float(found.value_mm[worst]) if distance else None,
-            limit=float(found.limit_mm[worst]) if distance else None,
+            verdict.place_of(worst),
+            float(found.value_mm[worst]) if distance else None,
+            float(found.limit_mm[worst]) if distance else None,
             unit="mm" if distance else "",
             remedy=REMEDY[cause],
         )
@@ -349,10 +345,15 @@ def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
             place = ", ".join(text for text in (check.where, check.place) if text)
-            yield Check.finding(
-                "fault", "check-failed", f"{check.name}: {check.text}", place, check.value, check.limit, check.unit,
-                check.remedy,
-            )  # fmt: skip
+            yield _told(
+                "check-failed",
+                f"{check.name}: {check.text}",
+                place,
+                check.value,
+                check.limit,
+                unit=check.unit,
+                remedy=check.remedy,
+            )
 
 
 def _lacks(text: str) -> bool:
@@ -376,17 +377,12 @@ def heat_findings(plan: ScanPlan, config: Config) -> Iterator[Check]:
             if entry_k[k] > boiling_k
             else ""
         )
-        yield Check.finding(
-            "warning",
-            "heat-above-solidus",
+        text = (
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
-            f"enters them{beyond}",
-            _at(k, plan.heights, config),
-            min(float(entry_k[k]), boiling_k),
-            solidus_k,
-            "K",
-            "wait or lower the power (process.interpass)",
+            f"enters them{beyond}"
         )
+        figure_k = min(float(entry_k[k]), boiling_k)
+        yield _told("heat-above-solidus", text, _at(k, plan.heights, config), figure_k, solidus_k)
 
 
 def interpass_findings(summary: pd.DataFrame, plan: ScanPlan, config: Config) -> Iterator[Check]:
@@ -394,26 +390,15 @@ def interpass_findings(summary: pd.DataFrame, plan: ScanPlan, config: Config) ->
     wait_s = float(summary["pause_s"].sum())
     whole_s = wait_s + float(summary["deposit_s"].sum() + summary["travel_s"].sum())
     if wait_s > 0.0:
-        yield Check.finding(
-            "note",
-            "interpass-wait",
-            f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool",
-            "process.interpass",
-            wait_s,
-            unit="s",
-        )
+        text = f"the program waits {wait_s / 3600.0:.3g} of {whole_s / 3600.0:.3g} hours for the part to cool"
+        yield _told("interpass-wait", text, "process.interpass", wait_s)
     share = plan.metrics["power_share"].to_numpy()
     if share.size and np.nanmin(share) < 1.0:
         k, power_w = int(np.nanargmin(share)), config.process.power_w
-        yield Check.finding(
-            "note",
-            "power-taper",
-            f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm",
-            _at(k, plan.heights, config),
-            float(share[k] * power_w),
-            power_w,
-            "W",
+        text = (
+            f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm"
         )
+        yield _told("power-taper", text, _at(k, plan.heights, config), float(share[k] * power_w), power_w)
 
 
 def limit_findings(checks: Iterable[Check], plan: ScanPlan, config: Config) -> Iterator[Check]:
@@ -428,24 +413,16 @@ def limit_findings(checks: Iterable[Check], plan: ScanPlan, config: Config) -> I
     if hot.size:
         k = int(hot[planned_k.to_numpy()[hot].argmax()])
         figure_k, mark = within_range(float(planned_k[k]), config)
-        yield Check.finding(
-            "fault",
-            "interpass-limit",
+        text = (
             f"the plan enters {what} above {limit_k:.0f} K in {hot.size} of {len(plan)} layers, the hottest at "
-            f"{figure_k:.0f} K{mark}",
-            _at(k, plan.heights, config),
-            figure_k,
-            limit_k,
-            "K",
-            _cooler(config),
+            f"{figure_k:.0f} K{mark}"
         )
+        place = _at(k, plan.heights, config)
+        yield _told("interpass-limit", text, place, figure_k, limit_k, remedy=_cooler(config))
         return
     for check in checks:
         if check.name == INTERPASS and not check.passed:
-            yield Check.finding(
-                "fault", "interpass-limit", check.text, check.where, check.value, limit_k, check.unit,
-                "wait and lower the power as the plan has it: make the program again",
-            )  # fmt: skip
+            yield _told("interpass-limit", check.text, check.where, check.value, limit_k, unit=check.unit)
 
 
 def _cooler(config: Config) -> str:
@@ -471,31 +448,23 @@ def seam_findings(program: NCProgram, heights: Floats, config: Config) -> Iterat
             np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
         )
         count = int(at_corner.sum())
-        yield Check.finding(
-            "warning",
-            "seam-at-corner",
-            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees",
-            _at(layer, heights, config, x_mm, y_mm),
-            float(count),
-            0.0,
-            "contours",
-            "spread the seams (process.seam_shift_mm), or leave metal for machining (process.machining_allowance_mm)",
+        text = (
+            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees"
         )
+        yield _told("seam-at-corner", text, _at(layer, heights, config, x_mm, y_mm), float(count), 0.0)
 
 
 def consumable_findings(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
-            yield Check.finding(
-                "warning",
+            yield _told(
                 "consumable-change",
                 found.check().text,
                 f"layer {found.changes[0] + 1}",
                 found.total,
                 found.holds,
-                found.unit,
-                "have one at hand, and let the program stop there (M1)",
+                unit=found.unit,
             )
 
 
@@ -505,16 +474,8 @@ def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check
         if check.name != OVERHANG or config.process.largest_overhang_deg or not check.passed:
             continue
         if check.value > STEEP_DEG:
-            yield Check.finding(
-                "warning",
-                "steep-overhang",
-                f"{check.text}; no angle is set that the process can build, so that a bead's width counts",
-                check.where,
-                check.value,
-                STEEP_DEG,
-                check.unit,
-                "set it (process.largest_overhang_deg), or support the overhang",
-            )
+            text = f"{check.text}; no angle is set that the process can build, so that a bead's width counts"
+            yield _told("steep-overhang", text, check.where, check.value, STEEP_DEG, unit=check.unit)
 
 
 def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
@@ -533,17 +494,17 @@ def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator
     ends = "the only layer ends" if len(heights) == 1 else f"{len(heights)} layers end"
     if abs(ends_mm - part_mm) > limit:
         listed = bool(config.layers.heights_mm)
-        yield Check.finding(
-            "fault" if abs(ends_mm - part_mm) > half_mm + ROUNDING_MM else "warning",
+        yield _told(
             "height-off-part",
             f"{ends} at Z {ends_mm:.3f} mm, and the part is {part_mm:.3f} mm high",
             "layers.heights_mm" if listed else "layers.layer_height_mm",
             abs(ends_mm - part_mm),
             limit,
-            "mm",
-            "list heights for all of the part (layers.heights_mm), and what stands below them (layers.base_mm)" if listed
+            severity="fault" if abs(ends_mm - part_mm) > half_mm + ROUNDING_MM else "warning",
+            remedy="list heights for all of the part (layers.heights_mm), and what stands below them (layers.base_mm)"
+            if listed
             else "give a layer height of which the part has a whole number (layers.layer_height_mm), or leave metal for machining",
-        )  # fmt: skip
+        )
 
 
 def _at(layer: int, heights: Floats, config: Config, x_mm: float = math.nan, y_mm: float = math.nan) -> str:

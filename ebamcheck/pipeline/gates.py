@@ -41,24 +41,12 @@ def input_gate(inspection: Inspection, volume_off: str = "") -> Check:
 
 
 def volume_off(part: Part, cuts: Floats, areas: Floats, config: Config) -> str:
-    """Say how far the volume of the part is off that of its sections; empty where they agree, or the layers are not all of the part.
+    """Say how far the volume of the part, closed and the right way out, is off that of its sections; empty where they agree, or the layers are not all of it.
 
-    Parameters
-    ----------
-    part
-        The part as placed, closed and the right way out.
-    cuts, areas
-        Heights (L,), mm, of the layers from below, and areas (L,), mm2, of their sections by one slicer.
-    config
-        Its `process.mass_tolerance` is the share by which a mass may be off.
-
-    Notes
-    -----
-    The volume comes from facets and from the union of bodies by manifold3d; the sections come from slicers, which unite bodies layer by
-    layer. Sections of the mesh itself are known in closed form, with every body counted, so that what the slicers' lack of them is
-    the metal that would count twice. Only that is summed over layers, and only its surface bounds the error of the sum.
-
-    Between two heights a section of the metal that counts twice changes by no more than its surface seen from above, P. Cut at the
+    `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer. The volume comes from
+    facets and from the union of bodies by manifold3d; the sections come from slicers, which unite bodies layer by layer. Sections of the mesh
+    itself are known in closed form, with every body counted, so that what the slicers' lack of them is the metal that would count twice. Only
+    that is summed over layers: between two heights a section of it changes by no more than its surface seen from above, P, so that, cut at the
     middles of layers of height h, it is summed to within h P / 2.
     """
     if len(cuts) < 2 or config.layers.heights_mm or config.base_mm > 0.0:
@@ -136,7 +124,6 @@ def agreement_gate(
 
 
 def _worst(comparison: Comparison, first_layer_mm: float, base_mm: float) -> str:
-    """The gravest finding in words."""
     f = worst_of(comparison.findings)
     if f is None:
         return "no cause was found"
@@ -161,7 +148,6 @@ def disagreement_in_words(
 
 
 def _doubted(comparison: Comparison) -> str:
-    """Layers that agree by a declared doubt alone, counted."""
     return "".join(
         f"; {a} and {b} agree on {len(layers)} of them by declared doubt alone, {depth:.2g} mm apart with {added:.2g} mm "
         "declared (comparison.doubt_mm)"

@@ -121,7 +121,6 @@ def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
 
 
 def _comparison_record(comparison: Comparison, config: Config) -> dict[str, Any]:
-    """How the backends compare, over all layers."""
     return {
         "compared_layers": comparison.compared_layers,
         "passed": comparison.passed,
@@ -149,7 +148,6 @@ def _plate(job: Job, program: ProgramResult | None) -> dict[str, Any]:
 
 
 def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
-    """What came of every stage from the fit to the verified program."""
     reference = made.fit.verdict.reference
     proof, files, sums = made.proof, made.files, sums_of(made.tables)
     scan = {name: value for name, value in sums["scan"].items() if name != "layer"}
@@ -180,7 +178,6 @@ def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
 
 
 def _fit_record(made: FitResult) -> dict[str, Any]:
-    """Figures of the fit by the chosen method, and those of the others."""
     evidence = made.verdict.evidence
     fallen = {name: int((evidence.method == k).sum()) for k, name in enumerate(FALLBACKS) if k}
     return {
@@ -210,7 +207,6 @@ def _file_hashes(folder: Path) -> dict[str, str]:
 
 
 def _backend_record(job: Job, outcome: Outcome, figures: pd.DataFrame | None) -> dict[str, Any]:
-    """What a backend is and what it found; `figures` are those of its layers, where it has some."""
     slicer = registry.slicer(outcome.name)
     totals = {"rings": 0, "open_paths": 0, "points": 0}
     if figures is not None:

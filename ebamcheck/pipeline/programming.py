@@ -148,7 +148,6 @@ def make_program(
 
 
 def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
-    """Write the program from a layer on, where one is asked for, and tell what its check found."""
     if job.from_layer <= 1:
         return None
     z_of = deposition_heights(layers.heights, job.config.layer_height_mm, job.config.base_mm)
@@ -158,7 +157,6 @@ def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
 
 
 def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
-    """Contours by another exact method than the one that made the program, where there is one."""
     name = witness_backend(layers.backend, done)
     return layers if name == layers.backend else job.folder.read_layers(name)
 
@@ -195,11 +193,7 @@ def _proved(
         smooth=smooth_sections(sections.curves, config),
     )
     found, solid = metal.result(), solid_check(part, witness, config)
-    of_metal = [
-        *deposit_checks(program, found, config),
-        solid.check,
-        *of_mesh(part, witness, config),
-    ]
+    of_metal = [*deposit_checks(program, found, config), solid.check, *of_mesh(part, witness, config)]
     remedied = with_remedies([*checks, *of_metal], program, heights, config.layer_height_mm, config.base_mm)
     of_text = of_program.result()
     tables = {**of_text, **tables_of_metal(found, z_of, config.base_mm)}

@@ -107,15 +107,7 @@ def _changed(file: Path, original: Path) -> bool:
 
 
 def reports_again(run: RunFolder) -> dict[str, bytes]:
-    """Files that the house's writers of such reports make of the record of a run, by name.
-
-    They are given a folder with the record and no other file of the run: what they write depends on nothing else.
-
-    Raises
-    ------
-    InputError
-        If one of them cannot be made from this record.
-    """
+    """Files that the house's writers of such reports make of the record of a run alone, by name; an InputError where one cannot be made from it."""
     found: dict[str, bytes] = {}
     for name, point in registry.points(registry.REPORTS).items():
         if not is_house(point) or name not in _of_record(point.module.partition(".")[0]):
@@ -139,7 +131,6 @@ def reports_again(run: RunFolder) -> dict[str, bytes]:
 
 
 def _of_record(package: str) -> tuple[str, ...]:
-    """Names of such writers of a package."""
     return tuple(getattr(import_module(package), OF_RECORD, ()))
 
 

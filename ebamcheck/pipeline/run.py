@@ -38,42 +38,13 @@ def run_job(
     live: bool = False,
     workers: WorkerPool | None = None,
 ) -> RunResult:
-    """Slice a part with every backend, compare, fit, partition, order, write the program and verify it.
+    """Slice a part (a mesh file, or ``plate.toml``) with every backend, compare, fit, partition, order, write the program and verify it.
 
-    Parameters
-    ----------
-    part_path
-        Mesh file of the part, or ``plate.toml``.
-    target
-        Run folder to make; it appears when it is whole.
-    config
-        Settings; the defaults if None.
-    reference
-        A finer tessellation of the same part, against which the errors of contours and curves are measured.
-    resume
-        Go on with what a killed run of the same part and settings left behind; a finished one of them is returned.
-    observer
-        Told of stages and progress.
-    force
-        Make the run although a finished one stands at `target`, which is kept under a name with its date.
-    from_layer
-        Write a second program, too, that begins at this layer, from 1: to go on after a break.
-    live
-        Write a main program, too, that waits between layers until each is released.
-    workers
-        Workers for the slicers that were spawned early; None: they are when they are needed.
-    begun
-        What :func:`ebamcheck.preflight.report.ready` has made of the same part and settings; None: it is made here.
-    yes
-        Go on where the job is more work than the settings allow.
-
-    Raises
-    ------
-    InputError, SettingsError
-        If the part or the reference cannot be read, settings make no sense or are outside of the process window, a
-        finished run stands at `target`, or the preflight finds that the job cannot come to a good end.
-    BackendMissing
-        If a required or named backend is unknown, or a required one is not available.
+    The run folder `target` appears when it is whole. `reference` is a finer tessellation of the same part, against which errors are measured;
+    `resume` goes on with what a killed run of the same part and settings left, and returns a finished one; `force` makes the run although a
+    finished one stands there, which is kept under a name with its date. From `from_layer` on, counted from 1, a second program is written; `live`
+    asks for a main program that waits between layers. `begun` is the same part and settings made ready before, `workers` are those spawned early.
+    Raises InputError or SettingsError for what cannot be read or makes no sense, BackendMissing for a slicer that is not there.
     """
     config = config or Config()
     if not control(config.machine.control).is_read:
@@ -138,7 +109,6 @@ def _job(
     live: bool = False,
     workers: WorkerPool | None = None,
 ) -> RunResult:
-    """Cross-check a part in a run folder, and make the program of a run."""
     if not 1 <= from_layer <= len(begun.heights):
         raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(begun.heights)}")
     backends = chosen_backends(config)

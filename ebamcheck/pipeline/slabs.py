@@ -99,7 +99,6 @@ def check_in_slabs(
 
 
 def _as_it_stands(config: Config) -> None:
-    """Refuse settings that would move or mend the part."""
     part = config.part
     asked = {
         "part.direction": part.direction != (0.0, 0.0, 1.0),
@@ -125,7 +124,6 @@ def _reach_mm(file: FacetFile, backends: Mapping[str, BackendSettings], config: 
 
 
 def _within_work(division: Division, heights: Floats, config: Config, yes: bool) -> None:
-    """Refuse more work than the settings allow."""
     work = slab_workload(
         len(division.file), division.most_facets, heights.size, division.crossings, len(division), config
     )

@@ -112,8 +112,6 @@ def bead_curves(lines: Layers, config: Config, first_layer: int = 0) -> Curves:
 
 
 class _Lines(NamedTuple):
-    """Columns of hatch vectors (V,), in scan order."""
-
     island: Ints
     x0: Floats
     y0: Floats

@@ -136,7 +136,6 @@ def size_of(file: Path) -> int:
 
 
 def _watched(process: subprocess.Popen[bytes], said: Path, time_s: float, memory_mb: float) -> str:
-    """Wait for a process; the limit that it has passed, in words, or nothing."""
     import psutil
 
     started = time.monotonic()

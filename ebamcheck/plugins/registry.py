@@ -123,7 +123,6 @@ def _warn(told: BrokenPlugin) -> None:
 
 @cache
 def _slicer_points() -> Mapping[str, EntryPoint]:
-    """Entry points of slicers, sorted by name; a name that is there twice warns."""
     chosen, unusable = sorted_out(entry_points(group=BACKENDS))
     for told in unusable:
         _warn(told)
@@ -132,7 +131,6 @@ def _slicer_points() -> Mapping[str, EntryPoint]:
 
 @cache
 def _answer(name: str) -> Answer:
-    """What a stranger's slicer has told of itself."""
     return slicer_answer(_slicer_points()[name])
 
 

@@ -175,7 +175,6 @@ def _time_s() -> float:
 
 
 def _told(file: Path) -> dict[str, Any]:
-    """Everything that was told, each line an object of JSON; what is none is nothing."""
     told: dict[str, Any] = {}
     with contextlib.suppress(OSError), file.open("rb") as answers:
         for line in answers.read(LARGEST_ANSWER_BYTES).splitlines():
@@ -227,7 +226,6 @@ def _bounds(told: Any) -> tuple[float, float] | None:
 
 
 def _first(error: ValidationError) -> str:
-    """The first thing that is wrong with an answer, in a user's words."""
     first = error.errors()[0]
     key = str(first["loc"][0]) if first["loc"] else "answer"
     if key not in KINDS:

@@ -91,7 +91,6 @@ def lineage(slicer: object) -> list[str]:
 
 
 def _answer(question: Question, tell: Tell) -> None:
-    """Answer one question; what was told stays told whatever comes after it."""
     point = EntryPoint(question["name"], question["value"], question["group"])
     if question["kind"] == "load":
         tell(kind=type(point.load()).__name__)

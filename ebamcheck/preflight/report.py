@@ -62,24 +62,8 @@ class Preflight:
 
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """A part that is ready to be sliced.
-
-    Parameters
-    ----------
-    part
-        As placed.
-    turned
-        Facets that were turned over.
-    found
-        Its inspection.
-    config
-        Settings of the job: those given, with the layer height that a run takes where they leave it open.
-    heights
-        (L,) heights of the cuts, mm.
-    preflight
-        What was looked at.
-    fitted
-        What tells of a layer height that was chosen for the part; empty where it is that of the settings or of a bead.
+    """A part that is ready to be sliced, as placed, with its inspection, the settings of the job with the layer height that a run takes where they
+    leave it open, and the heights (L,) of the cuts, mm. `turned` facets were turned over; `fitted` tells of a layer height chosen for the part.
     """
 
     part: Part
@@ -131,7 +115,6 @@ def _checks(
 
 
 def _mesh(found: Inspection) -> Check:
-    """Closed, consistent, the right way out: a fault here shuts a gate, and slicing shows what comes of it."""
     bodies = counted(found.bodies, "body", "bodies")
     # What is to be done stands behind what was found, where the verdict knows more than that the mesh is to be mended.
     why, _, remedy = found.why.partition("; ")
@@ -148,7 +131,6 @@ def _units(found: Inspection, config: Config) -> Iterator[Check]:
 
 
 def _thickness(found: Inspection, config: Config) -> Check:
-    """A part that is thinner than a bead across the plate cannot be laid."""
     thin, bead = min(found.size_mm[:2]), config.process.bead_width_mm
     text = f"{thin:.6g} mm across at its narrowest extent; a bead is {bead:g} mm wide"
     if thin >= bead:

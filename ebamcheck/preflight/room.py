@@ -63,20 +63,12 @@ def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
         which, figure, limit = (
             ("travel_max_mm", greatest, limit_high) if above > below else ("travel_min_mm", least, limit_low)
         )
-        yield Check.preflight(
-            name,
-            "fault",
-            f"{span}: {over:.6g} mm beyond machine.{which}",
-            float(figure),
-            limit,
-            "mm",
-            _room_remedy(axis, greatest - least, limit_high - limit_low, config),
-            (RUN,),
-        )
+        place = _room_remedy(axis, greatest - least, limit_high - limit_low, config)
+        text = f"{span}: {over:.6g} mm beyond machine.{which}"
+        yield Check.preflight(name, "fault", text, float(figure), limit, "mm", place, (RUN,))
 
 
 def _room_remedy(axis: str, needed_mm: float, there_mm: float, config: Config) -> str:
-    """Say how a part gets within the travel: by a place, a turn, or another unit or machine."""
     machine = config.machine
     if axis == "Z":
         return "lay it down (--direction), or check the unit of the file (--units)"
@@ -89,7 +81,6 @@ def _room_remedy(axis: str, needed_mm: float, there_mm: float, config: Config) -
 
 
 def _plate(part: Part, low: tuple[float, float], high: tuple[float, float]) -> Check:
-    """Check that the part's box lies on the base plate."""
     box = part.bounds[:, :2]
     over = float(max((np.array(low) - box[0]).max(), (box[1] - np.array(high)).max()))
     said = (
@@ -115,13 +106,9 @@ def _keep_out(part: Part, zone: KeepOut) -> Check:
         return Check.preflight(name, "pass", f"the part's box keeps {away:.4g} mm from it", away, 0.0, "mm")
     if not enters(part, zone, outline):
         return Check.preflight(name, "pass", "the part keeps out of it", 0.0, 0.0, "mm")
-    return Check.preflight(
-        name,
-        "fault",
-        f"the part reaches into it (Z {zone.z_mm[0]:g} to {zone.z_mm[1]:g} mm)",
-        remedy="place the part elsewhere (--place, --rotate), or move the clamp (process.keep_out)",
-        stops=(RUN,),
-    )
+    remedy = "place the part elsewhere (--place, --rotate), or move the clamp (process.keep_out)"
+    text = f"the part reaches into it (Z {zone.z_mm[0]:g} to {zone.z_mm[1]:g} mm)"
+    return Check.preflight(name, "fault", text, remedy=remedy, stops=(RUN,))
 
 
 def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
@@ -149,7 +136,6 @@ def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
 
 
 def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
-    """Facets whose box, seen from above, meets that of an outline (F,)."""
     x0, y0, x1, y1 = outline.bounds
     low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
     found: Bools = (low[:, 0] <= x1) & (high[:, 0] >= x0) & (low[:, 1] <= y1) & (high[:, 1] >= y0)
@@ -191,7 +177,6 @@ def sense_checks(config: Config) -> Iterator[Check]:
 
 
 def _control(config: Config) -> Check:
-    """There must be such a control, its programs must be read back, and its templates must make blocks."""
     # What writes programs is loaded where it is asked for: the rest of a preflight needs none of it.
     from ebamcheck.nc.control import control
     from ebamcheck.nc.templates import usable_templates
@@ -210,7 +195,6 @@ def _control(config: Config) -> Check:
 
 
 def _feed(config: Config) -> Check:
-    """The axes must be able to drive the travel speed."""
     machine, speed = config.machine, config.process.travel_speed_mm_s
     axes = config.kinematics.axis_speed_mm_s
     limits = (
@@ -227,7 +211,6 @@ def _feed(config: Config) -> Check:
 
 
 def _cells(config: Config) -> Iterator[Check]:
-    """A cell must hold a few beads."""
     side, bead = config.scan.hexagon_side_mm, config.process.bead_width_mm
     if side is None or config.scan.partition == "whole":
         return
@@ -241,7 +224,6 @@ def _cells(config: Config) -> Iterator[Check]:
 
 
 def _temperatures(config: Config) -> Iterator[Check]:
-    """Temperatures of the material rise, and the chamber is colder than what a bead may be entered at."""
     material, process = config.material, config.process
     order = (material.solidus_k, material.liquidus_k, material.boiling_k)
     if not order[0] <= order[1] < order[2]:
@@ -301,13 +283,9 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
     # Of a file in inches that is what one expects.
     if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
-        yield Check.finding(
-            "warning",
-            "part-round-in-inches",
-            f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres",
-            "part.units",
-            remedy="check that the file was not converted twice",
-        )
+        text = f"the part is {size} mm, which is {inches} in: round in inches and not in millimetres"
+        remedy = "check that the file was not converted twice"
+        yield Check.finding("warning", "part-round-in-inches", text, "part.units", remedy=remedy)
     yield from _beyond_travel(found, config)
 
 
@@ -330,12 +308,8 @@ def of_bodies(found: Inspection) -> Iterator[Check]:
         more = f"; and {len(rest) - MOST_BODIES} more" if len(rest) > MOST_BODIES else ""
         yield Check.finding("note", "bodies-related", "; ".join(rest[:MOST_BODIES]) + more)
     if not found.union_known:
-        yield Check.finding(
-            "warning",
-            "bodies-related",
-            f"bodies may overlap, and the volume of {found.volume_mm3:.6g} mm3 is the sum of all of them",
-            remedy="unite them in the model",
-        )
+        text = f"bodies may overlap, and the volume of {found.volume_mm3:.6g} mm3 is the sum of all of them"
+        yield Check.finding("warning", "bodies-related", text, remedy="unite them in the model")
 
 
 def sizes(size: np.typing.ArrayLike) -> str:

@@ -56,17 +56,7 @@ SQRT3 = math.sqrt(3.0)
 
 @dataclass(frozen=True)
 class Workload:
-    """What a job makes, and what it takes.
-
-    Parameters
-    ----------
-    layers, points, islands
-        Counts; points are those of one exact contour of all layers. No islands for a job without a program.
-    bead_mm
-        Length of all beads.
-    time_s, memory_mb
-        Of the whole job on this machine.
-    """
+    """What a job makes, and what it takes; points are those of one exact contour of all layers, and a job without a program has no islands."""
 
     layers: int
     points: int

@@ -21,20 +21,9 @@ from typing import Any
 
 import ebamcheck.version
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import (
-    json_text,
-    plain,
-    read_json,
-    sha256_of_file,
-    sha256_of_json,
-    write_json,
-)
+from ebamcheck.json_values import json_text, plain, read_json, sha256_of_file, sha256_of_json, write_json
 from ebamcheck.record.form import CERTIFICATE_FORMAT, PLATE, CertificateForm, in_form
-from ebamcheck.record.run_folder import (
-    MANIFEST,
-    RunFolder,
-    own_file,
-)
+from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.record.signing import SIGNATURES, signature_files
 from ebamcheck.result import SEVERITIES
 from ebamcheck.settings.config import Config, validated
@@ -324,14 +313,8 @@ _NAME = re.compile(r"[A-Za-z0-9._-]+")
 
 
 def software(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Identity of everything that took part in a run whose record is `manifest`.
-
-    Returns
-    -------
-    dict
-        ``ebamcheck`` (version), ``source`` (``commit``, ``dirty``: "yes", "no" or "unknown", and ``sha256`` of the
-        package's files), ``python``, ``system``, ``dependencies`` (every distribution that is required, directly or
-        not, with its version) and ``backends`` (device and versions that each of them told).
+    """Identity of everything that took part in a run whose record is `manifest`: version, commit and hash of the source, interpreter, system,
+    every distribution that is required, directly or not, and device and versions that each backend told.
     """
     return {
         "ebamcheck": manifest["ebamcheck"],
@@ -395,7 +378,6 @@ def dependencies() -> Mapping[str, str]:
 
 
 def _required(line: str) -> str:
-    """Name of the distribution that a line of requirements asks for."""
     name = _NAME.match(line)
     return name[0] if name else ""
 
@@ -407,7 +389,6 @@ def _dirty(root: Path) -> str:
 
 
 def _git(root: Path, *arguments: str) -> str | None:
-    """Output of git in a checkout; None where there is no checkout, no git, or no answer."""
     git = shutil.which("git")
     if git is None or not (root / ".git").exists():
         return None

@@ -9,11 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import (
-    plain,
-    sha256_of_file,
-    sha256_of_json,
-)
+from ebamcheck.json_values import plain, sha256_of_file, sha256_of_json
 from ebamcheck.mesh.part_source import source_sha256
 from ebamcheck.printable import printable
 from ebamcheck.record.certificate import (
@@ -107,19 +103,13 @@ def certificate_checks(
         _sealed(path, found),
         hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
         hash_check(
-            "settings unchanged",
-            sha256_of_json(config.model_dump()),
-            found["settings_sha256"],
-            "settings",
+            "settings unchanged", sha256_of_json(config.model_dump()), found["settings_sha256"], "settings"
         ),
         hash_check("profile unchanged", profile, found["profile_sha256"], "settings"),
     ]
     programs = [
         hash_check(
-            "program unchanged",
-            _hash_or_missing(folder / file["name"]),
-            file["sha256"],
-            f"{file['name']}:1",
+            "program unchanged", _hash_or_missing(folder / file["name"]), file["sha256"], f"{file['name']}:1"
         )
         for file in found["programs"]
     ]

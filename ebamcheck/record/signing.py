@@ -201,7 +201,6 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
 
 
 def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
-    """Read one signature, and say whether it holds and whose it is."""
     try:
         found = read_json(path)
         public = base64.b64decode(found["public_key"], validate=True)
@@ -237,7 +236,6 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
 
 
 def _message(said: dict[str, Any]) -> bytes:
-    """Bytes that are signed."""
     return PURPOSE + json.dumps(said, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()
 
 

@@ -319,7 +319,6 @@ def explanations(kind: type[BaseModel]) -> dict[str, str]:
 
 
 def _docstrings(kind: type[BaseModel]) -> dict[str, str]:
-    """Texts that stand under the annotations of one class."""
     made = _classes(kind.__module__).get(kind.__qualname__) or _class_within(kind)
     return {
         line.target.id: inspect.cleandoc(under.value.value)
@@ -340,7 +339,6 @@ def _classes(module: str) -> dict[str, ast.ClassDef]:
 
 
 def _class_within(kind: type[BaseModel]) -> ast.ClassDef:
-    """A class that is defined within something else."""
     made = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
     assert isinstance(made, ast.ClassDef)
     return made
@@ -443,7 +441,6 @@ _texts: dict[str, tuple[Any, str]] = {}
 
 
 def _same_text(key: str, value: Any) -> str:
-    """Text of the value of a key; that of the same object is made once."""
     known = _texts.get(key)
     if known is None or known[0] is not value:
         known = _texts[key] = value, value_text(value)

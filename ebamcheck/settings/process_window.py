@@ -127,7 +127,6 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Che
 
 
 def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
-    """Voltage, current and travel speed outside of the windows of the profile, each by itself."""
     process = config.process
     for name, value, window, unit in (
         ("voltage_kv", process.voltage_kv, "voltage_window_kv", "kV"),
@@ -136,16 +135,8 @@ def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
     ):
         if (limit := _broken(value, getattr(process, window))) is not None:
             text = f"process.{name} is {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
-            yield Check.finding(
-                severity,
-                "process-limit",
-                text,
-                f"process.{name}",
-                value,
-                limit,
-                unit,
-                f"change process.{name}",
-            )
+            text = f"change process.{name}"
+            yield Check.finding(severity, "process-limit", text, f"process.{name}", value, limit, unit, text)
 
 
 def checked_window(config: Config) -> None:
@@ -161,20 +152,12 @@ def unusual_layers(config: Config) -> Iterator[Check]:
     ratio = layer_mm / bead
     limit = _broken(ratio, USUAL_OVER_BEAD)
     if limit is not None and _broken(ratio, config.process.layer_over_bead) is None:
-        yield Check.finding(
-            "note",
-            "layer-over-bead",
-            f"a layer of {layer_mm:.4g} mm is {ratio:.3g} of the height of one bead ({bead:.4g} mm)",
-            setting,
-            ratio,
-            limit,
-            "of the bead",
-            "try wire and beam on a bead of this height first",
-        )
+        text = f"a layer of {layer_mm:.4g} mm is {ratio:.3g} of the height of one bead ({bead:.4g} mm)"
+        remedy = "try wire and beam on a bead of this height first"
+        yield Check.finding("note", "layer-over-bead", text, setting, ratio, limit, "of the bead", remedy)
 
 
 def _layer(config: Config, severity: Severity, setting: str, layer_mm: float) -> Iterator[Check]:
-    """Layer height over the bead, and the wire speed that it asks for."""
     process = config.process
     ratio, wire = layer_mm / process.bead_height_mm, nominal_wire_speed_mm_s(config, layer_mm)
     low, high = allowed_layers_mm(config)

@@ -56,7 +56,6 @@ class Columns(Generic[Item]):
         return {}
 
     def _picture(self) -> str:
-        """Draw the value as SVG for a notebook."""
         return ""
 
     def __iter__(self) -> Iterator[Item]:
@@ -75,7 +74,6 @@ class Columns(Generic[Item]):
         return short_text.line(type(self).__name__, *said)
 
     def _repr_html_(self) -> str:
-        """Show the value in a notebook."""
         facts = {**self._facts(), **self._more()}
         named = {name: "not named" if fact == "" else fact for name, fact in facts.items()}
         return short_text.html(type(self).__name__, named, self._picture())
@@ -98,13 +96,7 @@ class LayerColumns(Columns[Item]):
 
 
 def index_of(which: int, count: int, one: str = "layer", of: str = "stack") -> int:
-    """Index from 0 of one of `count` items, of which a negative one counts from the end.
-
-    Raises
-    ------
-    NoSuchItem
-        If there is none of that index.
-    """
+    """Index from 0 of one of `count` items, of which a negative one counts from the end; raises :class:`NoSuchItem`."""
     if not -count <= which < count:
         raise NoSuchItem(f"no {one} {which}: the {of} has {short_text.counted(count, one)}, from 0")
     return int(which) % count

@@ -35,17 +35,7 @@ class Case:
 def junit(
     name: str, suites: Mapping[str, Sequence[Case]], properties: Mapping[str, str] | None = None
 ) -> JUnitXml:
-    """Build the suites and their cases.
-
-    Parameters
-    ----------
-    name
-        Name of the whole.
-    suites
-        Cases by suite; suites without cases are left out.
-    properties
-        Names and values that stand in every suite.
-    """
+    """Build the suites and their cases, with properties that stand in every suite; suites without cases are left out."""
     whole = JUnitXml(name)
     for suite_name, cases in suites.items():
         if not cases:

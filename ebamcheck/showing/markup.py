@@ -80,17 +80,7 @@ def inline(picture: str, class_: str | None = None) -> Markup:
 
 
 def svg_file(width_px: float, height_px: float, body: Iterable[Markup], title: str = "") -> str:
-    """Return an SVG document on white ground, one element a line.
-
-    Parameters
-    ----------
-    width_px, height_px
-        Size of the picture.
-    body
-        Elements, those behind first.
-    title
-        Title that viewers and screen readers show; none if empty.
-    """
+    """Return an SVG document on white ground, one element a line, those behind first; viewers and screen readers show the title."""
     ground = element("rect", width=f"{width_px:g}", height=f"{height_px:g}", fill="#ffffff")
     named = [element("title", title)] if title else []
     picture = element(

@@ -70,7 +70,6 @@ def islands_svg(
 
 
 def _label(x_px: float, y_px: float, words: str, on_dark: bool, with_halo: bool) -> Markup:
-    """Words about a place that are read on their colour, and over lines by a halo."""
     ink, ground = ("#fff", "#222") if on_dark else ("#222", "#fff")
     halo: dict[str, Any] = {}
     if with_halo:
@@ -96,7 +95,6 @@ def overlay(scene: Scene, place: Callable[[Floats], Floats]) -> Markup:
 
 
 def _strokes(segments: Floats, place: Callable[[Floats], Floats]) -> str:
-    """Path of separate segments (n, 4)."""
     ends = np.hstack([place(segments[:, :2]), place(segments[:, 2:])])
     return "".join(f"M{a:.1f},{b:.1f}L{c:.1f},{d:.1f}" for a, b, c, d in ends.tolist())
 
@@ -196,7 +194,6 @@ def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str
 
 
 def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[Markup]:
-    """Colours from left to right, with their ends named."""
     ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
     return _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
 

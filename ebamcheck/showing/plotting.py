@@ -50,15 +50,7 @@ def missing(package: str, extra: str, what: str) -> ExtraMissing:
 
 
 def axes(ax: Any = None, *, space: bool = False) -> Any:
-    """Axes to draw on: those given, or new ones; `space` asks for three dimensions.
-
-    Raises
-    ------
-    ExtraMissing
-        If matplotlib is not installed.
-    SettingsError
-        If the axes given have not the dimensions that the drawing needs.
-    """
+    """Axes to draw on: those given, or new ones; `space` asks for three dimensions, which those given must have."""
     try:
         from matplotlib import pyplot
     except ImportError:
@@ -72,13 +64,7 @@ def axes(ax: Any = None, *, space: bool = False) -> Any:
 
 
 def plot_facets(vertices: Floats, faces: NDArray[np.int32], name: str, ax: Any = None, **style: Any) -> Any:
-    """Draw facets, shaded, on three-dimensional axes.
-
-    Raises
-    ------
-    SettingsError
-        If there are more than :data:`MOST_FACETS`.
-    """
+    """Draw facets, at most :data:`MOST_FACETS`, shaded, on three-dimensional axes."""
     ax = axes(ax, space=True)
     if len(faces) > MOST_FACETS:
         raise SettingsError(
@@ -148,7 +134,6 @@ def _plane(ax: Any, title: str) -> Any:
 
 
 def _spaced(ax: Any, points: Floats, title: str) -> Any:
-    """One scale for all three axes."""
     low = points.min(axis=0)
     wide = np.maximum(np.ptp(points, axis=0), LEAST_EXTENT_MM)
     for k, name in enumerate("xyz"):

@@ -176,7 +176,6 @@ def _started(
 
 
 def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | None) -> None:
-    """Wait a moment for events and take in what has come."""
     with selectors.DefaultSelector() as selector:
         for worker in running:
             selector.register(worker.events, selectors.EVENT_READ, worker)
@@ -227,7 +226,6 @@ def _take(worker: Worker, event: dict[str, Any], progress: Callable[[str, int], 
 
 
 def _enforce(worker: Worker, limits: Limits) -> None:
-    """Kill a worker that has used up its time or its memory, and note which."""
     try:
         resident = _resident_mb(worker)
     except psutil.Error:
@@ -314,6 +312,5 @@ def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[
 
 
 def _discard(worker: Worker) -> None:
-    """Remove what a worker that was ended had begun to write."""
     for part in worker.file.parent.glob(f".{worker.file.name}.*.part"):
         part.unlink(missing_ok=True)

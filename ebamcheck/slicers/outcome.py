@@ -223,7 +223,6 @@ def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool
 
 
 def _column_faults(layers: Layers) -> Iterable[str]:
-    """Columns of another type or shape."""
     columns: Mapping[str, tuple[Any, type[np.generic], tuple[int | None, ...]]] = {
         "heights": (layers.heights, np.float64, (None,)),
         "points": (layers.points, np.float64, (None, 2)),
@@ -243,7 +242,6 @@ def _column_faults(layers: Layers) -> Iterable[str]:
 
 
 def _height_faults(layers: Layers, heights: NDArray[np.float64]) -> Iterable[str]:
-    """Other layers than those that were asked for."""
     if layers.heights.size != heights.size:
         yield f"{layers.heights.size} for {heights.size} heights"
     elif not np.array_equal(layers.heights, heights):
@@ -252,7 +250,6 @@ def _height_faults(layers: Layers, heights: NDArray[np.float64]) -> Iterable[str
 
 
 def _ring_faults(layers: Layers) -> Iterable[str]:
-    """Rings whose borders do not fit their points."""
     for name, starts, past in (
         ("ring_starts", layers.ring_starts, len(layers.points)),
         ("layer_starts", layers.layer_starts, layers.closed.size),
@@ -288,7 +285,6 @@ def _value_faults(layers: Layers, part: Part) -> Iterable[str]:
 
 
 def _edge_faults(layers: Layers, part: Part) -> Iterable[str]:
-    """Cut edges that are none of the part's."""
     if (layers.edge is None) != (layers.edge_t is None):
         yield "edge and edge_t go together, and one of them is missing"
     elif layers.edge is not None and layers.edge_t is not None:
@@ -304,7 +300,6 @@ def _edge_faults(layers: Layers, part: Part) -> Iterable[str]:
 
 
 def _label_faults(layers: Layers, part: Part) -> Iterable[str]:
-    """Labels of another part, or that no file can hold."""
     if layers.part != part.sha256:
         yield f"they are of part {str(layers.part)[:12] or 'unknown'}, given was {part.sha256[:12]}"
     try:

@@ -196,7 +196,6 @@ class Slicing:
         settings: BackendSettings,
         prepare: Callable[[], Prepared],
     ) -> None:
-        """Make the part ready in a thread of the object's own."""
         self.part, self.backend, self.settings = part, backend, settings
         self._unturned = unturned
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}")

@@ -254,13 +254,7 @@ def conform(
 
 
 def conform_control(name: str, machine: Mapping[str, Any] | None = None) -> Conformance:
-    """Run every check of controls against an installed control, under settings of the machine section.
-
-    Raises
-    ------
-    SettingsError
-        If there is no control of that name, or a setting is wrong.
-    """
+    """Run every check of controls against an installed control, under settings of the machine section."""
     from ebamcheck.testing.control_checks import ControlSubject, control_figures
 
     subject = ControlSubject(name, machine or {})

@@ -272,6 +272,5 @@ class _Heard(logging.Handler):
 
 
 def _same(check: str, name: str, found: Layers, wanted: Layers) -> Figure:
-    """Whether two stacks have the same columns, bit for bit."""
     unlike = [c for c in COLUMNS if not np.array_equal(getattr(found, c), getattr(wanted, c))]
     return truth(check, name, not unlike, f"other {', '.join(unlike)}")

@@ -259,7 +259,6 @@ def _posts(bound_mm: float) -> list[BaseGeometry]:
 
 
 def _wedges() -> list[BaseGeometry]:
-    """Wedges of 1 to 80 degrees in all directions."""
     wedges: list[BaseGeometry] = []
     for k, angle in enumerate((1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 80.0)):
         row, column = divmod(k, 4)

@@ -132,13 +132,7 @@ class Subject:
 
 
 class Raised(Exception):
-    """Something that a slicer raised, with what it was doing.
-
-    Attributes
-    ----------
-    model
-        Name of the part that it was cutting.
-    """
+    """Something that a slicer raised, with what it was doing; `model` names the part that it was cutting."""
 
     def __init__(self, subject: Subject, part: Part, planes: NDArray[np.float64], error: Exception) -> None:
         self.model = part.name

@@ -122,7 +122,6 @@ class Door:
         self._recall()
 
     def _recall(self) -> None:
-        """Take from the journal what was done to the control before."""
         for entry in read_journal(self._building.journal.path):
             if entry["kind"] == LEADS:
                 self._owners.add(float(entry["owner"]))
@@ -138,10 +137,7 @@ class Door:
     async def run(self) -> Answer:
         """Lead the build to its end; connections come and go meanwhile.
 
-        Raises
-        ------
-        SettingsError
-            If the control lets nobody in, or has no such nodes, before anything was done on it.
+        Raises SettingsError where the control lets nobody in, or has no such nodes, before anything was done on it.
         """
         pause_s, ever = self._opcua.retry_s, False
         while True:
@@ -371,7 +367,6 @@ class Door:
         self._telling.say("released", layer=layer + 1, name=current["name"], sha256=current["sha256"])
 
     def _judge_release(self, seen: Seen, layer: int) -> None:
-        """Say what has become of a release that no layer has followed yet."""
         counts_since = self._waiting.after(max(self._released_at, self._taken_back_at or 0.0))
         if seen.released == layer + 1:
             if counts_since:

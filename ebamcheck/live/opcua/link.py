@@ -166,16 +166,8 @@ async def within(asked: Awaitable[T], limit_s: float) -> T:
     """Wait for a result in a task of its own, and never lose a cancellation, whatever the library that is waited for does with it.
 
     Before Python 3.12 ``asyncio.wait_for`` loses one that comes as the wait ends; asyncua loses one that comes while it takes itself
-    down. A loop that goes on after its own end can be waited for without end.
-
-    Raises
-    ------
-    TimeoutError
-        If it takes longer; it is cancelled then.
-    BrokenOff
-        If it was cancelled, and not by the one who waits.
-    asyncio.CancelledError
-        If the one who waits is cancelled, always.
+    down. A loop that goes on after its own end can be waited for without end. Raises TimeoutError where it takes longer and is cancelled
+    then, BrokenOff where it was cancelled, and not by the one who waits.
     """
     task = asyncio.ensure_future(asked)
     try:
@@ -415,7 +407,6 @@ class _Told:
 
 
 def _ours(error: Exception, url: str, what: str, connecting: bool) -> EbamcheckError:
-    """Return the error of ours for one of the library or the system."""
     from asyncua.ua.uaerrors import UaError, UaStatusCodeError
 
     text = " ".join(str(error).split()) or type(error).__name__

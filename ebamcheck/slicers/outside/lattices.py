@@ -173,7 +173,6 @@ class LatticeStack:
         return replace(concatenate(blocks).take(order), heights=heights, **self._labels)
 
     def _keep(self, lattice: Lattice, layers: Layers) -> None:
-        """Keep what a lattice gave, and let go of the oldest."""
         self._kept[lattice] = layers
         for single, most in ((True, KEPT_PLANES), (False, KEPT_LATTICES)):
             alike = [one for one in self._kept if (one.count == 1) == single]
@@ -181,7 +180,6 @@ class LatticeStack:
                 del self._kept[old]
 
     def _empty(self, heights: Floats) -> Layers:
-        """Layers outside the part."""
         return canonical(
             heights,
             np.zeros((0, 2)),

@@ -105,7 +105,6 @@ class Program:
 
 @cache
 def _version(program: Program, path: Path) -> str:
-    """Version that a program tells; it may well end with an error code when it is asked."""
     with scratch_folder() as folder:
         code, said = _run([str(path), *program.version_arguments], folder, VERSION_LIMIT_S)
     found = re.search(program.version_pattern, said)
@@ -160,7 +159,6 @@ def _ended_with_us() -> tuple[str, ...]:
 
 
 def _exit(code: int) -> str:
-    """What an exit code of a process means, in words."""
     if code >= 0:
         return f"exit code {code}"
     known = -code in signal.Signals.__members__.values()

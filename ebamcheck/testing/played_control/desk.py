@@ -58,7 +58,6 @@ def desk_profile(folder: Path, opcua: OpcuaSettings) -> Access:
 
 
 def _certificate(folder: Path, name: str, uri: str, host: str) -> None:
-    """Make a key and a certificate signed by itself."""
     key = rsa.generate_private_key(public_exponent=65537, key_size=2048)
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"ebamcheck {name}")])
     now = datetime.datetime.now(datetime.UTC)
@@ -92,7 +91,6 @@ def _certificate(folder: Path, name: str, uri: str, host: str) -> None:
 
 
 def _write_own(path: Path, content: bytes) -> None:
-    """Write a file that nobody else may read."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
     with os.fdopen(descriptor, "wb") as file:
         file.write(content)

@@ -263,7 +263,6 @@ class PlayedProgram:
         self._waiting, self._since = (layer, self.bed_mm), time.monotonic()
 
     def _has(self, layer: int, name: str) -> bool:
-        """Whether a fault is to happen now; it happens once."""
         found = self._faults.get(layer, [])
         if name in found:
             found.remove(name)
@@ -271,7 +270,6 @@ class PlayedProgram:
         return False
 
     def _before(self, layer: int) -> None:
-        """Faults on the way to a layer."""
         self.panel.break_next = self._has(layer, "upload")
         self.panel.swap_next = self._has(layer, "other-file")
         if self._has(layer, "other-client"):

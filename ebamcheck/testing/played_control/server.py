@@ -223,7 +223,6 @@ class PlayedServer:
 
 
 def _status(name: str) -> Any:
-    """Return a status by its name."""
     from asyncua import ua
     from asyncua.ua.status_codes import StatusCodes
 
