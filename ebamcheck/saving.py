@@ -14,8 +14,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
 
-CURVE_TOLERANCE_MM = 0.001
-"""Formats that know no splines get polylines this near to the curves."""
+CURVE_TOLERANCE_MM = 0.001  # Formats that know no splines get polylines this near to the curves
 
 Writer = Callable[[Any, Path], None]
 

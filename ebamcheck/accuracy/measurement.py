@@ -20,20 +20,11 @@ from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model
 from ebamcheck.slicers.isolation import Outcome
 
-SECTION_TOLERANCE_MM = 1e-4
-"""Chord error of the dense rings that stand for an exact section."""
-
-MOST_PLANES = 12
-"""Planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face."""
-
-STEP_SHARE = 1e-3
-"""Share of the area that may change over the rounding of a height; more is a step that rounding has moved."""
-
-DEPTH_SHARE = 0.02
-"""Depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show."""
-
-HEIGHT_DIGITS = 9
-"""Significant digits of the heights that baselines keep."""
+SECTION_TOLERANCE_MM = 1e-4  # Chord error of the dense rings that stand for an exact section
+MOST_PLANES = 12  # Planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face
+STEP_SHARE = 1e-3  # Share of the area that may change over the rounding of a height; more is a step that rounding has moved
+DEPTH_SHARE = 0.02  # Depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show
+HEIGHT_DIGITS = 9  # Significant digits of the heights that baselines keep
 
 MEASURED, REFUSED = "measured", "refused"
 
@@ -56,8 +47,7 @@ class Truth:
 class Measured:
     """What one backend's layers came to on one model."""
 
-    status: str
-    """``measured``, or how the backend failed."""
+    status: str  # ``measured``, or how the backend failed
     why: str = ""
     metrics: Mapping[str, float] = field(default_factory=dict)
     columns: Mapping[str, Sequence[float]] = field(default_factory=dict)
@@ -182,9 +172,7 @@ def _place(value: float) -> float | None:
 Column = Sequence[float]
 Columns = Mapping[str, Column]
 
-DIGITS = 6
-"""Significant digits that baselines keep."""
-
+DIGITS = 6  # Significant digits that baselines keep
 FINEST = 7
 """Decimals (mm, mm2) that they keep at most: a tenth of the finest depth that the comparison resolves."""
 

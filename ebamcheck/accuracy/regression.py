@@ -43,8 +43,7 @@ class Regression:
 
     baselines: Path
     entries: Mapping[Key, Entry]
-    held: Mapping[Key, Entry]
-    """Baselines of the models and backends asked for."""
+    held: Mapping[Key, Entry]  # Baselines of the models and backends asked for
     differences: Sequence[Difference]
     tolerances: Tolerances
     timings: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

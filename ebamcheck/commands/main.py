@@ -11,7 +11,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Annotated, Any, TextIO, TypeVar, cast
+from typing import Annotated, Any, TextIO, cast
 
 import typer
 from typer import Option
@@ -43,22 +43,7 @@ OBJECTS_BEFORE_GC = 300_000
 """New objects until Python looks for rings of dead ones. Imports make hundreds of thousands, and none that die: a slice
 of a small part, with all that it loads, is over before the first look, which would take a twentieth of its time."""
 
-LAST_STREAM = 2
-"""Descriptor of standard error."""
-
-_Command = TypeVar("_Command", bound=Callable[..., Any])
-
-
-def command(
-    name: str | None = None, compiles: bool = False, **options: Any
-) -> Callable[[_Command], _Command]:
-    """Register a command whose errors become one line and an exit code; `compiles` has it tell of kernels."""
-
-    def register(function: _Command) -> _Command:
-        app.command(name, **options)(guarded(function, compiles))
-        return function
-
-    return register
+LAST_STREAM = 2  # Descriptor of standard error
 
 
 class _PrintableFormatter(logging.Formatter):
@@ -92,46 +77,21 @@ def _global(
     warnings.formatwarning = lambda message, *_args, **_kwargs: str(message)
 
 
-# -- commands ------------------------------------------------------------------------------------------
+COMMANDS: tuple[tuple[str, Callable[..., Any], bool, str], ...] = (
+    ("run", run, False, "Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl"),
+    ("check", check, False, "Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run"),
+    ("inspect", inspect, True, "Example: ebamcheck inspect part.stl --regions --picture regions.svg"),
+    ("slice", slice_command, False, "Example: ebamcheck slice part.stl --backend planecut --layer-height 0.2 -o part.parquet"),
+    ("compare", compare, True, "Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01"),
+    ("backends", backends, False, "Example: ebamcheck backends --json"),
+    ("warm", warm_command, True, "Example: ebamcheck warm"),
+    ("verify", verify, True, "Examples: ebamcheck verify blade.run --trusted keys/; ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl"),
+    ("config", config_command, False, "Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml"),
+)  # fmt: skip
+"""Name and function of each command, whether it tells of kernels that are compiled, and its example."""
 
-
-command(epilog="Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl")(
-    run
-)
-
-
-command(epilog="Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run")(check)
-
-
-command(compiles=True, epilog="Example: ebamcheck inspect part.stl --regions --picture regions.svg")(inspect)
-
-
-command(
-    name="slice",
-    epilog="Example: ebamcheck slice part.stl --backend planecut --layer-height 0.2 -o part.parquet",
-)(slice_command)
-
-
-command(compiles=True, epilog="Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01")(compare)
-
-
-command(epilog="Example: ebamcheck backends --json")(backends)
-
-
-command(name="warm", compiles=True, epilog="Example: ebamcheck warm")(warm_command)
-
-
-command(
-    compiles=True,
-    epilog="Examples: ebamcheck verify blade.run --trusted keys/; "
-    "ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl",
-)(verify)
-
-
-command(
-    name="config",
-    epilog="Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml",
-)(config_command)
+for _name, _function, _compiles, _example in COMMANDS:
+    app.command(_name, epilog=_example)(guarded(_function, _compiles))
 
 
 def main() -> None:

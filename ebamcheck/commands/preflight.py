@@ -29,10 +29,9 @@ from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.preflight.report import Preflight, ready
 from ebamcheck.preflight.workload import EVERY, RUN
 from ebamcheck.result import Check, known
-from ebamcheck.showing.short_text import text_table
+from ebamcheck.showing.short_text import counted, text_table
 
-SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}
-"""Levels as the table has them."""
+SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # Levels as the table has them
 
 
 def preflight_command(
@@ -76,7 +75,7 @@ def preflight_text(found: Preflight) -> str:
     blocks = [
         text_table(["", "check", "figure", "limit", "unit", ""], [_row(check) for check in found.checks]),
         "\n".join(remedies),
-        f"{len(found.checks)} checks: {_counted(faults, 'fault')}, {_counted(warned, 'warning')}",
+        f"{len(found.checks)} checks: {counted(faults, 'fault')}, {counted(warned, 'warning')}",
     ]
     return "\n\n".join(block for block in blocks if block)
 
@@ -84,7 +83,3 @@ def preflight_text(found: Preflight) -> str:
 def _row(check: Check) -> Sequence[str]:
     figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
     return [SHOWN[check.level], check.name, *figures, check.unit, check.text]
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -76,8 +76,7 @@ ORDERS_TABLE, LAYERS_TABLE = "orders.json", "layers.csv"
 BUILT = "built_s"
 """Column: time from the start of the build to the end of a layer, with the waits between layers."""
 
-LEAST_HEIGHT_MM = 1e-3
-"""A layer at the very bottom of a part is exported so high over the plate."""
+LEAST_HEIGHT_MM = 1e-3  # A layer at the very bottom of a part is exported so high over the plate
 
 HEADINGS = {
     "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",

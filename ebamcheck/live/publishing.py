@@ -38,9 +38,7 @@ CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
 LAYERS, CURRENT, JOURNAL = "layers", "current.json", "journal.jsonl"
 """In the folder of a build: published layers, the one that is to be called next, and what happened."""
 
-FORMAT = "ebamcheck layer 2"
-"""Format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0."""
-
+FORMAT = "ebamcheck layer 2"  # Format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0
 STEM = 10
 """Characters of the program's name that a layer's name keeps: with layer and number it fits a control."""
 
@@ -248,8 +246,7 @@ def _sync_folder(folder: Path) -> None:
 JOURNAL_FORMAT = "ebamcheck journal 2"
 """Of the first line: its entries count layers from 1; those of a journal without a format counted them from 0."""
 
-FIRST = "0" * 64
-"""In place of a hash in the first line."""
+FIRST = "0" * 64  # In place of a hash in the first line
 
 
 class Journal(AbstractContextManager["Journal"]):

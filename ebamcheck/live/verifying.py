@@ -47,12 +47,8 @@ from ebamcheck.settings.config import Config, load_config
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.verify import verify
 
-VERIFIED = "verified.json"
-"""What was found, in the folder of the build."""
-
-FEWEST_CHECKS = 40
-"""A program that was read at all has more checks than these."""
-
+VERIFIED = "verified.json"  # What was found, in the folder of the build
+FEWEST_CHECKS = 40  # A program that was read at all has more checks than these
 SAME_MM = 1e-6
 """Heights nearer than this are one: those of journal, certificate and settings are the same number."""
 

@@ -35,8 +35,7 @@ Tell = Callable[..., None]
 class Question(TypedDict):
     """What is asked of a plugin."""
 
-    kind: str
-    """``load``: does it import; ``slicer``: what is it; ``settings``: are these values sound."""
+    kind: str  # ``load``: does it import; ``slicer``: what is it; ``settings``: are these values sound
     group: str
     name: str
     value: str

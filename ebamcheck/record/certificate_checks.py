@@ -31,8 +31,7 @@ HARMLESS = (".DS_Store", "Thumbs.db", ".directory")
 OF_THE_RECORD = ("program", "entry", "live", "layers")
 """Folders whose every file is in the record of the run; beside them lie reports, which the certificate alone lists."""
 
-OF_PEOPLE = ("release", "files", "seal", "software")
-"""Fields that do not follow from the record of the run."""
+OF_PEOPLE = ("release", "files", "seal", "software")  # Fields that do not follow from the record of the run
 
 
 def run_certificate_checks(

@@ -29,8 +29,7 @@ from ebamcheck.printable import printable
 from ebamcheck.regular_file import regular_file
 from ebamcheck.result import Check
 
-SIGNATURES = "signatures"
-"""Folder of the signatures, beside the certificate."""
+SIGNATURES = "signatures"  # Folder of the signatures, beside the certificate
 
 SIGNATURE_SUFFIX = ".json"
 SIGNATURE_FORMAT = 1
@@ -54,8 +53,7 @@ class Signature:
     """:data:`TRUSTED` (valid, by a key that is trusted), :data:`VALID` (by another key) or :data:`BROKEN`."""
     name: str
     fingerprint: str
-    text: str
-    """In words: who signed, with which key, or why it does not hold."""
+    text: str  # In words: who signed, with which key, or why it does not hold
 
 
 # -- keys --------------------------------------------------------------------------------------------

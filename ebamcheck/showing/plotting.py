@@ -15,11 +15,8 @@ from numpy.typing import NDArray
 from ebamcheck.errors import EbamcheckError, ExitCode, SettingsError
 from ebamcheck.numeric.rings import Floats
 
-ORDER_COLOURS = "viridis"
-"""From first to last."""
-
-MOST_FACETS = 200_000
-"""Facets that matplotlib turns around in a bearable time."""
+ORDER_COLOURS = "viridis"  # From first to last
+MOST_FACETS = 200_000  # Facets that matplotlib turns around in a bearable time
 
 LEAST_EXTENT_MM = 1e-6
 
@@ -33,13 +30,11 @@ class ExtraMissing(EbamcheckError):
 class Lines(NamedTuple):
     """Lines of one style."""
 
-    points: Sequence[Floats]
-    """(n, 2) or (n, 3) each, mm."""
+    points: Sequence[Floats]  # (n, 2) or (n, 3) each, mm
     colour: str
     width: float = 1.2
     dashes: str = "-"
-    name: str = ""
-    """Entry of the legend; empty for none."""
+    name: str = ""  # Entry of the legend; empty for none
 
 
 def missing(package: str, extra: str, what: str) -> ExtraMissing:

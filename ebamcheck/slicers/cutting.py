@@ -114,8 +114,7 @@ def slicer_time() -> float:
 FACET_BYTES, POINT_BYTES = 400.0, 160.0
 """Memory of a facet and of a point in a block, at most, with the mesh sorted and the layers in canonical form."""
 
-SHARE = 0.25
-"""Of the memory that a backend may hold, what it may come to here; beyond it somebody watches from outside."""
+SHARE = 0.25  # Of the memory that a backend may hold, what it may come to here; beyond it somebody watches from outside
 
 
 class _OutOfTime(Exception):
