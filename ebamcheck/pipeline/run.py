@@ -62,7 +62,11 @@ def run_job(
     fine = read_reference(reference, part_path, config.part) if reference else None
 
     inputs = [fine.sha256 if fine else "", f"from layer {from_layer}", f"live {live}"]
-    return _job("run", part, target, config, inputs, resume, observer, fine, force, from_layer, live, workers)
+    if not 1 <= from_layer <= len(part.heights):
+        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(part.heights)}")
+    job = Job("run", config, observer or Silent(), part.part, part.found, part.heights)
+    job.from_layer, job.live, job.workers = from_layer, live, workers
+    return _carried_out(job, part, target, inputs, resume, force, fine)
 
 
 def check_job(
@@ -88,31 +92,22 @@ def check_job(
         return check_in_slabs(part_path, target, config, slabs, resume, observer, yes, force)
     part = begun or ready(part_path, config, "check", yes)
     part.preflight.stop("check")
-    return _job("check", part, target, config, [], resume, observer, None, force, workers=workers)
+    job = Job("check", config, observer or Silent(), part.part, part.found, part.heights)
+    job.workers = workers
+    return _carried_out(job, part, target, [], resume, force, None)
 
 
-# -- stages ------------------------------------------------------------------------------------------
-
-
-def _job(
-    kind: str,
+def _carried_out(
+    job: Job,
     begun: Ready,
     target: str | Path,
-    config: Config,
     inputs: list[str],
     resume: bool,
-    observer: Observer | None,
-    fine: Part | None,
     force: bool,
-    from_layer: int = 1,
-    live: bool = False,
-    workers: WorkerPool | None = None,
+    fine: Part | None,
 ) -> RunResult:
-    if not 1 <= from_layer <= len(begun.heights):
-        raise SettingsError(f"--from-layer {from_layer}: the part has layers 1 to {len(begun.heights)}")
-    backends = chosen_backends(config)
-    job = Job(kind, config, observer or Silent(), begun.part, begun.found, begun.heights)
-    job.from_layer, job.live, job.workers = from_layer, live, workers
+    """Cross-check a part in a run folder, and make the program of a run."""
+    backends = chosen_backends(job.config)
 
     def work(job: Job) -> RunResult:
         checked = cross_check(job, backends, resume, _load_later_stages)
@@ -120,9 +115,8 @@ def _job(
 
         return finish(job, checked, begun, fine)
 
-    return carried_out(
-        job, kind, begun.part.sha256, backends, inputs, target, work, resume=resume, force=force
-    )
+    kind, sha256 = job.kind, begun.part.sha256
+    return carried_out(job, kind, sha256, backends, inputs, target, work, resume=resume, force=force)
 
 
 def _load_later_stages() -> None:

@@ -84,8 +84,6 @@ class Form(BaseModel):
 
 
 class GateForm(Form):
-    """One gate."""
-
     name: str
     passed: bool
     figure: Number
@@ -95,8 +93,6 @@ class GateForm(Form):
 
 
 class CheckForm(Form):
-    """One check of a program."""
-
     name: str
     passed: bool
     value: Number
@@ -112,8 +108,6 @@ class CheckForm(Form):
 
 
 class FindingForm(Form):
-    """One finding."""
-
     severity: Severity
     code: Annotated[str, AfterValidator(known_code)]
     text: str
@@ -125,16 +119,12 @@ class FindingForm(Form):
 
 
 class ProgramFile(Form):
-    """One file of a program, by its plain name."""
-
     name: FileName
     sha256: Sha256
     blocks: Count = 0
 
 
 class EntryForm(Form):
-    """The program that begins at a layer."""
-
     layer: Count
     validated: bool
     files: Annotated[list[ProgramFile], Field(min_length=1)]
@@ -142,8 +132,6 @@ class EntryForm(Form):
 
 
 class LiveForm(Form):
-    """The main program that waits between layers."""
-
     name: FileName
     sha256: Sha256
     validated: bool
@@ -151,8 +139,6 @@ class LiveForm(Form):
 
 
 class TotalsForm(Form):
-    """Sums over a program."""
-
     contour_mm: Finite
     hatch_mm: Finite
     travel_mm: Finite
@@ -165,8 +151,6 @@ class TotalsForm(Form):
 
 
 class ScanForm(Form):
-    """What was planned, summed over the layers."""
-
     model_config = ConfigDict(extra="allow")  # further sums, of runs with other beads
     __pydantic_extra__: dict[str, Finite]
 
@@ -180,8 +164,6 @@ class ScanForm(Form):
 
 
 class FeedForm(Form):
-    """Feed that the axes reach along a path."""
-
     blocks: Number
     time_s: Number
     constant_feed_s: Number
@@ -194,8 +176,6 @@ class FeedForm(Form):
 
 
 class TimingsForm(Form):
-    """``timings.json``: what differs from one run to the next."""
-
     finished: str
     machine: str
     part_path: str = ""
@@ -205,8 +185,6 @@ class TimingsForm(Form):
 
 
 class ProgramForm(Form):
-    """The program of a run."""
-
     checks: list[CheckForm]
     witness: SlicerName
     totals: TotalsForm
@@ -217,8 +195,6 @@ class ProgramForm(Form):
 
 
 class BackendForm(Form):
-    """One slicer of a run."""
-
     status: str
     why: str
     summary: str
@@ -237,8 +213,6 @@ class BackendForm(Form):
 
 
 class PairForm(Form):
-    """The worst figures of two slicers."""
-
     a: SlicerName
     b: SlicerName
     layers: Count
@@ -253,16 +227,12 @@ class PairForm(Form):
 
 
 class EvidenceForm(Form):
-    """Layers that rest on the same slicers."""
-
     methods: list[SlicerName]
     first_layer: Count
     last_layer: Count
 
 
 class DisagreementForm(Form):
-    """One disagreement of two slicers."""
-
     layer: int
     height_mm: Number
     backend: str
@@ -282,8 +252,6 @@ class DisagreementForm(Form):
 
 
 class ComparisonForm(Form):
-    """How the slicers compare."""
-
     compared_layers: Count
     passed: bool
     verdicts: dict[str, Count]
@@ -295,8 +263,6 @@ class ComparisonForm(Form):
 
 
 class PartOfRun(Form):
-    """The part, as record and certificate name it."""
-
     name: str
     source: Annotated[str, AfterValidator(part_file)]
     sha256: Sha256
@@ -310,14 +276,10 @@ class PartOfRun(Form):
 
 
 class InspectedPart(PartOfRun):
-    """The part in a record, with its inspection."""
-
     inspection: dict[str, JsonValue]
 
 
 class HeightsForm(Form):
-    """Heights of the cuts."""
-
     count: Count
     first_mm: float
     last_mm: float
@@ -325,16 +287,12 @@ class HeightsForm(Form):
 
 
 class MethodForm(Form):
-    """Figures of a fit by one method."""
-
     blocks: Count
     max_bulge_mm: Number
     max_points_mm: Number
 
 
 class FitForm(MethodForm):
-    """The fit."""
-
     method: str
     points: Count
     rings: Count
@@ -344,8 +302,6 @@ class FitForm(MethodForm):
 
 
 class HeatForm(Form):
-    """Heat of the whole build."""
-
     limit_k: Number
     build_s: Figures
 
@@ -412,8 +368,6 @@ CERTIFICATE_FORMAT = 2
 
 
 class ReleaseForm(Form):
-    """What a person adds."""
-
     part_number: str
     revision: str
     machine_serial: str
@@ -425,37 +379,27 @@ class ReleaseForm(Form):
 
 
 class CertifiedProgram(Form):
-    """One file of the program in a certificate."""
-
     name: FileName
     sha256: Sha256
 
 
 class SmoothingForm(Form):
-    """How far the control may leave the path."""
-
     words: list[str]
     tolerance_mm: float
 
 
 class SourceForm(Form):
-    """State of the source."""
-
     commit: str
     dirty: str
     sha256: Sha256
 
 
 class DeviceForm(Form):
-    """What a slicer ran on."""
-
     device: str
     versions: dict[str, str]
 
 
 class SoftwareForm(Form):
-    """What took part in a run."""
-
     ebamcheck: str
     source: SourceForm
     python: str
