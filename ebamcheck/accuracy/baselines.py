@@ -20,8 +20,7 @@ from ebamcheck.json_values import plain, read_json
 
 FORMAT_VERSION = 1
 
-STORED = (MEASURED, REFUSED)
-"""What a baseline may hold: a refusal with its reason is an accepted answer, a crash never is."""
+STORED = (MEASURED, REFUSED)  # a refusal with its reason is an accepted answer, a crash never is
 
 UpdateMode = Literal["failed", "all"]
 
@@ -43,9 +42,9 @@ class Entry:
     """One backend's accuracy on one model under one choice of settings."""
 
     key: Key
-    settings: Mapping[str, Any]  # Settings that are not the defaults
+    settings: Mapping[str, Any]  # settings that are not the defaults
     measured: Measured
-    metadata: Mapping[str, Any] = field(default_factory=dict)  # Mesh, machine, renderer and versions
+    metadata: Mapping[str, Any] = field(default_factory=dict)  # mesh, machine, renderer and versions
 
     @property
     def title(self) -> str:
@@ -152,20 +151,19 @@ def strict_json(value: Any, indent: int = 0) -> str:
     return json.dumps(plain(value), sort_keys=True, allow_nan=False, ensure_ascii=False)
 
 
-FIRST_PLACES = 3  # Places that a difference names
-
+FIRST_PLACES = 3  # places that a difference names
 SAME_HEIGHT_MM = 1e-6
 
 Verdict = Literal["same", "worse", "better", "new", "vanished", "failed", "not run"]
 
-FAILING: tuple[Verdict, ...] = ("worse", "failed", "vanished")  # Verdicts that make exit code 1
+FAILING: tuple[Verdict, ...] = ("worse", "failed", "vanished")  # verdicts that make exit code 1
 
 
 @dataclass(frozen=True)
 class Place:
     """One layer on which a value grew."""
 
-    layer: int  # Index, from 0
+    layer: int  # index, from 0
     z_mm: float
     x_mm: float | None
     y_mm: float | None

@@ -280,9 +280,9 @@ TIMES_A_RUN = 16
 """Moments that one run of 3DThesis is asked for. It takes all places at all moments, of which only each island's own are
 wanted: many at once cost their square, few cost a start each."""
 
-TIME_LIMIT_S = 600.0  # Time that one run may take
-PLACE_MM = 1e-3  # A place that 3DThesis gives back is this near to the one asked for: it prints six digits
-FEWEST_K = -1e-3  # Least rise that is no fault: nothing is cooled, but for the digits that are printed
+TIME_LIMIT_S = 600.0  # time that one run may take
+PLACE_MM = 1e-3  # a place that 3DThesis gives back is this near to the one asked for: it prints six digits
+FEWEST_K = -1e-3  # least rise that is no fault: nothing is cooled, but for the digits that are printed
 
 
 @dataclass(frozen=True)

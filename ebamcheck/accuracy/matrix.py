@@ -23,8 +23,8 @@ from ebamcheck.settings.checking import checked, read_toml
 
 MATRIX = "matrix.toml"
 
-ALL = "all"  # In place of the names of models: every one that is installed
-HASH_DIGITS = 12  # Digits of a settings hash that a key keeps: enough for any matrix
+ALL = "all"  # in place of the names of models: every one that is installed
+HASH_DIGITS = 12  # digits of a settings hash that a key keeps: enough for any matrix
 
 
 class Case(Section):
@@ -121,15 +121,13 @@ class Tolerance(Section):
         return self.absolute + self.relative * abs(old)
 
 
-LENGTH = Tolerance(absolute=1e-5, relative=1e-3)
-"""Ten times what the comparison resolves; a thousandth is left to compilers and renderers."""
+LENGTH = Tolerance(absolute=1e-5, relative=1e-3)  # ten times what the comparison resolves
 
 AREA = Tolerance(absolute=1e-3, relative=1e-3)
 VOLUME = Tolerance(absolute=1e-2, relative=1e-3)
-BOUND = Tolerance(absolute=1e-6, relative=1e-3)
-"""Bounds of exact slicers are rounding, under what the comparison resolves."""
+BOUND = Tolerance(absolute=1e-6, relative=1e-3)  # of exact slicers rounding
 
-NONE = Tolerance()  # Counts may not grow at all
+NONE = Tolerance()  # counts may not grow at all
 
 
 def default_tolerance(name: str) -> Tolerance:

@@ -20,12 +20,11 @@ from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model
 from ebamcheck.slicers.isolation import Outcome
 
-SECTION_TOLERANCE_MM = 1e-4  # Chord error of the dense rings that stand for an exact section
-MOST_PLANES = 12  # Planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face
-STEP_SHARE = 1e-3  # Share of the area that may change over the rounding of a height; more is a step that rounding has moved
-DEPTH_SHARE = 0.02  # Depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show
-HEIGHT_DIGITS = 9  # Significant digits of the heights that baselines keep
-
+SECTION_TOLERANCE_MM = 1e-4  # chord error of the dense rings that stand for an exact section
+MOST_PLANES = 12  # planes through level faces that are cut on top of the uniform layers: enough to meet every kind of face
+STEP_SHARE = 1e-3  # share of the area that may change over the rounding of a height; more is a step that rounding has moved
+DEPTH_SHARE = 0.02  # depth is found to a hundredth of this share of the bound: a loss of a hundredth of the bound must show
+HEIGHT_DIGITS = 9  # significant digits of the heights that baselines keep
 MEASURED, REFUSED = "measured", "refused"
 
 
@@ -172,9 +171,8 @@ def _place(value: float) -> float | None:
 Column = Sequence[float]
 Columns = Mapping[str, Column]
 
-DIGITS = 6  # Significant digits that baselines keep
-FINEST = 7
-"""Decimals (mm, mm2) that they keep at most: a tenth of the finest depth that the comparison resolves."""
+DIGITS = 6  # significant digits that baselines keep
+FINEST = 7  # decimals (mm, mm2) at most: a tenth of the finest depth that the comparison resolves
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from ebamcheck.slicers.isolation import Limits, Outcome, slice_all
 
 CHECKOUT_BASELINES = Path("reports", "baselines")
 
-UPDATED_BY_FAILED = ("worse", "new", "vanished")
-"""Verdicts whose baselines ``--update-baseline=failed`` writes."""
+UPDATED_BY_FAILED = ("worse", "new", "vanished")  # by ``--update-baseline=failed``
 
 Note = Callable[[str], None]
 
@@ -43,7 +42,7 @@ class Regression:
 
     baselines: Path
     entries: Mapping[Key, Entry]
-    held: Mapping[Key, Entry]  # Baselines of the models and backends asked for
+    held: Mapping[Key, Entry]  # baselines of the models and backends asked for
     differences: Sequence[Difference]
     tolerances: Tolerances
     timings: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

@@ -28,9 +28,7 @@ from ebamcheck.showing.markup import Markup, element, join, text
 
 PAGE = "regress.html"
 
-TREND_METRICS = ("depth_max_mm", "area_error_mean_mm2")
-"""Metrics whose trends are drawn: one of shape, one of size."""
-
+TREND_METRICS = ("depth_max_mm", "area_error_mean_mm2")  # one of shape, one of size
 WIDTH_PX, HEIGHT_PX = 640, 150
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 74, 14, 12, 26
 
@@ -261,8 +259,7 @@ JUNIT = "junit.xml"
 
 NAME = "ebamcheck.regress"
 
-SKIPPED = ("new", "not run")
-"""Verdicts on entries that there was nothing to hold against, or that could not run."""
+SKIPPED = ("new", "not run")  # nothing to hold it against, or it could not run
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:

@@ -31,8 +31,8 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all
 
-ACCURACY_LAYERS = 48  # Layers on which accuracy is judged: the exact sections of a model are dense
-REPEATS = 3  # Timed runs of each backend, after one that warms caches; their median counts
+ACCURACY_LAYERS = 48  # layers on which accuracy is judged: the exact sections of a model are dense
+REPEATS = 3  # timed runs of each backend, after one that warms caches; their median counts
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class Trial:
     bound_mm: float = float("nan")
     measured_mm: float = float("nan")
     """Depth of the symmetric difference with the exact section of the mesh, at most."""
-    seconds: float = float("nan")  # To prepare the part and slice the whole stack, median
+    seconds: float = float("nan")  # to prepare the part and slice the whole stack, median
     device: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -189,7 +189,7 @@ def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> st
 # -- The choice of a machine's slicers by stated rules, with the reason for each that is not chosen ------------
 
 
-TIE_SHARE = 0.1  # Times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
+TIE_SHARE = 0.1  # times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
 
 RULES = (
     "A slicer must be available and slice the part without a fault; its bound and its measured error must meet the "
@@ -202,8 +202,8 @@ RULES = (
 class Choice:
     """What was chosen, and why."""
 
-    primary: str  # Empty where no slicer is fit
-    witness: str  # The slicer that the primary is held against; empty where none is left
+    primary: str  # empty where no slicer is fit
+    witness: str  # the slicer that the primary is held against; empty where none is left
     reasons: Mapping[str, str]
 
     @property
@@ -271,7 +271,7 @@ def _place_reason(fit: Sequence[Trial], place: int) -> str:
     return f"witness: the next after {best.name} ({slower})" if place == 1 else f"not needed: {slower}"
 
 
-FIGURE_DIGITS = 4  # Significant digits of the figures kept: provenance, not input
+FIGURE_DIGITS = 4  # significant digits of the figures kept: provenance, not input
 
 
 def write_choice(

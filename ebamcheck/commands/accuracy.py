@@ -155,10 +155,8 @@ def _write(found: Regression, output: Path, history: Path) -> None:
 
 DEFAULT_MODEL = "ladder"
 
-COARSE_MM = 0.4
-"""Tolerance of a model's mesh: of the ladder's sizes a coarse one, a tenth of a second to slice."""
-
-TOLERANCE_MM = 0.1  # Default of the error that a slicer may have: half of what the fitted curves may leave their contours by
+COARSE_MM = 0.4  # tolerance of a model's mesh: of the ladder a coarse size, a tenth of a second to slice
+TOLERANCE_MM = 0.1  # default of the error that a slicer may have: half of what the fitted curves may leave their contours by
 
 
 def select(

@@ -23,10 +23,10 @@ from ebamcheck.errors import EbamcheckError, ExitCode, behind, interruptible
 from ebamcheck.installed import entry_points, is_house, sorted_out
 from ebamcheck.printable import printable
 
-COMMANDS = "ebamcheck.commands"  # Entry point group of commands that plugin packages add
+COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin packages add
 
 
-RESUMABLE = ("run", "check")  # Commands that go on with what an interrupted one left behind
+RESUMABLE = ("run", "check")  # commands that go on with what an interrupted one left behind
 
 
 class CommandGroup(TyperGroup):

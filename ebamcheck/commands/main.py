@@ -43,7 +43,7 @@ OBJECTS_BEFORE_GC = 300_000
 """New objects until Python looks for rings of dead ones. Imports make hundreds of thousands, and none that die: a slice
 of a small part, with all that it loads, is over before the first look, which would take a twentieth of its time."""
 
-LAST_STREAM = 2  # Descriptor of standard error
+LAST_STREAM = 2  # descriptor of standard error
 
 
 class _PrintableFormatter(logging.Formatter):

@@ -31,7 +31,7 @@ from ebamcheck.preflight.workload import EVERY, RUN
 from ebamcheck.result import Check, known
 from ebamcheck.showing.short_text import counted, text_table
 
-SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # Levels as the table has them
+SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # levels as the table has them
 
 
 def preflight_command(

@@ -98,7 +98,7 @@ def _bars(console: Console) -> Progress:
 
 # -- kernels that are compiled -------------------------------------------------------------------------
 
-LINE_EVERY_S = 15.0  # Where there is no terminal, a line about kernels is written no more often than this
+LINE_EVERY_S = 15.0  # where there is no terminal, a line about kernels is written no more often than this
 
 
 class Announcer:

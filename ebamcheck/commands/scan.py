@@ -73,10 +73,8 @@ ALL = "all"
 
 ORDERS_TABLE, LAYERS_TABLE = "orders.json", "layers.csv"
 
-BUILT = "built_s"
-"""Column: time from the start of the build to the end of a layer, with the waits between layers."""
-
-LEAST_HEIGHT_MM = 1e-3  # A layer at the very bottom of a part is exported so high over the plate
+BUILT = "built_s"  # column: time from the start of the build to the end of a layer, with the waits between
+LEAST_HEIGHT_MM = 1e-3  # a layer at the very bottom of a part is exported so high over the plate
 
 HEADINGS = {
     "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",
@@ -85,9 +83,7 @@ HEADINGS = {
 }  # fmt: skip
 """Figures of the printed table of orders, and their headings."""
 
-COMMON = 0.9
-"""Share of the cells whose temperatures the colours of the last field tell apart, at least: the last islands are far
-hotter."""
+COMMON = 0.9  # share of the cells that the colours tell apart: the last islands are far hotter
 
 
 def scan_command(

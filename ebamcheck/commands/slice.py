@@ -117,8 +117,7 @@ def slice_command(
     return ExitCode.PASS
 
 
-HEIGHT_ROUNDING_MM = 1e-4
-"""What formats with 32-bit numbers may round heights by, over a metre; a tenth of the default tolerance on a slope of 45 degrees."""
+HEIGHT_ROUNDING_MM = 1e-4  # what formats with 32-bit numbers may round heights by, over a metre
 
 
 def compare(

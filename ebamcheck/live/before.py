@@ -29,9 +29,8 @@ from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.wire import metal_region
 
-LONGEST_S = 4.0 * 3600.0  # Time after a layer up to which a temperature is taken
-LEAST_RISE_K = 20.0
-"""Rise of the surface over the chamber, by the model, under which a factor says nothing of it."""
+LONGEST_S = 4.0 * 3600.0  # time after a layer up to which a temperature is taken
+LEAST_RISE_K = 20.0  # rise of the surface over the chamber under which a factor says nothing
 
 
 @dataclass(frozen=True, eq=False)

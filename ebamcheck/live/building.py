@@ -56,8 +56,7 @@ TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 through vertices of the mesh, on which methods may differ, is left by each of them; and islands and hatch that lie as on a
 later layer, since where beads of one layout leave metal uneven, those of another may not."""
 
-MAKING = ".making."  # Begin of the names of folders in which layers are made
-
+MAKING = ".making."  # begin of the names of folders in which layers are made
 NOT_STARTED = "nothing is published yet: send `start` first"
 
 Answer = dict[str, Any]
@@ -433,10 +432,9 @@ def answer_to(building: Building, line: bytes) -> Answer:
         return {"answer": "error", "reason": failure_of(error)}
 
 
-SETTLED = 3
-"""Layers after which all that stays is loaded: kernels and modules come with the first that need them."""
+SETTLED = 3  # layers after which all that stays is loaded: kernels and modules come with the first
 
-WORK = ("published", "released", "kept", "done", "built")  # Answers after which a layer's work is done
+WORK = ("published", "released", "kept", "done", "built")  # answers after which a layer's work is done
 
 
 class BetweenLayers:

@@ -29,17 +29,17 @@ from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import HeightMapSettings
 
-RIM_BEADS = 0.5  # Width of the border, over the bead width, on which the flank of a bead lies
-UNEVEN_SHARE = 0.5  # Share of the usual height of a layer that a hump may have where no limit is set: the tip of the wire passes over it
+RIM_BEADS = 0.5  # width of the border, over the bead width, on which the flank of a bead lies
+UNEVEN_SHARE = 0.5  # share of the usual height of a layer that a hump may have where no limit is set: the tip of the wire passes over it
 
 MENDING = (1.0, 0.6, 0.3)
 """Shares of a measured unevenness that a layer is tried to mend, one after the other, until every gate is open: the most that
 can be proved. A layer gets at most a fifth thicker or thinner for it (``MOST_MENDED``)."""
 
-KEPT_MM, MOST_KEPT_MM = 1e-3, 1e5  # Step in which heights are kept, and the greatest that is
-HOLE = np.iinfo(np.int32).min  # In place of a height that is not known
-FRAME = ".frame.toml"  # What is put behind the name of a map for the file of its frame
-MOST_POINTS, MOST_BYTES = 50_000_000, 1_000_000_000  # Points of a map, 400 MB, and bytes of a file at most
+KEPT_MM, MOST_KEPT_MM = 1e-3, 1e5  # step in which heights are kept, and the greatest that is
+HOLE = np.iinfo(np.int32).min  # in place of a height that is not known
+FRAME = ".frame.toml"  # what is put behind the name of a map for the file of its frame
+MOST_POINTS, MOST_BYTES = 50_000_000, 1_000_000_000  # points of a map, 400 MB, and bytes of a file at most
 
 COLUMNS = ("x_mm", "y_mm", "height_mm")
 SUFFIXES = (".csv", ".npy", ".tif", ".tiff")
@@ -359,12 +359,12 @@ def _place(surface: Surface, cell: int) -> tuple[float, float]:
     return round(x, 2), round(y, 2)
 
 
-LONGEST_LINE = 4096  # Bytes of a line; a reading takes a hundred
+LONGEST_LINE = 4096  # bytes of a line; a reading takes a hundred
 
 UNIT = "mm"
 
-ABSURD = 0.75  # Share of a layer's height by which it may come out higher or lower than planned: beyond it is no bead but a fault
-ALIKE = 0.35  # Share of a layer by which a value converted from another unit may miss the plan and yet tell that it is that unit
+ABSURD = 0.75  # share of a layer's height by which it may come out higher or lower than planned: beyond it is no bead but a fault
+ALIKE = 0.35  # share of a layer by which a value converted from another unit may miss the plan and yet tell that it is that unit
 
 
 @dataclass(frozen=True)

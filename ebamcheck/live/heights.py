@@ -29,24 +29,20 @@ from ebamcheck.writing.wire import MOST_MENDED
 
 Mode = Literal["uniform", "listed", "adaptive"]
 
-LEVEL = 1e-9  # One less the cosine of the slope of a facet that is level: the rounding of its normal
-LEVEL_MM = 1e-6  # Faces nearer than this lie at one height
-LEAST_FACE_MM2 = 1.0
-"""Level faces smaller than this, in all, are tips and chamfers of the mesh: no layer is bent to them."""
+LEVEL = 1e-9  # one less the cosine of the slope of a facet that is level: the rounding of its normal
+LEVEL_MM = 1e-6  # faces nearer than this lie at one height
+LEAST_FACE_MM2 = 1.0  # smaller level faces, in all, are tips and chamfers: no layer is bent to them
 
-MET = 0.5  # Share of the least layer by which a height may lie off a face and count as it: no layer can mend less
-STEPS_A_LAYER = 16  # Steps in the least layer at which slopes are known
-
+MET = 0.5  # share of the least layer by which a height may lie off a face and count as it: no layer can mend less
+STEPS_A_LAYER = 16  # steps in the least layer at which slopes are known
 ROUNDING = 1e-9
 
 LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
 """Least and greatest local height of a layer over its height, on a surface that was measured. The limits of a wire feed lie
 several times as far apart, so that one feed for the layer leaves the wire room to follow the local height all along."""
 
-CONTOURS = 1.25
-"""Wire of a bead along a contour over that of the layer, about: it lays the rim outside of it, too."""
-
-SHARE_DIGITS = 4  # Decimals of a changed feed over that of the process
+CONTOURS = 1.25  # wire of a bead along a contour over that of the layer: it lays the rim, too
+SHARE_DIGITS = 4  # decimals of a changed feed over that of the process
 
 
 # -- feed --------------------------------------------------------------------------------------------

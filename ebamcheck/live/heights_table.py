@@ -18,7 +18,7 @@ from ebamcheck.numeric.rings import Floats
 
 TABLE, PLOT = "heights.csv", "heights.svg"
 
-PLOT_EVERY = 20  # The plot is drawn anew after so many layers, and when a server ends or the part is built
+PLOT_EVERY = 20  # the plot is drawn anew after so many layers, and when a server ends or the part is built
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ PANELS = (
 )  # fmt: skip
 """Title of each panel, and its lines: name, column, and the column that is taken off it."""
 
-LINES = (("#1f77b4", ""), ("#d62728", "5 3"))  # Colour and dashes of the lines of a panel
+LINES = (("#1f77b4", ""), ("#d62728", "5 3"))  # colour and dashes of the lines of a panel
 
 
 def heights_plot(table: dict[str, Floats]) -> str:

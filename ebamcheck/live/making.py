@@ -58,8 +58,8 @@ from ebamcheck.settings.stages import PartSettings
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 
-ROOM_K = 10.0  # Room under the limit beside what was found over it: with other waits and power beads are entered at other moments
-MOST_K = 150.0  # More than this no plan is to aim lower
+ROOM_K = 10.0  # room under the limit beside what was found over it: with other waits and power beads are entered at other moments
+MOST_K = 150.0  # more than this no plan is to aim lower
 
 
 @dataclass(frozen=True)

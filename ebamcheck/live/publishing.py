@@ -32,15 +32,10 @@ from ebamcheck.version import __version__
 from ebamcheck.writing.blocks import BlockFormat
 from ebamcheck.writing.table import tilt_of
 
-CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"
-"""Files of a published layer, and the folder of its program."""
-
-LAYERS, CURRENT, JOURNAL = "layers", "current.json", "journal.jsonl"
-"""In the folder of a build: published layers, the one that is to be called next, and what happened."""
-
-FORMAT = "ebamcheck layer 2"  # Format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0
-STEM = 10
-"""Characters of the program's name that a layer's name keeps: with layer and number it fits a control."""
+CERTIFICATE, SETTINGS, PROGRAM = "layer.json", "settings.toml", "program"  # of a published layer
+LAYERS, CURRENT, JOURNAL = "layers", "current.json", "journal.jsonl"  # in the folder of a build
+FORMAT = "ebamcheck layer 2"  # format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0
+STEM = 10  # characters of the program's name that a layer's name keeps
 
 SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")
 """What a control is told of a layer that stands in its certificate, too."""
@@ -243,10 +238,8 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-JOURNAL_FORMAT = "ebamcheck journal 2"
-"""Of the first line: its entries count layers from 1; those of a journal without a format counted them from 0."""
-
-FIRST = "0" * 64  # In place of a hash in the first line
+JOURNAL_FORMAT = "ebamcheck journal 2"  # counts layers from 1; journals without a format counted from 0
+FIRST = "0" * 64  # in place of a hash in the first line
 
 
 class Journal(AbstractContextManager["Journal"]):

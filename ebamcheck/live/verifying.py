@@ -47,10 +47,9 @@ from ebamcheck.settings.config import Config, load_config
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.verification.verify import verify
 
-VERIFIED = "verified.json"  # What was found, in the folder of the build
-FEWEST_CHECKS = 40  # A program that was read at all has more checks than these
-SAME_MM = 1e-6
-"""Heights nearer than this are one: those of journal, certificate and settings are the same number."""
+VERIFIED = "verified.json"  # what was found, in the folder of the build
+FEWEST_CHECKS = 40  # a program that was read at all has more checks than these
+SAME_MM = 1e-6  # heights nearer than this are the same number
 
 
 @dataclass(frozen=True)
@@ -234,9 +233,7 @@ def read_verified(folder: Path) -> dict[str, VerifiedLayer]:
     return found
 
 
-SAME = 1e-3
-"""Share by which sums of a certificate may differ from those worked out anew: by far less for another slicer, by far more where those of
-a layer are missing."""
+SAME = 1e-3  # share by which sums may differ: far less for another slicer, far more without a layer
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,7 +209,7 @@ def _named(pair: str) -> str:
     return " and ".join(pair.split(","))
 
 
-ALL = "all"  # Word for every installed witness
+ALL = "all"  # word for every installed witness
 
 
 def chosen_backends(config: Config) -> dict[str, BackendSettings]:

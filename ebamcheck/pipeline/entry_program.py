@@ -30,7 +30,7 @@ from ebamcheck.result import Check, check_record
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.writing.posts import begin_at_layer
 
-ENTRY = "entry"  # Folder of the program within a run
+ENTRY = "entry"  # folder of the program within a run
 
 
 @dataclass(frozen=True)
@@ -159,7 +159,7 @@ def _first_mm(nc: NCProgram) -> float:
     return float(nc.end[first, 2]) if first >= 0 else np.nan
 
 
-LIVE = "live"  # Folder of the program within a run
+LIVE = "live"  # folder of the program within a run
 
 NAME = "handshake"
 

@@ -44,10 +44,10 @@ LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_sp
 
 LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
 
-OVERHANG = "overhang"  # Name of that check
-STEEP_DEG = 45.0  # Overhang, from the vertical, over which hardly any process builds without support unless it was tried
-MOST_NARROW = 8  # Narrow features that are told one by one
-ROUNDING_MM = 1e-6  # Sum of the roundings of heights, far under any layer
+OVERHANG = "overhang"  # name of that check
+STEEP_DEG = 45.0  # overhang, from the vertical, over which hardly any process builds without support unless it was tried
+MOST_NARROW = 8  # narrow features that are told one by one
+ROUNDING_MM = 1e-6  # sum of the roundings of heights, far under any layer
 
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", COARSE),

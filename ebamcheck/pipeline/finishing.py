@@ -26,7 +26,7 @@ from ebamcheck.result import has_fault
 class SlabRecord(NamedTuple):
     """What the record of a check in slabs says of them."""
 
-    settings: Mapping[str, Mapping[str, Any]]  # Settings of each backend
+    settings: Mapping[str, Mapping[str, Any]]  # settings of each backend
     figures: Mapping[str, Any]
 
 

@@ -50,8 +50,7 @@ REMEDY: Mapping[str, str] = {
     "nesting": "give a finer mesh",
 }
 
-REFERENCE_FIGURES = ("normal_rms_mm", "normal_max_abs_mm")
-"""Errors against a reference that must not be greater than the contour's."""
+REFERENCE_FIGURES = ("normal_rms_mm", "normal_max_abs_mm")  # must not be greater than the contour's
 
 
 @dataclass(frozen=True)
@@ -60,11 +59,11 @@ class FitVerdict:
 
     curves: Curves
     evidence: Evidence
-    stack: StackEvidence | None  # None where the part or its edges are not known
+    stack: StackEvidence | None  # none where the part or its edges are not known
     reference: Mapping[str, Any] | None
     """Errors of contours and curves against a finer mesh of the part; None without one."""
-    farthest_mm: float = 0.0  # Greatest distance between curves and their contours
-    most_mm: float = math.inf  # How far the user lets curves lie from contours, whatever speaks for it
+    farthest_mm: float = 0.0  # greatest distance between curves and their contours
+    most_mm: float = math.inf  # how far the user lets curves lie from contours, whatever speaks for it
 
     @property
     def open_rings(self) -> int:
@@ -190,8 +189,8 @@ class MethodFigures:
     """What a fit takes, and how far it leaves the contours."""
 
     blocks: int
-    max_points_mm: float  # Greatest distance of a contour's points from the curve
-    max_bulge_mm: float  # Greatest distance of the curve from the contour
+    max_points_mm: float  # greatest distance of a contour's points from the curve
+    max_bulge_mm: float  # greatest distance of the curve from the contour
 
 
 @dataclass(frozen=True)
@@ -199,9 +198,9 @@ class FitResult:
     """The curves of a run with what speaks for them, beside those of the other methods."""
 
     verdict: FitVerdict
-    points: int  # Points of the contours
-    methods: Mapping[str, MethodFigures]  # Figures by method; those of the chosen one are first
-    tables: Mapping[str, Table]  # Its files in a run folder
+    points: int  # points of the contours
+    methods: Mapping[str, MethodFigures]  # figures by method; those of the chosen one are first
+    tables: Mapping[str, Table]  # its files in a run folder
 
     @property
     def curves(self) -> Curves:

@@ -29,7 +29,7 @@ from ebamcheck.result import Check, Place
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 
-NO_AGREEMENT = "layers without agreement"  # Unit of the gate `agreement`
+NO_AGREEMENT = "layers without agreement"  # unit of the gate `agreement`
 
 
 def input_gate(inspection: Inspection, volume_off: str = "") -> Check:
@@ -249,7 +249,7 @@ def entry_gate(check: Check) -> Check:
     return Check.gate("entry", check.passed, check.value, check.limit, check.unit, text)
 
 
-TOLD = 2  # Failed checks that a gate tells in full; of more the names
+TOLD = 2  # failed checks that a gate tells in full; of more the names
 
 
 def failed_in_words(failed: Sequence[Check]) -> str:

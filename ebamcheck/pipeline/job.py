@@ -55,21 +55,21 @@ class Silent:
 class Job:
     """A run in progress: its parts as they come to be."""
 
-    kind: str  # What is asked for: ``run``, or ``check`` without a program
+    kind: str  # what is asked for: ``run``, or ``check`` without a program
     config: Config
     observer: Observer
     part: Part
     found: Inspection
     heights: Floats
     folder: RunInProgress = field(init=False)
-    fingerprint: str = field(init=False)  # Hash of part, settings and version: of what this is a run
-    compile_s: float = 0.0  # Time in which this process compiled kernels; it is in none of the stages
+    fingerprint: str = field(init=False)  # hash of part, settings and version: of what this is a run
+    compile_s: float = 0.0  # time in which this process compiled kernels; it is in none of the stages
     timings: dict[str, float] = field(default_factory=dict)
     from_layer: int = 1
     """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
     workers: WorkerPool | None = None
     """Workers for the slicers that were spawned early; None: they are when they are needed."""
-    live: bool = False  # Whether a main program that waits between layers is written, too
+    live: bool = False  # whether a main program that waits between layers is written, too
     ended: Event = field(default_factory=Event)
     """Set where the run has ended by an error or an interrupt while work goes on beside it."""
 

@@ -64,13 +64,13 @@ class ProgramResult:
     fit: FitResult
     plan: ScanPlan
     proof: ProgramProof
-    files: ProgramFiles  # Files of the program, marked validated where it is
-    entry: Entry | None  # The program that begins at a layer; None where none is asked for
+    files: ProgramFiles  # files of the program, marked validated where it is
+    entry: Entry | None  # the program that begins at a layer; None where none is asked for
     live: Mapping[str, Any] | None
     """Record of the main program that waits between layers; None where none is asked for."""
     gates: tuple[Check, ...]
     findings: tuple[Check, ...]
-    tables: Mapping[str, Table]  # Its files in a run folder beside the program
+    tables: Mapping[str, Table]  # its files in a run folder beside the program
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,9 @@ class ProgramProof:
     checks: Sequence[Check]
     findings: Sequence[Check]
     tables: Mapping[str, Table]
-    witness: str  # Slicer whose contours the metal was held against
-    build_s: Mapping[str, float]  # Build time by the measures against heat
-    plate: Sequence[Mapping[str, Any]]  # One record a part of a plate; none for a single part
+    witness: str  # slicer whose contours the metal was held against
+    build_s: Mapping[str, float]  # build time by the measures against heat
+    plate: Sequence[Mapping[str, Any]]  # one record a part of a plate; none for a single part
 
 
 def make_program(

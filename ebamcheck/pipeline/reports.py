@@ -21,17 +21,14 @@ from ebamcheck.plugins.processes import die_with, one_line, run_limited
 from ebamcheck.record.run_folder import FINGERPRINT, MANIFEST, TIMINGS, RunFolder
 from ebamcheck.record.signing import SIGNATURES
 
-TIME_S = 600.0  # Time of one report writer of another distribution
-MEMORY_MB = 8192.0  # Its resident memory
-
+TIME_S = 600.0  # time of one report writer of another distribution
+MEMORY_MB = 8192.0  # its resident memory
 LARGEST_REPORT_BYTES = 1_000_000_000
-MOST_FILES = 10_000  # What is taken of one writer: more is no report
+MOST_FILES = 10_000  # what is taken of one writer: more is no report
 
-RESERVED = (MANIFEST, FINGERPRINT, SIGNATURES, "certificate.json")
-"""First parts of names that are the harness's own, whether they are there yet or not."""
-
-DONE = "done"  # File beside the copy that says that the writer has come back
-OF_RECORD = "OF_RECORD"  # Name of the tuple in which a package of ours tells which of its report writers read the record of a run alone
+RESERVED = (MANIFEST, FINGERPRINT, SIGNATURES, "certificate.json")  # the harness's own
+DONE = "done"  # file beside the copy that says that the writer has come back
+OF_RECORD = "OF_RECORD"  # name of the tuple in which a package of ours tells which of its report writers read the record of a run alone
 
 Note = Callable[[str], None]
 

@@ -20,7 +20,7 @@ from ebamcheck.settings.process_window import checked_window
 from ebamcheck.slicers.worker_pool import WorkerPool
 from ebamcheck.writing.posts import check_entry
 
-LATER_STAGES = "ebamcheck.pipeline.finishing"  # Module of what comes after the cross-check
+LATER_STAGES = "ebamcheck.pipeline.finishing"  # module of what comes after the cross-check
 
 
 def run_job(

@@ -37,10 +37,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
 from ebamcheck.slicers.worker_pool import WorkerPool
 
-LEAST_REACH = 1e-6  # How far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding
+LEAST_REACH = 1e-6  # how far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding
 
 
-DOUBT = "doubtful_regions"  # What a slicer declares of a part among the settings of its layers
+DOUBT = "doubtful_regions"  # what a slicer declares of a part among the settings of its layers
 
 
 def check_in_slabs(

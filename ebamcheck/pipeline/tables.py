@@ -29,8 +29,7 @@ from ebamcheck.writing.tracks import Toolpath
 Table: TypeAlias = pd.DataFrame | pa.Table | Curves | ScanPlan | Layers
 """What stands in a file of figures of a run."""
 
-INDEXED = ("events.parquet",)
-"""Tables for programs, which count layers from 0; those that people open count them from 1."""
+INDEXED = ("events.parquet",)  # tables for programs, which count layers from 0; those for people count from 1
 
 
 def write_tables(folder: Path, tables: Mapping[str, Table]) -> None:

@@ -13,13 +13,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-MARK = "EBAMCHECK_PROCESS"  # Variable of the environment that a process and all its descendants carry, those that left its group, too
-ROUNDS = 5  # Looks at all processes in search of marked ones: one that forks while it is sought is found in the next
+MARK = "EBAMCHECK_PROCESS"  # variable of the environment that a process and all its descendants carry, those that left its group, too
+ROUNDS = 5  # looks at all processes in search of marked ones: one that forks while it is sought is found in the next
 
 POLL_S = 0.05  # how often time and memory are looked at
 LAST_WORDS_BYTES = 4096  # how much of what a process has written to its standard error is read for a message
 
-LARGEST_SAID_BYTES = 64_000_000  # What a process may write to its standard output and error before it is ended: a flood fills the disk
+LARGEST_SAID_BYTES = 64_000_000  # what a process may write to its standard output and error before it is ended: a flood fills the disk
 
 PR_SET_PDEATHSIG = 1  # number of Linux's request, from <linux/prctl.h>
 

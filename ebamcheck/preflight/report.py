@@ -20,7 +20,7 @@ from ebamcheck.result import Check, preflight_record
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 
-SPOOL = "wire on the spool"  # Name of a check, here and of a program
+SPOOL = "wire on the spool"  # name of a check, here and of a program
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,9 @@ NAME = "layer height"
 class ChosenHeight(NamedTuple):
     """What the layers of a run are to be as high as, and why."""
 
-    config: Config  # Settings with the layer height that was chosen
+    config: Config  # settings with the layer height that was chosen
     check: Check
-    fitted: bool  # Whether that is another height than a bead's
+    fitted: bool  # whether that is another height than a bead's
 
 
 def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)
 """Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number."""
 
-ROUNDING_MM = 1e-6  # Placed boxes are rounded to about this
+ROUNDING_MM = 1e-6  # placed boxes are rounded to about this
 
 
 def room_checks(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
@@ -156,7 +156,7 @@ def _winding(corners: Floats, z: Floats, x: float, y: float, height: float) -> i
     return int(np.sign(whole[over])[at > height].sum())
 
 
-FEW_BEADS_ACROSS = 2.0  # Cells narrower than this many beads are all ends and starts
+FEW_BEADS_ACROSS = 2.0  # cells narrower than this many beads are all ends and starts
 
 
 def sense_checks(config: Config) -> Iterator[Check]:
@@ -241,16 +241,14 @@ def _temperatures(config: Config) -> Iterator[Check]:
         )
 
 
-FEW_BEADS = 3.0  # A part of fewer beads than this in its greatest extent is no part of this process, or its unit is another
+FEW_BEADS = 3.0  # a part of fewer beads than this in its greatest extent is no part of this process, or its unit is another
 
 INCH_MM = UNITS_MM["in"]
 
-INCH_PARTS = 16  # Extents in drawings in inches are whole sixteenths
-ROUND_MM = 0.5
-"""Extents in drawings in millimetres are mostly whole halves; of sixteenths of an inch hardly one is."""
-
-MOST_BODIES = 8  # Bodies that are told one by one
-ROUNDING = 2e-6  # Of an extent: coordinates of single precision on both sides of it
+INCH_PARTS = 16  # extents in drawings in inches are whole sixteenths
+ROUND_MM = 0.5  # extents in mm are mostly whole halves; of sixteenths of an inch hardly one is
+MOST_BODIES = 8  # bodies that are told one by one
+ROUNDING = 2e-6  # of an extent: coordinates of single precision on both sides of it
 
 
 def suspicions(found: Inspection, config: Config) -> Iterator[Check]:

@@ -22,23 +22,22 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-RUN, CHECK = "run", "check"  # Jobs: all the way to a program, or slicing and comparison alone
+RUN, CHECK = "run", "check"  # jobs: all the way to a program, or slicing and comparison alone
 
 EVERY = (RUN, CHECK)
 
-HOUSE_SLICERS = 4  # Slicers of the house, which a job runs where the settings name none
-START_S = 6.0  # Start of the interpreter and of the slicers' processes
-SLICE_S, COMPARE_S, FIT_S = 3e-6, 8e-6, 3e-5  # Time a point and method, a point and pair, and a point
-ISLAND_S = 0.012  # Time an island of partition, filling and thermal order
-BEAD_S = 1.4e-4  # Time a millimetre of bead of writing, reading back and laying a program
-
+HOUSE_SLICERS = 4  # slicers of the house, which a job runs where the settings name none
+START_S = 6.0  # start of the interpreter and of the slicers' processes
+SLICE_S, COMPARE_S, FIT_S = 3e-6, 8e-6, 3e-5  # time a point and method, a point and pair, and a point
+ISLAND_S = 0.012  # time an island of partition, filling and thermal order
+BEAD_S = 1.4e-4  # time a millimetre of bead of writing, reading back and laying a program
 BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
 """Memory of the job itself, of each method's process, of a facet and of a point, each a method."""
 
 ZONES, BEADS_ACROSS = 60, (4, 12)
 """Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.islands.lattice`)."""
 
-CUT = 0.3  # Islands that the border cuts off, over those that fit along it
+CUT = 0.3  # islands that the border cuts off, over those that fit along it
 
 SQRT3 = math.sqrt(3.0)
 
@@ -173,10 +172,9 @@ def _amount(figure: float, unit: str) -> str:
     return f"{figure:,.0f}"
 
 
-FACETS_A_SLAB = 4_000_000  # Facets of a slab at most where the settings do not say how many slabs there are
-MOST_SLABS = 10_000  # As many as the settings allow
-COLUMNS_MB = 1.3e-5
-"""Memory of what is held of every facet of the file: two heights and, mostly once, its number."""
+FACETS_A_SLAB = 4_000_000  # facets of a slab at most where the settings do not say how many slabs there are
+MOST_SLABS = 10_000  # as many as the settings allow
+COLUMNS_MB = 1.3e-5  # of every facet of the file: two heights and, mostly once, its number
 
 
 def wanted_slabs(path: Path, config: Config) -> int:

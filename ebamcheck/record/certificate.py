@@ -30,8 +30,7 @@ from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"
 
-PROFILE = ("machine", "process", "material", "kinematics")
-"""Sections of the settings that describe machine and process."""
+PROFILE = ("machine", "process", "material", "kinematics")  # sections of machine and process
 
 RELEASE: Mapping[str, Any] = {
     "part_number": "",
@@ -45,7 +44,7 @@ RELEASE: Mapping[str, Any] = {
 }
 """What a person adds when the run is released (`ebamcheck sign`), and its empty values. The seal covers it."""
 
-PLACED = ("place_at_mm", "rotate_deg")  # What a record says of its part only where the settings place it
+PLACED = ("place_at_mm", "rotate_deg")  # what a record says of its part only where the settings place it
 
 NOT_PROVED = (
     "that the mesh is the part that was drawn: it is compared with nothing but itself",
@@ -303,8 +302,7 @@ def _looked_at(findings: list[Mapping[str, Any]]) -> str:
     return f"a look at {counted(grave)}" if grave else ""
 
 
-GIT_TIMEOUT_S = 10.0  # A checkout that git cannot look through in this time has an unknown state
-
+GIT_TIMEOUT_S = 10.0  # a checkout that git cannot look through in this time has an unknown state
 UNKNOWN = "unknown"
 
 _NAME = re.compile(r"[A-Za-z0-9._-]+")

@@ -25,13 +25,11 @@ from ebamcheck.record.signing import signature_check
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-HARMLESS = (".DS_Store", "Thumbs.db", ".directory")
-"""Files that file managers leave in folders: no control loads them, and no stage reads them."""
+HARMLESS = (".DS_Store", "Thumbs.db", ".directory")  # left by file managers: no stage reads them
 
-OF_THE_RECORD = ("program", "entry", "live", "layers")
-"""Folders whose every file is in the record of the run; beside them lie reports, which the certificate alone lists."""
+OF_THE_RECORD = ("program", "entry", "live", "layers")  # every file in the record of the run
 
-OF_PEOPLE = ("release", "files", "seal", "software")  # Fields that do not follow from the record of the run
+OF_PEOPLE = ("release", "files", "seal", "software")  # fields that do not follow from the record of the run
 
 
 def run_certificate_checks(

@@ -17,7 +17,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.printable import printable
 from ebamcheck.result import CODES, Severity
 
-PRINTED = 60  # Characters of a name or value that a message quotes
+PRINTED = 60  # characters of a name or value that a message quotes
 
 
 def file_inside(name: str) -> str:
@@ -72,9 +72,8 @@ Figures = dict[str, Number]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
 
-PLATE = "plate"  # Field of the record and of the certificate: one entry a part
-FORMAT_VERSION = 2
-"""Of ``run.json``: layers are counted from 1, in its tables, too; format 1 counted them from 0."""
+PLATE = "plate"  # field of the record and of the certificate: one entry a part
+FORMAT_VERSION = 2  # of ``run.json``: layers are counted from 1; format 1 counted from 0
 
 
 class Form(BaseModel):

@@ -27,13 +27,11 @@ from ebamcheck.record.form import FORMAT_VERSION, RecordForm, TimingsForm, in_fo
 from ebamcheck.regular_file import regular_file
 
 MANIFEST = "run.json"
-FINGERPRINT = "fingerprint"
-"""Marks an unfinished folder with what it is a run of; a finished run has it in its record."""
-
+FINGERPRINT = "fingerprint"  # marks an unfinished folder; a finished run has it in its record
 LAYERS = "layers"
 
 AT_FDCWD = -100
-RENAME_EXCHANGE = 2  # Numbers of Linux's requests, from <linux/fcntl.h> and <linux/fs.h>
+RENAME_EXCHANGE = 2  # numbers of Linux's requests, from <linux/fcntl.h> and <linux/fs.h>
 
 
 @dataclass(frozen=True)
@@ -257,7 +255,7 @@ def _exchange(new: Path, old: Path) -> None:
     os.replace(aside, new)
 
 
-TIMINGS = "timings.json"  # Times and dates of a run, which are all that differs from one run of the same input to the next
+TIMINGS = "timings.json"  # times and dates of a run, which are all that differs from one run of the same input to the next
 
 _DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 

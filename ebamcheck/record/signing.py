@@ -29,18 +29,13 @@ from ebamcheck.printable import printable
 from ebamcheck.regular_file import regular_file
 from ebamcheck.result import Check
 
-SIGNATURES = "signatures"  # Folder of the signatures, beside the certificate
-
+SIGNATURES = "signatures"  # folder of the signatures, beside the certificate
 SIGNATURE_SUFFIX = ".json"
 SIGNATURE_FORMAT = 1
-PURPOSE = b"ebamcheck certificate signature 1\0"
-"""Begins every signed message, so that a signature under something else never serves for a certificate."""
-
+PURPOSE = b"ebamcheck certificate signature 1\0"  # begins every signed message
 PRIVATE_SUFFIX, PUBLIC_SUFFIX = ".key", ".pub"
 FINGERPRINT_DIGITS = 16
-SIGNED = ("certificate_sha256", "name", "role", "date")
-"""What a signature covers: the certificate by its bytes, and what the signer says of himself."""
-
+SIGNED = ("certificate_sha256", "name", "role", "date")  # what a signature covers
 VALID, TRUSTED, BROKEN = "signed", "trusted", "broken"
 
 
@@ -53,7 +48,7 @@ class Signature:
     """:data:`TRUSTED` (valid, by a key that is trusted), :data:`VALID` (by another key) or :data:`BROKEN`."""
     name: str
     fingerprint: str
-    text: str  # In words: who signed, with which key, or why it does not hold
+    text: str  # in words: who signed, with which key, or why it does not hold
 
 
 # -- keys --------------------------------------------------------------------------------------------

@@ -54,17 +54,16 @@ class Between:
         return PydanticCustomError("range", "{what}: give a {kind} from {least} to {greatest}", values)
 
 
-NotNegative = Annotated[float, Between(0.0, 1e9)]  # A number for which no narrower range is known
-Tolerance = Annotated[float, Between(0.0, 10.0)]  # Distance that something may be off, mm
+NotNegative = Annotated[float, Between(0.0, 1e9)]  # a number for which no narrower range is known
+Tolerance = Annotated[float, Between(0.0, 10.0)]  # distance that something may be off, mm
 
-Place = Annotated[float, Between(-1e7, 1e7)]
-"""Coordinate, mm: farther out than 10 km no machine stands, and single precision keeps no millimetre."""
+Place = Annotated[float, Between(-1e7, 1e7)]  # mm: beyond 10 km no machine stands
 
-Length = Annotated[float, Between(0.0, 1e4)]  # Length along a bead or between places, mm
-Angle = Annotated[float, Between(-360.0, 360.0)]  # Turn, degrees
-InnerAngle = Annotated[float, Between(0.01, 179.99)]  # Angle between two segments or facets, degrees
-Share = Annotated[float, Between(0.001, 1.0)]  # Part of a whole, which is 1
-Temperature = Annotated[float, Between(1.0, 1e4)]  # Temperature, K: no metal is liquid at 10,000 K
+Length = Annotated[float, Between(0.0, 1e4)]  # length along a bead or between places, mm
+Angle = Annotated[float, Between(-360.0, 360.0)]  # turn, degrees
+InnerAngle = Annotated[float, Between(0.01, 179.99)]  # angle between two segments or facets, degrees
+Share = Annotated[float, Between(0.001, 1.0)]  # part of a whole, which is 1
+Temperature = Annotated[float, Between(1.0, 1e4)]  # temperature, K: no metal is liquid at 10,000 K
 
 
 class Section(BaseModel):

@@ -73,8 +73,8 @@ def checked(
 class _Place(NamedTuple):
     """A setting that something is wrong with."""
 
-    section: str  # Section that it stands in; empty where the settings have none
-    kind: type[BaseModel]  # Settings that it is one of
+    section: str  # section that it stands in; empty where the settings have none
+    kind: type[BaseModel]  # settings that it is one of
     path: tuple[int | str, ...]
     """Its key, and behind it keys and numbers within it, and types that were tried."""
 

@@ -157,7 +157,7 @@ def _read(path: Path) -> str:
         raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None
 
 
-MISSING = "nothing"  # Stands for the value of a setting that one side lacks
+MISSING = "nothing"  # stands for the value of a setting that one side lacks
 
 
 def differences(one: Config, other: Config) -> list[str]:

@@ -11,18 +11,17 @@ from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Between, Length, Place, Section
 
-Speed = Annotated[float, Between(0.001, 1e6)]  # Speed of an axis or along a path, mm/s
-Acceleration = Annotated[float, Between(0.01, 1e7)]  # Acceleration of an axis, mm/s2
-Jerk = Annotated[float, Between(0.1, 1e12)]  # Jerk of an axis, mm/s3
-Increment = Annotated[float, Between(0.0, 1000.0)]  # Least step of a process value
-PRINTED_PATH_MM = 1e-4  # Distance that a path may have from its curve for the decimals of the program
-
+Speed = Annotated[float, Between(0.001, 1e6)]  # speed of an axis or along a path, mm/s
+Acceleration = Annotated[float, Between(0.01, 1e7)]  # acceleration of an axis, mm/s2
+Jerk = Annotated[float, Between(0.1, 1e12)]  # jerk of an axis, mm/s3
+Increment = Annotated[float, Between(0.0, 1000.0)]  # least step of a process value
+PRINTED_PATH_MM = 1e-4  # distance that a path may have from its curve for the decimals of the program
 ROUNDING_UNITS = 1.2
 """Error of a printed path in units of its last decimal: half a unit of the end point, and 0.635 times half a unit of
 the coefficients of a polynomial, in X and in Y."""
 
 
-DEVICES = ("CON", "PRN", "AUX", "NUL")  # Names that mean devices to the control
+DEVICES = ("CON", "PRN", "AUX", "NUL")  # names that mean devices to the control
 
 
 class MachineSettings(Section):
@@ -247,12 +246,11 @@ class KinematicsSettings(Section):
     """Where the feed falls under this share of the feed programmed, the bead grows: a dip."""
 
 
-Component = Annotated[float, Between(-1e6, 1e6)]  # Component of a direction, of any length but 0
+Component = Annotated[float, Between(-1e6, 1e6)]  # component of a direction, of any length but 0
 
 Triple = tuple[Place, Place, Place]
 
-ROUNDING = 1e-9
-"""How far rows of a rotation may be from unit length and right angles: the digits of a settings file."""
+ROUNDING = 1e-9  # of the digits of a settings file: rows of a rotation may be so far off
 
 
 class RotaryAxis(Section):

@@ -94,7 +94,7 @@ TANTALUM: Mapping[str, Any] = {
 """CRC Handbook of Chemistry and Physics: density, melting (3290 K) and boiling point, heat of fusion (36.57 kJ/mol),
 conductivity; heat capacity by temperature and the rest nominal. A melting point is a range of 2 K here."""
 
-TITANIUM: Mapping[str, Any] = {}  # Ti-6Al-4V: the defaults of the section, each with its source there
+TITANIUM: Mapping[str, Any] = {}  # ti-6Al-4V: the defaults of the section, each with its source there
 
 
 def preset(name: str) -> Mapping[str, Any] | None:
@@ -117,13 +117,13 @@ def _points() -> dict[str, Any]:
     return {point.name.casefold(): point for point in entry_points(group=MATERIALS)}
 
 
-Property = Annotated[float, Between(0.001, 1e6)]  # Value of a property of a material in SI units
+Property = Annotated[float, Between(0.001, 1e6)]  # value of a property of a material in SI units
 
 DataPoints = Annotated[tuple[tuple[Temperature, Property], ...], Field(min_length=2)]
 """Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
 
 
-OF_ANY_MATERIAL = ("name", "melt_mixing")  # Settings that a preset may leave out
+OF_ANY_MATERIAL = ("name", "melt_mixing")  # settings that a preset may leave out
 
 
 class MaterialSettings(Section):

@@ -9,7 +9,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Between, Section
 
-Seconds = Annotated[float, Between(0.01, 1e6)]  # Time to wait, s
+Seconds = Annotated[float, Between(0.01, 1e6)]  # time to wait, s
 
 ROLES = (
     "done",
@@ -31,7 +31,7 @@ where that of the time left (R5) is left out: the program alone uses it."""
 TEXT_ROLES = ("name", "sha256", "map")
 """Further nodes, of text, which a control has only where the settings name them."""
 
-WARMTH_ROLES = ("surface_k", "after_s")  # The same of numbers, of a pyrometer
+WARMTH_ROLES = ("surface_k", "after_s")  # the same of numbers, of a pyrometer
 
 
 class OpcuaSettings(Section):

@@ -10,22 +10,20 @@ from pydantic import Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Angle, Between, Length, Place, Section, Share, Temperature
 
-Width = Annotated[float, Between(0.1, 100.0)]
-"""Width of a bead, a wall or a hole, mm: a spot of 0.1 mm lays no wire."""
+Width = Annotated[float, Between(0.1, 100.0)]  # mm, of a bead, a wall or a hole
 
-Height = Annotated[float, Between(0.0, 1e5)]  # Height over the plate, mm
-Current = Annotated[float, Between(0.01, 1e4)]  # Current of the beam, mA
-WireSpeed = Annotated[float, Between(0.001, 1e4)]  # Speed of the wire, mm/s
-Ratio = Annotated[float, Between(0.001, 100.0)]  # One height over another
+Height = Annotated[float, Between(0.0, 1e5)]  # height over the plate, mm
+Current = Annotated[float, Between(0.01, 1e4)]  # current of the beam, mA
+WireSpeed = Annotated[float, Between(0.001, 1e4)]  # speed of the wire, mm/s
+Ratio = Annotated[float, Between(0.001, 100.0)]  # one height over another
 
-LineEnergy = Annotated[float, Between(0.01, 1e6)]
-"""Energy of the beam along a bead, J/mm, or over the wire that it melts, J/mm3."""
+LineEnergy = Annotated[float, Between(0.01, 1e6)]  # J/mm along a bead, or J/mm3 of wire
 
-Seconds = Annotated[float, Between(0.0, 1000.0)]  # Time that a ramp takes
-Voltage = Annotated[float, Between(0.1, 1000.0)]  # Accelerating voltage, kV
-TravelSpeed = Annotated[float, Between(0.01, 1e4)]  # Speed along a bead, mm/s
-Metal = Annotated[float, Between(0.001, 1e4)]  # Section of a bead, mm2
-Off = Annotated[float, Between(1e-9, 1.0)]  # Share by which something may be off
+Seconds = Annotated[float, Between(0.0, 1000.0)]  # time that a ramp takes
+Voltage = Annotated[float, Between(0.1, 1000.0)]  # accelerating voltage, kV
+TravelSpeed = Annotated[float, Between(0.01, 1e4)]  # speed along a bead, mm/s
+Metal = Annotated[float, Between(0.001, 1e4)]  # section of a bead, mm2
+Off = Annotated[float, Between(1e-9, 1.0)]  # share by which something may be off
 
 PowerTable = Annotated[tuple[tuple[Height, Share], ...], Field(min_length=1)]
 """Heights over the base plate, mm, rising, and the share of the beam's power there."""

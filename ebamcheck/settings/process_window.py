@@ -28,7 +28,7 @@ TURN_SPACINGS = 1.5
 """Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
 part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
 
-ROUNDING = 1e-9  # Of a ratio of floats
+ROUNDING = 1e-9  # of a ratio of floats
 
 
 def wire_area_mm2(config: Config) -> float:
@@ -202,7 +202,7 @@ def _beyond(value: float, limit: float) -> str:
     return "over" if value > limit else "under"
 
 
-SHARE_DIGITS = 6  # Decimals of a feed over that of the process
+SHARE_DIGITS = 6  # decimals of a feed over that of the process
 
 
 def speed_window(config: Config, power_share: float = 1.0) -> tuple[float, float]:

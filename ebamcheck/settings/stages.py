@@ -68,7 +68,7 @@ class CurveSettings(Section):
     the polygon of its contour."""
 
 
-ORDERS = "ebamcheck.orders"  # Entry point group of scan orders
+ORDERS = "ebamcheck.orders"  # entry point group of scan orders
 
 
 def order_names() -> list[str]:
@@ -133,17 +133,15 @@ class ScanSettings(Section):
         return value
 
 
-Kelvins = Annotated[float, Between(1.0, 1000.0)]  # Difference of temperatures, K
+Kelvins = Annotated[float, Between(1.0, 1000.0)]  # difference of temperatures, K
 
 
-LEAST_LINE_MM = 0.1  # Shorter lines of a preheating scan are left out
-
+LEAST_LINE_MM = 0.1  # shorter lines of a preheating scan are left out
 JOINED_SPACINGS = 1.6
 """Ends of lines of a preheating scan nearer than this, over the spacing, are joined under the beam, where the way lies within the region."""
 
-AIM_K = 3.0  # The passes of a preheating scan aim so far over the target: travel and chunks of time make no more between plan and text
-LEAST_REST_S = 5.0
-"""Time in which the surface of a layer that was just laid comes to what lies under it, at least."""
+AIM_K = 3.0  # the passes of a preheating scan aim so far over the target: travel and chunks of time make no more between plan and text
+LEAST_REST_S = 5.0  # in which the surface of a layer comes to what lies under it, at least
 
 
 class PreheatSettings(Section):
@@ -187,7 +185,7 @@ class PreheatSettings(Section):
     """How far the scan of the plate reaches beyond the box around the lowest section."""
 
 
-Step = Annotated[float, Between(0.001, 100.0)]  # Distance of the points of a grid, mm
+Step = Annotated[float, Between(0.001, 100.0)]  # distance of the points of a grid, mm
 
 
 class HeightMapSettings(Section):
@@ -216,7 +214,7 @@ class HeightMapSettings(Section):
     None: half the usual height of a layer, and no more than process.surface_tolerance_mm."""
 
 
-Component = Annotated[float, Between(-1e6, 1e6)]  # Component of a direction, of any length but 0
+Component = Annotated[float, Between(-1e6, 1e6)]  # component of a direction, of any length but 0
 
 
 class PartSettings(Section):
@@ -298,7 +296,7 @@ class ComparisonSettings(Section):
     that agree by it are counted and told. 0: a doubt changes nothing."""
 
 
-Count = Annotated[int, Between(1, 10**12)]  # Number of things that a job makes
+Count = Annotated[int, Between(1, 10**12)]  # number of things that a job makes
 
 
 class WorkSettings(Section):
@@ -349,7 +347,7 @@ class MachineSections(Section):
         return (self.model_extra or {}).get(machine)
 
 
-MACHINE_VARIABLE = "EBAMCHECK_MACHINE"  # Environment variable that names the machine where its host name does not (in a container, say)
+MACHINE_VARIABLE = "EBAMCHECK_MACHINE"  # environment variable that names the machine where its host name does not (in a container, say)
 
 
 def machine_name() -> str:

@@ -42,8 +42,7 @@ def ramp(share: float) -> str:
     return "#" + "".join(f"{part:02x}" for part in mixed(share))
 
 
-SCALE = np.array([mixed(n / 255.0) for n in range(256)], np.uint8)
-"""(256, 3) colours of an image along the scale."""
+SCALE = np.array([mixed(n / 255.0) for n in range(256)], np.uint8)  # (256, 3) along the scale
 
 
 def palette_image(pixels: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:

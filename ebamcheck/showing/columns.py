@@ -13,7 +13,7 @@ from ebamcheck.showing import short_text
 from ebamcheck.showing.markup import NAMESPACE, Markup, element
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 360, 300, 8
-MOST_POINTS = 20_000  # Of more points every second, third … is drawn: a notebook keeps its pictures
+MOST_POINTS = 20_000  # of more points every second, third … is drawn: a notebook keeps its pictures
 
 STYLE = {
     "fill": "#9fc3e8",
@@ -26,7 +26,7 @@ OPEN_STYLE = {"fill": "none", "stroke": "#d55e00", "stroke_width": 2}
 
 Item = TypeVar("Item")
 
-Facts = dict[str, int | str]  # Facts about a value by name, counts by their plural
+Facts = dict[str, int | str]  # facts about a value by name, counts by their plural
 
 
 class NoSuchItem(SettingsError, IndexError):
@@ -36,7 +36,7 @@ class NoSuchItem(SettingsError, IndexError):
 class Columns(Generic[Item]):
     """A value whose columns hold many items; a subclass has :meth:`__len__`, :meth:`_item` and :meth:`_facts`."""
 
-    _item_in: ClassVar[tuple[str, str]]  # What an item is called, and what it is one of
+    _item_in: ClassVar[tuple[str, str]]  # what an item is called, and what it is one of
 
     def __len__(self) -> int:
         raise NotImplementedError

@@ -25,11 +25,9 @@ WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
 BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
 """Length of a scale, of one of temperatures, and half the room of a label of its greatest one."""
 
-TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6
-"""Greatest height of what is shown, and extent under which it counts as a point."""
-
-FIELD_PX = 3  # Width of a pixel of a field; viewers smooth between them
-LABELLED = 400  # Islands on a picture up to which each carries its number
+TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6  # of what is shown
+FIELD_PX = 3  # width of a pixel of a field; viewers smooth between them
+LABELLED = 400  # islands on a picture up to which each carries its number
 
 
 def islands_svg(
@@ -296,13 +294,11 @@ class TemperatureScale:
 
 CHART_PX, CHART_HIGH_PX, LEFT_PX, RIGHT_PX, TOP_PX, BASE_PX = 760, 460, 70, 110, 40, 52
 
-BEST, OTHER = "#1b4f82", "#9aa5b1"
-"""Colours of the orders that no other one beats in both, and of those that one does."""
-
-CHART_LABEL_PX = 13.0  # Least distance of two labels one over the other
+BEST, OTHER = "#1b4f82", "#9aa5b1"  # orders that none beats in both figures, and others
+CHART_LABEL_PX = 13.0  # least distance of two labels one over the other
 
 
-TICKS = 5  # Steps of each axis
+TICKS = 5  # steps of each axis
 
 
 def _round_step(most: float) -> float:
@@ -385,7 +381,7 @@ PART_PX, PART_MARGIN_PX, KEY_PX = 720.0, 10.0, 20.0
 
 LEAST_LIGHT = 0.55
 
-MOST_DRAWN = 200_000  # More facets than pixels: a part beyond is drawn without those too small to see
+MOST_DRAWN = 200_000  # more facets than pixels: a part beyond is drawn without those too small to see
 
 
 def regions_svg(triangles: Floats, regions: Sequence[tuple[str, Ints]], title: str) -> str:
@@ -423,9 +419,8 @@ def regions_svg(triangles: Floats, regions: Sequence[tuple[str, Ints]], title: s
 
 ANIMATION_PX = 900.0
 
-TALLEST_ANIMATION_PX = 620.0  # A tall layer is drawn smaller, so that the controls stay in sight
-MOST_NUMBERS = 400_000
-"""Temperatures in one file, at most: beyond, islands are left out of the sequence evenly."""
+TALLEST_ANIMATION_PX = 620.0  # a tall layer is drawn smaller, so that the controls stay in sight
+MOST_NUMBERS = 400_000  # temperatures in one file: beyond, islands are left out of the sequence evenly
 
 ANIMATION_PAGE = Template("""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><title>$title</title><style>

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ebamcheck.errors import EbamcheckError, ExitCode, SettingsError
 from ebamcheck.numeric.rings import Floats
 
-ORDER_COLOURS = "viridis"  # From first to last
-MOST_FACETS = 200_000  # Facets that matplotlib turns around in a bearable time
+ORDER_COLOURS = "viridis"  # from first to last
+MOST_FACETS = 200_000  # facets that matplotlib turns around in a bearable time
 
 LEAST_EXTENT_MM = 1e-6
 
@@ -34,7 +34,7 @@ class Lines(NamedTuple):
     colour: str
     width: float = 1.2
     dashes: str = "-"
-    name: str = ""  # Entry of the legend; empty for none
+    name: str = ""  # entry of the legend; empty for none
 
 
 def missing(package: str, extra: str, what: str) -> ExtraMissing:

@@ -9,7 +9,7 @@ from typing import Any
 
 from ebamcheck.printable import printable
 
-LONGEST = 200  # Characters of a line at most: what is longer cannot be read at a prompt
+LONGEST = 200  # characters of a line at most: what is longer cannot be read at a prompt
 
 
 def line(kind: str, *facts: str) -> str:

@@ -111,10 +111,8 @@ def slicer_time() -> float:
     return time.perf_counter() - compiling.seconds()
 
 
-FACET_BYTES, POINT_BYTES = 400.0, 160.0
-"""Memory of a facet and of a point in a block, at most, with the mesh sorted and the layers in canonical form."""
-
-SHARE = 0.25  # Of the memory that a backend may hold, what it may come to here; beyond it somebody watches from outside
+FACET_BYTES, POINT_BYTES = 400.0, 160.0  # memory of a facet and of a point in a block, at most
+SHARE = 0.25  # of the memory that a backend may hold, what it may come to here; beyond it somebody watches from outside
 
 
 class _OutOfTime(Exception):

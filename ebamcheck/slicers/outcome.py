@@ -34,7 +34,7 @@ class Limits:
 
     time_s: float = 600.0
     memory_mb: float = 8192.0
-    processes: int | None = None  # Processes side by side; None: as many as there are cores
+    processes: int | None = None  # processes side by side; None: as many as there are cores
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Outcome:
     name: str
     failure: Failure = ""
     why: str = ""
-    file: Path | None = None  # Where its layers lie; None where it failed
+    file: Path | None = None  # where its layers lie; None where it failed
     probe: Probe = field(default_factory=lambda: Probe(False))
     error_bound_mm: float = 0.0
     height_bound_mm: float = 0.0
@@ -53,7 +53,7 @@ class Outcome:
     points: int = 0
     prepare_s: float = 0.0
     slice_s: float = 0.0
-    compile_s: float = 0.0  # Time in which kernels were compiled; it is in none of the others
+    compile_s: float = 0.0  # time in which kernels were compiled; it is in none of the others
     peak_mb: float = 0.0
 
     def made(self) -> Path:
@@ -111,7 +111,7 @@ class _Event(_Told):
     prepare_s: _Amount = 0.0
     slice_s: _Amount = 0.0
     compile_s: _Amount = 0.0
-    compiling: _Name = ""  # A kernel that is compiled, and with the first one those that are missing
+    compiling: _Name = ""  # a kernel that is compiled, and with the first one those that are missing
     missing: Annotated[list[_Name], Field(max_length=2000)] = []
     peak_mb: _Amount = 0.0
     rings: _Count = 0

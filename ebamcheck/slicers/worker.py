@@ -36,10 +36,10 @@ class Order(TypedDict):
 
     backend: str
 
-    folder: str  # Where part, heights and borders of the blocks lie
-    file: str  # Where the layers go
+    folder: str  # where part, heights and borders of the blocks lie
+    file: str  # where the layers go
     settings: dict[str, Any]
-    bounds_only: bool  # Tell the bounds and slice nothing
+    bounds_only: bool  # tell the bounds and slice nothing
 
     keep_blocks: bool
     """Whether a block that is cut is kept beside the file until that is whole, for a run that is killed."""

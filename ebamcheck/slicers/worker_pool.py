@@ -32,19 +32,19 @@ class Worker:
     name: str
     process: subprocess.Popen[bytes]
     events: IO[bytes]
-    errors: Path  # Where its standard error goes
-    file: Path = Path()  # Where its layers go, once it has an order
+    errors: Path  # where its standard error goes
+    file: Path = Path()  # where its layers go, once it has an order
     started: float = 0.0
     told: dict[str, Any] = field(default_factory=dict)
     unread: bytes = b""
     failure: Failure = ""
     why: str = ""
     peak_mb: float = 0.0
-    mark: str = ""  # What it and its descendants carry in their environment
+    mark: str = ""  # what it and its descendants carry in their environment
     stranger: bool = False
     """It runs another distribution's code: its descendants are looked for outside of its group, too."""
     heard_bytes: int = 0
-    layers: int = 0  # Layers that it was asked for
+    layers: int = 0  # layers that it was asked for
     done: int = 0
     bounds_only: bool = False
     children: list[psutil.Process] = field(default_factory=list)

@@ -32,9 +32,8 @@ from ebamcheck.testing.solids import (
 )
 from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, generic_heights, rounding_mm, truth
 
-LOOSEST = 3.0  # A bound more than this many times the worst case that the kit finds is idle
-SHIFT_SHARE = 0.2  # Share of the bound by which the centroids of round sections may be off, on the mean of a body's layers
-
+LOOSEST = 3.0  # a bound more than this many times the worst case that the kit finds is idle
+SHIFT_SHARE = 0.2  # share of the bound by which the centroids of round sections may be off, on the mean of a body's layers
 LAYER_SHIFT_SHARE = 0.5
 """The same for one layer alone, where chance does not average out.
 
@@ -42,15 +41,14 @@ Half a pixel off is 0.63 of a raster's bound and half a row all of it. By chance
 ring near a torus's top put its centroid 0.37 of their bound off, pixels and grids at most 0.23.
 """
 
-SHIFT_LAYERS = 9  # Layers of a body over which chance averages out
+SHIFT_LAYERS = 9  # layers of a body over which chance averages out
 
 ROUND = ("sphere", "torus", "upright torus")
 
-FINE_FEATURES_MM = 1e-3  # What the features of attacking solids are scaled by where a bound is mere rounding
-MODEL_TOLERANCE = 0.003  # Tessellation of reference models, over their size; within .01 .. .5 mm
-SECTION_SHARE = 0.05  # Chord error of a model's exact section, over the tessellation's tolerance
-BUFFER_SHARE = 0.003
-"""What a buffer's polygonal arcs take off its radius (16 segments a quarter), and a margin."""
+FINE_FEATURES_MM = 1e-3  # what the features of attacking solids are scaled by where a bound is mere rounding
+MODEL_TOLERANCE = 0.003  # tessellation of reference models, over their size; within .01 .. .5 mm
+SECTION_SHARE = 0.05  # chord error of a model's exact section, over the tessellation's tolerance
+BUFFER_SHARE = 0.003  # what a buffer's polygonal arcs take off its radius (16 segments a quarter)
 
 
 def bound_held(subject: Subject) -> list[Figure]:

@@ -107,7 +107,7 @@ CHECKS: tuple[Check, ...] = tuple(
 )
 """Every check, in the order in which they are run and shown."""
 
-SHOWN_SHARE = 0.005  # Shares of a limit under this are mere rounding and shown as a plain pass
+SHOWN_SHARE = 0.005  # shares of a limit under this are mere rounding and shown as a plain pass
 
 
 @dataclass(frozen=True)

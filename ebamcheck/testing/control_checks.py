@@ -28,7 +28,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.testing.subject import Figure, truth
 
 LAYERS = 3
-LONGEST_BLOCK = 255  # Characters of a block; controls of this kind read at least so many
+LONGEST_BLOCK = 255  # characters of a block; controls of this kind read at least so many
 
 PROCESSES: Mapping[str, Mapping[str, Any]] = {
     "defaults": {},

@@ -17,10 +17,8 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.testing.solids import house_rule, joined, mapped, named, sections, simple, turn
 from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, differences, generic_heights, truth
 
-LARGE_OFFSET_MM = (2.0**17, -(2.0**18), 2.0**16)
-"""A part placed 0.1 .. 0.3 km from the origin, as in plant coordinates."""
-
-COORDINATE_STEP_MM = 2.0**-16  # Grid on which vertices are placed where a large shift must not round them
+LARGE_OFFSET_MM = (2.0**17, -(2.0**18), 2.0**16)  # 0.1 .. 0.3 km from the origin, as in plant coordinates
+COORDINATE_STEP_MM = 2.0**-16  # grid on which vertices are placed where a large shift must not round them
 
 THICK = ("box", "plate with holes", "tilted plate", "sphere", "torus", "upright torus", "cavity")
 """Solids without features thinner than any sensible bound."""
@@ -28,7 +26,7 @@ THICK = ("box", "plate with holes", "tilted plate", "sphere", "torus", "upright 
 FEW_LEVELS = ("box", "plate with holes", "sphere", "torus", "pyramid", "comb", "pillars")
 """Solids whose vertices lie at few heights, between which the area is a polynomial."""
 
-LEAST_INTERVAL_MM = 1e-9  # Levels nearer to each other than this are one, by rounding
+LEAST_INTERVAL_MM = 1e-9  # levels nearer to each other than this are one, by rounding
 
 
 # -- maps ----------------------------------------------------------------------------------------------

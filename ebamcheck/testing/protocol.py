@@ -25,7 +25,7 @@ SIGNATURES = {
     "prepare": ("part", "settings"),
 }
 
-EXACT_BOUND = 1e-6  # Largest bound of a slicer that calls itself exact, over the part's largest coordinate: it is rounding
+EXACT_BOUND = 1e-6  # largest bound of a slicer that calls itself exact, over the part's largest coordinate: it is rounding
 
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed")
 

@@ -18,7 +18,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
 
-FRAME_MM = 40.0  # Side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all
+FRAME_MM = 40.0  # side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all
 
 Matrix = NDArray[np.float64]
 
@@ -209,11 +209,9 @@ def simple(name: str) -> Part:
 
 # -- solids made to break a bound ----------------------------------------------------------------------
 
-WIDTHS = (0.35, 0.7, 0.95, 1.2, 1.5, 1.8, 1.95, 2.05, 2.2, 2.6, 3.2)
-"""Widths of thin features over the bound: those of twice the bound and more must be kept."""
-
-REPEATS = 9  # Times that each width occurs, at another place between the samples of a slicer
-GOLDEN = 0.6180339887498949  # Steps by this share of a sample visit all places between samples evenly
+WIDTHS = (0.35, 0.7, 0.95, 1.2, 1.5, 1.8, 1.95, 2.05, 2.2, 2.6, 3.2)  # over the bound; twice is kept
+REPEATS = 9  # times that each width occurs, at another place between the samples of a slicer
+GOLDEN = 0.6180339887498949  # steps by this share of a sample visit all places between samples evenly
 
 
 def _framed(pieces: Iterable[BaseGeometry]) -> BaseGeometry:
@@ -295,8 +293,7 @@ def frame() -> Part:
     return named("frame", box((0, 0, 0), (FRAME_MM, FRAME_MM, 4.0)))
 
 
-WindingRule = Callable[[int], bool]  # Whether a winding number is solid
-
+WindingRule = Callable[[int], bool]  # whether a winding number is solid
 HOUSE_RULE = "winding > 0"
 
 

@@ -21,9 +21,8 @@ from ebamcheck.numeric.rings import EPSILON
 from ebamcheck.plugins.model import Model
 from ebamcheck.testing.solids import HOUSE_RULE, house_rule, sections, winding_rule
 
-ROUNDING_STEPS = 64.0  # Units in the last place of the largest coordinate by which the kit's own maps and sections may be off
-LEVEL_SLOPE = 1e-9
-"""Facets whose normal has less than this share in the plane count as level: no layer cuts them."""
+ROUNDING_STEPS = 64.0  # units in the last place of the largest coordinate by which the kit's own maps and sections may be off
+LEVEL_SLOPE = 1e-9  # facets whose normal has less than this share in the plane count as level
 
 
 class Subject:
@@ -215,7 +214,7 @@ def differences(
     return Differences(depth, table["topology_agrees"].to_numpy(dtype=np.bool_), places)
 
 
-NO_LAYER = -1  # Layer of a figure that is about no layer in particular
+NO_LAYER = -1  # layer of a figure that is about no layer in particular
 
 
 @dataclass(frozen=True)

@@ -35,10 +35,8 @@ from ebamcheck.live.publishing import read_journal
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import OpcuaSettings
 
-OWNERS = 2**31  # Range of the number by which a door knows that it is the one that writes
-
-LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"
-"""Kinds of lines in the journal that tell what was done to the control."""
+OWNERS = 2**31  # range of the number by which a door knows that it is the one that writes
+LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"  # kinds of lines in the journal
 
 
 class Telling:

@@ -25,8 +25,8 @@ from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
 OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))
 """R parameter of each role, counted from ``machine.live_r``; the fifth is the program's own."""
 
-BUILT = -1.0  # In ``released``: the part is built
-KEY_FILE = "release.key"  # In the folder of a build: the key from which those of all its layers follow; its owner alone may read it
+BUILT = -1.0  # in ``released``: the part is built
+KEY_FILE = "release.key"  # in the folder of a build: the key from which those of all its layers follow; its owner alone may read it
 
 
 def node_ids(machine: MachineSettings, opcua: OpcuaSettings) -> dict[str, str]:

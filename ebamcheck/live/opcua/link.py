@@ -20,8 +20,7 @@ from ebamcheck.showing.plotting import missing
 if TYPE_CHECKING:
     from asyncua.client.client import Client
 
-FILES = ("certificate", "private_key", "server_certificate")
-"""Settings that name files which a protected channel needs."""
+FILES = ("certificate", "private_key", "server_certificate")  # files that a protected channel needs
 
 T = TypeVar("T")
 

@@ -29,17 +29,14 @@ from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.numeric.kernels import worker_threads
 from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
 
-SAME_PLANE_MM = 1e-9
-"""Heights nearer than this are the same plane: heights ``bottom + (k + 0.5) * step`` are rounded."""
-
+SAME_PLANE_MM = 1e-9  # heights ``bottom + (k + 0.5) * step`` are rounded
 LEAST_RUN = 3  # heights of equal step that make a lattice: any two heights have one step
-
 PLANES_A_RUN = 2000
 """Planes of a lattice for each height that is asked of it. A program cuts some hundred planes in the time of starting
 once more and reading the part, and blocks of the same stack are likely to follow."""
 
 KEPT_LATTICES = 4
-KEPT_PLANES = 256  # Lattices and single planes that are kept; the oldest go first
+KEPT_PLANES = 256  # lattices and single planes that are kept; the oldest go first
 
 
 @dataclass(frozen=True)
@@ -110,7 +107,7 @@ def _whole(height_mm: float, step_mm: float, least_mm: float, greatest_mm: float
     return Lattice(height_mm - below * step_mm, step_mm, below + above + 1)
 
 
-Cut = Callable[[Lattice], Layers]  # Cuts a part at all planes of a lattice
+Cut = Callable[[Lattice], Layers]  # cuts a part at all planes of a lattice
 
 
 class LatticeStack:
@@ -192,11 +189,9 @@ def _silent(done: int) -> None:
     """Progress that nobody asked for."""
 
 
-LAYERS_OF_A_SINGLE = 16  # Layers over the height of a part of which one single plane is wanted: coordinates then lose no bit to the margins
-
+LAYERS_OF_A_SINGLE = 16  # layers over the height of a part of which one single plane is wanted: coordinates then lose no bit to the margins
 MARK_SHARE = 2.0**-10  # side of a mark over the smaller side of the part
-
-MARK_LAYERS = 0.6  # Height of a mark over that of a layer: the lower one is cut in the middle of layer 0, the upper one nowhere
+MARK_LAYERS = 0.6  # height of a mark over that of a layer: the lower one is cut in the middle of layer 0, the upper one nowhere
 
 MARK = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
 MARK_FACETS = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)])

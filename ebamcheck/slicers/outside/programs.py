@@ -23,7 +23,7 @@ from ebamcheck.errors import BackendFailed, BackendMissing
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.base import Between
 
-VERSION_LIMIT_S = 20.0  # Time that a program may take to tell its version: the first start after a boot reads it from a slow disk
+VERSION_LIMIT_S = 20.0  # time that a program may take to tell its version: the first start after a boot reads it from a slow disk
 
 TAIL_BYTES = 8192  # how much of the end of a program's output is kept for messages
 LONGEST_REASON = 200  # characters of a program's own words in an error message

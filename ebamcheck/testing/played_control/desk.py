@@ -23,9 +23,7 @@ from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.testing.played_control.program import FAULTS, PlayedProgram
 from ebamcheck.testing.played_control.server import SESSIONS, Access, PlayedServer
 
-PROFILE, PASSWORD = "opcua.toml", "password"
-"""Files of a desk's folder: settings for `live --config`, and the password of its user."""
-
+PROFILE, PASSWORD = "opcua.toml", "password"  # files of a desk's folder
 USER = "ebamcheck"
 
 

@@ -43,9 +43,9 @@ FAULTS = {
 }
 """Faults of the played control by name, and what happens; each at a layer, from 1."""
 
-LEAST_WAIT_S = 0.05  # Least real time of a wait of the main program, however fast it plays
-SHOWN_S = 0.6  # Time for which a wrong value is shown: several times the grid
-FAULT_S = 1.0  # Time for which writes are refused or lost, or the server is away
+LEAST_WAIT_S = 0.05  # least real time of a wait of the main program, however fast it plays
+SHOWN_S = 0.6  # time for which a wrong value is shown: several times the grid
+FAULT_S = 1.0  # time for which writes are refused or lost, or the server is away
 
 
 # -- what it holds -----------------------------------------------------------------------------------

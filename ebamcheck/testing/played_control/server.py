@@ -18,9 +18,9 @@ from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.opcua import TEXT_ROLES, OpcuaSettings
 from ebamcheck.testing.played_control.program import Panel
 
-GRID_S = 0.1  # Grid on which a SINUMERIK samples its values
-SESSIONS = 10  # Sessions of a SINUMERIK's server
-AWAY_S = 1.0  # Time for which a server is away that broke in the middle of an upload
+GRID_S = 0.1  # grid on which a SINUMERIK samples its values
+SESSIONS = 10  # sessions of a SINUMERIK's server
+AWAY_S = 1.0  # time for which a server is away that broke in the middle of an upload
 
 
 @dataclass(frozen=True)
