@@ -24,17 +24,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.controls.thesis import (
-    INPUT,
-    HeatPath,
-    Mirrors,
-    fill_case,
-    heat_path,
-    physics,
-    readings,
-    snapshot,
-    write_thesis,
-)
+from ebamcheck.controls import thesis
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.nc.files import ProgramFiles
@@ -85,7 +75,7 @@ class IslandVisits:
     place: Floats
 
     @classmethod
-    def of(cls, path: HeatPath) -> IslandVisits:
+    def of(cls, path: thesis.HeatPath) -> IslandVisits:
         """Visits of a path of one layer."""
         end_s, line = path.end_s, path.is_line & (path.island >= 0)
         rows = np.flatnonzero(line)
@@ -136,12 +126,12 @@ class LayerCase:
     each with its visit: first where the beam enters the island, then over its area.
     """
 
-    path: HeatPath
+    path: thesis.HeatPath
     islands: NDArray[np.object_]
     visits: IslandVisits
     section: BaseGeometry
     height_mm: float
-    mirrors: Mirrors | None
+    mirrors: thesis.Mirrors | None
     owner: Ints
     places: Floats
 
@@ -163,7 +153,7 @@ class LayerCase:
         for option, value, choices in (("--beads", beads, BEADS), ("--body", body, BODIES)):
             if value not in choices:
                 raise SettingsError(f"{option} {value!r}: choose from {', '.join(choices)}")
-        whole = heat_path(_no_contours(plan) if curves is None else curves, plan, config)
+        whole = thesis.heat_path(_no_contours(plan) if curves is None else curves, plan, config)
         if not (whole.island[whole.layer == layer] >= 0).any():
             raise NothingCompared(f"layer {layer + 1} has no islands whose temperature could be judged")
         path = whole.of_layer(layer)
@@ -182,9 +172,9 @@ class LayerCase:
 
     def write(self, folder: str | Path, config: Config) -> ProgramFiles:
         """Write the whole case: it reads all places at all times, of which each island's own are those judged by."""
-        wanted = readings(self.visits.entered_s.tolist(), self.places, self.mirrors)
-        files = {**wanted, **physics(config)}
-        return write_thesis(self.path, files, folder)
+        wanted = thesis.readings(self.visits.entered_s.tolist(), self.places, self.mirrors)
+        files = {**wanted, **thesis.physics(config)}
+        return thesis.write_thesis(self.path, files, folder)
 
 
 def judge_layer(
@@ -223,10 +213,10 @@ def _by_our_model(case: LayerCase, config: Config) -> Floats:
     return entry_temperatures(heat, area, np.arange(len(islands)), visits.entered_s, visits.left_s)[0]
 
 
-def _box(section: BaseGeometry, base_mm: float, config: Config) -> Mirrors:
+def _box(section: BaseGeometry, base_mm: float, config: Config) -> thesis.Mirrors:
     """Mirrors around a section: images are of insulated planes alone, so that a cooled base is left out."""
     x0, y0, x1, y1 = section.bounds
-    return Mirrors((x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None)
+    return thesis.Mirrors((x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None)
 
 
 def _places(islands: NDArray[np.object_], entered: Floats, count: int) -> tuple[Ints, Floats]:
@@ -301,12 +291,12 @@ THESIS = _Thesis("3DThesis", "3DThesis", "EBAMCHECK_3DTHESIS", "", (), "")
 
 
 def rises_k(
-    path: HeatPath,
+    path: thesis.HeatPath,
     config: Config,
     times_s: Floats,
     owner: Ints,
     places: Floats,
-    mirrors: Mirrors | None = None,
+    mirrors: thesis.Mirrors | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Floats:
     """Temperature rises (P,), K over ``process.ambient_temperature_k``, at places (P, 3), mm, each at the moment of its owner (E,), by 3DThesis.
@@ -319,7 +309,7 @@ def rises_k(
     by_time = np.argsort(times_s, kind="stable")
     with scratch_folder() as folder:
         case = folder / "case"
-        write_thesis(path, physics(config), case)
+        thesis.write_thesis(path, thesis.physics(config), case)
         for begin in range(0, len(times_s), TIMES_A_RUN):
             chosen = by_time[begin : begin + TIMES_A_RUN]
             mine = np.flatnonzero(np.isin(owner, chosen))
@@ -333,13 +323,13 @@ def rises_k(
     return rises
 
 
-def _run(case: Path, times_s: Floats, places: Floats, mirrors: Mirrors | None) -> Floats:
-    for name, text in fill_case(readings(times_s.tolist(), places, mirrors)).items():
+def _run(case: Path, times_s: Floats, places: Floats, mirrors: thesis.Mirrors | None) -> Floats:
+    for name, text in thesis.fill_case(thesis.readings(times_s.tolist(), places, mirrors)).items():
         (case / name).write_text(text, encoding="ascii")
     results = case / "Data"
     shutil.rmtree(results, ignore_errors=True)
-    said = THESIS.run([INPUT], case, TIME_LIMIT_S)
-    return np.stack([_table(results / snapshot(n), places, said) for n in range(len(times_s))])
+    said = THESIS.run([thesis.INPUT], case, TIME_LIMIT_S)
+    return np.stack([_table(results / thesis.snapshot(n), places, said) for n in range(len(times_s))])
 
 
 def _table(file: Path, places: Floats, said: str) -> Floats:

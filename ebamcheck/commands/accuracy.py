@@ -10,22 +10,11 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ebamcheck.accuracy import selection
 from ebamcheck.accuracy.baselines import UpdateMode, strict_json
 from ebamcheck.accuracy.matrix import Tolerances, read_tolerances
 from ebamcheck.accuracy.regression import Regression, accepted, default_baselines, run_regression, updated
 from ebamcheck.accuracy.report import HISTORY, record, write_junit, write_page
-from ebamcheck.accuracy.selection import (
-    REPEATS,
-    RULES,
-    Choice,
-    Trial,
-    Workpiece,
-    choose,
-    try_backends,
-    workpiece_of_model,
-    workpiece_of_part,
-    write_choice,
-)
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.options import (
     DEFAULT_CONFIG,
@@ -168,7 +157,7 @@ def select(
         float, Option(help="Error that a slicer may have, by its bound and as measured, mm.")
     ] = TOLERANCE_MM,
     layer_height: LayerHeightOption = None,
-    repeats: Annotated[int, Option(min=1, help="Timed runs of each backend.")] = REPEATS,
+    repeats: Annotated[int, Option(min=1, help="Timed runs of each backend.")] = selection.REPEATS,
     write: Annotated[bool, Option("--write", help="Write the choice into the settings file.")] = False,
     config_file: ConfigOption = None,
     as_json: JsonOption = False,
@@ -186,10 +175,12 @@ def select(
     if layer_height is not None:
         config = config.changed(layers={"layer_height_mm": layer_height, "heights_mm": ()})
     workpiece = _workpiece(part, model, config)
-    trials = try_backends(workpiece, config, repeats, lambda text: typer.echo(f"ebamcheck: {text}", err=True))
+    trials = selection.try_backends(
+        workpiece, config, repeats, lambda text: typer.echo(f"ebamcheck: {text}", err=True)
+    )
     if not any(trial.available for trial in trials):
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
-    choice = choose(trials, tolerance_mm)
+    choice = selection.choose(trials, tolerance_mm)
     circumstances = {
         "part": workpiece.title,
         "part_sha256": workpiece.part.sha256,
@@ -204,20 +195,22 @@ def select(
     if not choice.primary:
         return ExitCode.OUT_OF_TOLERANCE
     if write:
-        write_choice(path, machine_name(), choice, trials, circumstances)
+        selection.write_choice(path, machine_name(), choice, trials, circumstances)
         typer.echo(f"ebamcheck: {path}: wrote the section of machine {machine_name()!r}", err=True)
     return ExitCode.PASS
 
 
-def _workpiece(part: Path | None, model: str, config: Config) -> Workpiece:
+def _workpiece(part: Path | None, model: str, config: Config) -> selection.Workpiece:
     if part is not None:
         placed, _ = read_part(part, config.part.model_copy(update={"fix_orientation": False}))
-        return workpiece_of_part(placed, config.layer_height_mm)
+        return selection.workpiece_of_part(placed, config.layer_height_mm)
     name = model or DEFAULT_MODEL
-    return workpiece_of_model(models([name])[name], COARSE_MM, config.layer_height_mm)
+    return selection.workpiece_of_model(models([name])[name], COARSE_MM, config.layer_height_mm)
 
 
-def _record(trials: list[Trial], choice: Choice, circumstances: dict[str, Any]) -> dict[str, Any]:
+def _record(
+    trials: list[selection.Trial], choice: selection.Choice, circumstances: dict[str, Any]
+) -> dict[str, Any]:
     return {
         "machine": machine_name(),
         "primary": choice.primary,
@@ -227,7 +220,12 @@ def _record(trials: list[Trial], choice: Choice, circumstances: dict[str, Any]) 
     }
 
 
-def _table(workpiece: Workpiece, trials: list[Trial], choice: Choice, tolerance_mm: float) -> str:
+def _table(
+    workpiece: selection.Workpiece,
+    trials: list[selection.Trial],
+    choice: selection.Choice,
+    tolerance_mm: float,
+) -> str:
     columns = ["slicer", "available", "bound mm", "measured mm", "seconds", "device", "reason"]
     rows = [
         [t.name, t.available, t.bound_mm, t.measured_mm, t.seconds, t.device, choice.reasons[t.name]]
@@ -244,7 +242,7 @@ def _table(workpiece: Workpiece, trials: list[Trial], choice: Choice, tolerance_
         else "\nthere is no second slicer of that accuracy: a run needs two that agree"
     )
     head = f"machine {machine_name()}: {workpiece.title}, {len(workpiece.timed)} layers"
-    return f"{head}\n{text_table(columns, rows)}\n\n{RULES}\n\n{chosen}{alone}"
+    return f"{head}\n{text_table(columns, rows)}\n\n{selection.RULES}\n\n{chosen}{alone}"
 
 
 def conform_command(

@@ -9,19 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
-from ebamcheck.commands.options import (
-    ConfigOption,
-    DirectionOption,
-    JsonOption,
-    LayerHeightOption,
-    UnitsOption,
-    YesOption,
-    loaded,
-    print_json,
-    settings_of,
-    stack_of_run,
-    within_work,
-)
+from ebamcheck.commands import options
 from ebamcheck.controls.thesis import SCRIPT, case_post
 from ebamcheck.curves import (
     METHODS,
@@ -65,25 +53,25 @@ def fit_command(
     reference: Annotated[
         Path | None, Option(help="A finer mesh of the same part: errors are measured against it.")
     ] = None,
-    layer_height: LayerHeightOption = None,
-    config_file: ConfigOption = None,
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    yes: YesOption = False,
-    as_json: JsonOption = False,
+    layer_height: options.LayerHeightOption = None,
+    config_file: options.ConfigOption = None,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    yes: options.YesOption = False,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Slice a part, fit curves to its contours and say how near they are and how many blocks they take.
 
     Example: ebamcheck fit blade.stl --method all --reference blade-fine.stl
     """
-    config = settings_of(config_file, units, direction, layer_height)
+    config = options.settings_of(config_file, units, direction, layer_height)
     if tolerance is not None:
         config = config.changed(curves={"tolerance_mm": tolerance})
     methods = tuple(METHODS) if method == ALL else (method or config.curves.method,)
     if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
         raise SettingsError(f"{output}: give FILE.parquet and one method")
-    placed = loaded(part, config)
-    layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
+    placed = options.loaded(part, config)
+    layers = slice_part(placed, options.within_work(placed, cut_heights(placed, config), config, yes))
     truth = slice_part(read_reference(reference, part, config.part), layers.heights) if reference else None
     rows = []
     for name in methods:
@@ -92,7 +80,7 @@ def fit_command(
             curves.to_parquet(output)
         rows.append(_row(name, curves, layers, truth))
     if as_json:
-        print_json(rows)
+        options.print_json(rows)
     else:
         typer.echo(f"{len(layers)} layers, {len(layers.points)} contour points\n")
         typer.echo(text_table(list(rows[0]), [list(row.values()) for row in rows]))
@@ -127,11 +115,11 @@ def post_command(
         int,
         Option(min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."),
     ] = 1,
-    layer_height: LayerHeightOption = None,
-    config_file: ConfigOption = None,
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    yes: YesOption = False,
+    layer_height: options.LayerHeightOption = None,
+    config_file: options.ConfigOption = None,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    yes: options.YesOption = False,
 ) -> ExitCode:
     """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it.
 
@@ -143,18 +131,18 @@ def post_command(
         if layer is not None:
             case_post(control)
     if (source / MANIFEST).is_file():
-        config, beads, plan, sha256 = stack_of_run(source, config_file)
+        config, beads, plan, sha256 = options.stack_of_run(source, config_file)
         checked_window(config)
         check_entry(from_layer, config)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
     else:
-        config = settings_of(config_file, units, direction, layer_height)
+        config = options.settings_of(config_file, units, direction, layer_height)
         checked_window(config)
         check_entry(from_layer, config)
-        placed = loaded(source, config)
+        placed = options.loaded(source, config)
         config = chosen_height(placed, inspect(placed).passed, config).config
-        layers = slice_part(placed, within_work(placed, cut_heights(placed, config), config, yes))
+        layers = slice_part(placed, options.within_work(placed, cut_heights(placed, config), config, yes))
         smooth = smooth_layers(fit_for_program(layers, config.curves, placed))
         plan = plan_program(smooth, config)
         beads, sha256 = bead_paths(smooth, plan, config), placed.source_sha256

@@ -9,22 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from ebamcheck.commands.options import (
-    ConfigOption,
-    DirectionOption,
-    FixOption,
-    JsonOption,
-    LayerHeightOption,
-    PlaceOption,
-    PlateOption,
-    RotateOption,
-    UnitsOption,
-    YesOption,
-    part_or_plate,
-    placed_settings,
-    print_json,
-    settings_of,
-)
+from ebamcheck.commands import options
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.preflight.report import Preflight, ready
 from ebamcheck.preflight.workload import EVERY, RUN
@@ -36,17 +21,17 @@ SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # levels as the t
 
 def preflight_command(
     part: Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")] = None,
-    plate: PlateOption = None,
+    plate: options.PlateOption = None,
     job: Annotated[str, Option(help="Job that is meant: run, or check without a program.")] = RUN,
-    config_file: ConfigOption = None,
-    layer_height: LayerHeightOption = None,
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    place: PlaceOption = "",
-    rotate: RotateOption = None,
-    fix_orientation: FixOption = False,
-    yes: YesOption = False,
-    as_json: JsonOption = False,
+    config_file: options.ConfigOption = None,
+    layer_height: options.LayerHeightOption = None,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    place: options.PlaceOption = "",
+    rotate: options.RotateOption = None,
+    fix_orientation: options.FixOption = False,
+    yes: options.YesOption = False,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Look at mesh, units, machine, settings and the work to come; exit code 1 where something cannot work.
 
@@ -54,12 +39,14 @@ def preflight_command(
     """
     if job not in EVERY:
         raise SettingsError(f"--job {job!r}: give one of {', '.join(EVERY)}")
-    config = placed_settings(settings_of(config_file, units, direction, layer_height), place, rotate)
+    config = options.placed_settings(
+        options.settings_of(config_file, units, direction, layer_height), place, rotate
+    )
     if fix_orientation:
         config = config.changed(part={"fix_orientation": True})
-    found = ready(part_or_plate(part, plate), config, job, yes).preflight
+    found = ready(options.part_or_plate(part, plate), config, job, yes).preflight
     if as_json:
-        print_json(found.as_dict())
+        options.print_json(found.as_dict())
     else:
         typer.echo(preflight_text(found))
     return found.exit_code

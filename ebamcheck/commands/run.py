@@ -8,31 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
-from ebamcheck.commands.options import (
-    DEFAULT_CONFIG,
-    BackendsOption,
-    ConfigOption,
-    DirectionOption,
-    FixOption,
-    ForceOption,
-    JobPart,
-    JsonOption,
-    LayerHeightOption,
-    PlaceOption,
-    PlateOption,
-    ResumeOption,
-    RotateOption,
-    RunFolderOption,
-    UnitsOption,
-    WitnessesOption,
-    YesOption,
-    begun,
-    job_settings,
-    part_or_plate,
-    placed_settings,
-    print_json,
-    settings_of,
-)
+from ebamcheck.commands import options
 from ebamcheck.errors import ExitCode, SettingsError
 
 if TYPE_CHECKING:
@@ -42,19 +18,19 @@ if TYPE_CHECKING:
 
 
 def run(
-    part: JobPart = None,
-    plate: PlateOption = None,
-    config_file: ConfigOption = None,
-    output: RunFolderOption = None,
-    layer_height: LayerHeightOption = None,
-    backends: BackendsOption = "",
-    witnesses: WitnessesOption = "",
+    part: options.JobPart = None,
+    plate: options.PlateOption = None,
+    config_file: options.ConfigOption = None,
+    output: options.RunFolderOption = None,
+    layer_height: options.LayerHeightOption = None,
+    backends: options.BackendsOption = "",
+    witnesses: options.WitnessesOption = "",
     reference: Annotated[Path | None, Option(help="A finer tessellation of the same part.")] = None,
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    place: PlaceOption = "",
-    rotate: RotateOption = None,
-    fix_orientation: FixOption = False,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    place: options.PlaceOption = "",
+    rotate: options.RotateOption = None,
+    fix_orientation: options.FixOption = False,
     from_layer: Annotated[
         int, Option(min=1, help="Write a program that begins at this layer, too: to go on after a break.")
     ] = 1,
@@ -62,18 +38,20 @@ def run(
         bool,
         Option("--live", help="Write a main program that waits between layers until each is released, too."),
     ] = False,
-    yes: YesOption = False,
-    resume: ResumeOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    yes: options.YesOption = False,
+    resume: options.ResumeOption = False,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
-    config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
-    config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    config = options.job_settings(
+        config_file, units, direction, layer_height, backends, witnesses, fix_orientation
+    )
+    config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     from ebamcheck.numeric.compiling_beside import ROOMS, compiled_beside
 
     with compiled_beside(modules=ROOMS):
-        part_ready = begun(source, config, "run", yes)
+        part_ready = options.begun(source, config, "run", yes)
         with _first_slicers(config) as workers:
             from ebamcheck.commands.progress import watched
             from ebamcheck.pipeline import run_job
@@ -96,18 +74,18 @@ def run(
 
 
 def check(
-    part: JobPart = None,
-    plate: PlateOption = None,
-    config_file: ConfigOption = None,
-    output: RunFolderOption = None,
-    layer_height: LayerHeightOption = None,
-    backends: BackendsOption = "",
-    witnesses: WitnessesOption = "",
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    place: PlaceOption = "",
-    rotate: RotateOption = None,
-    fix_orientation: FixOption = False,
+    part: options.JobPart = None,
+    plate: options.PlateOption = None,
+    config_file: options.ConfigOption = None,
+    output: options.RunFolderOption = None,
+    layer_height: options.LayerHeightOption = None,
+    backends: options.BackendsOption = "",
+    witnesses: options.WitnessesOption = "",
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    place: options.PlaceOption = "",
+    rotate: options.RotateOption = None,
+    fix_orientation: options.FixOption = False,
     slabs: Annotated[
         int | None,
         Option(
@@ -116,14 +94,16 @@ def check(
             help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
         ),
     ] = None,
-    yes: YesOption = False,
-    resume: ResumeOption = False,
-    force: ForceOption = False,
-    as_json: JsonOption = False,
+    yes: options.YesOption = False,
+    resume: options.ResumeOption = False,
+    force: options.ForceOption = False,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
-    config = job_settings(config_file, units, direction, layer_height, backends, witnesses, fix_orientation)
-    config, source = placed_settings(config, place, rotate), part_or_plate(part, plate)
+    config = options.job_settings(
+        config_file, units, direction, layer_height, backends, witnesses, fix_orientation
+    )
+    config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     config = config if slabs is None else config.changed(slicing={"slabs": slabs})
     from ebamcheck.numeric.compiling_beside import CHECKING, compiled_beside
     from ebamcheck.preflight.workload import wanted_slabs
@@ -132,7 +112,7 @@ def check(
         part_ready = workers = None
         # A part that is checked in slabs is never read whole.
         if wanted_slabs(source, config) == 1:
-            part_ready = begun(source, config, "check", yes)
+            part_ready = options.begun(source, config, "check", yes)
             workers = opened.enter_context(_first_slicers(config))
         from ebamcheck.commands.progress import watched
         from ebamcheck.pipeline import check_job
@@ -156,7 +136,7 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     from ebamcheck.commands.summaries import run_summary
 
     if as_json:
-        print_json(result.manifest)
+        options.print_json(result.manifest)
     else:
         print(run_summary(result.manifest))
         report = result.folder.path / "report.html"
@@ -185,10 +165,10 @@ def verify(
         list[Path] | None,
         Option(help="Public key, or a folder of them; one must have signed. May be given again."),
     ] = None,
-    config_file: ConfigOption = None,
-    layer_height: LayerHeightOption = None,
-    units: UnitsOption = "",
-    as_json: JsonOption = False,
+    config_file: options.ConfigOption = None,
+    layer_height: options.LayerHeightOption = None,
+    units: options.UnitsOption = "",
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.live.verifying import holds_layers
@@ -205,11 +185,11 @@ def verify(
     own = (main / MANIFEST).is_file()
     if not own and main.exists() and not (config_file or units or layer_height):
         own = find_record(main) is not None
-    default = not (config_file or units or layer_height or DEFAULT_CONFIG.is_file())
-    config = None if own or default else settings_of(config_file, units, "", layer_height)
+    default = not (config_file or units or layer_height or options.DEFAULT_CONFIG.is_file())
+    config = None if own or default else options.settings_of(config_file, units, "", layer_height)
     checks = verification.verify(target, part, config, quick=quick, trusted=trusted or (), whole=whole)
     if as_json:
-        print_json([check_record(check) for check in checks])
+        options.print_json([check_record(check) for check in checks])
     else:
         rows = [
             ["pass" if c.passed else "FAIL", c.name, c.value, c.limit, c.unit, c.where, c.text]
@@ -238,7 +218,7 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     found = verify_build(folder, part, tell)
     good = sum(layer.passed for layer in found)
     if as_json:
-        print_json([vars(layer) for layer in found])
+        options.print_json([vars(layer) for layer in found])
     else:
         print(f"\n{good} of {len(found)} published layers verify from their text alone")
     return ExitCode.PASS if found and good == len(found) else ExitCode.OUT_OF_TOLERANCE

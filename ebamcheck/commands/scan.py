@@ -19,20 +19,7 @@ import typer
 from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.commands.options import (
-    ConfigOption,
-    DirectionOption,
-    JsonOption,
-    LayerHeightOption,
-    PartArgument,
-    UnitsOption,
-    YesOption,
-    loaded,
-    names,
-    print_json,
-    settings_of,
-    within_work,
-)
+from ebamcheck.commands import options
 from ebamcheck.commands.progress import watched
 from ebamcheck.errors import ExitCode, SettingsError, interruptible
 from ebamcheck.heat import ContourModes
@@ -58,14 +45,7 @@ from ebamcheck.scan.plan.whole_part import WHOLE_PART, scan_part
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
 from ebamcheck.settings.stages import order_names
-from ebamcheck.showing.pictures import (
-    Scene,
-    TemperatureScale,
-    field_svg,
-    islands_svg,
-    layer_animation,
-    pareto_svg,
-)
+from ebamcheck.showing import pictures
 from ebamcheck.showing.short_text import text_table
 from ebamcheck.slicers.slicing import slice_part
 
@@ -87,7 +67,7 @@ COMMON = 0.9  # share of the cells that the colours tell apart: the last islands
 
 
 def scan_command(
-    part: PartArgument,
+    part: options.PartArgument,
     height: Annotated[float | None, Option(help="Absolute height z of the layer, mm.")] = None,
     all_layers: Annotated[
         bool, Option("--all", help="All layers from below, with the heat of those under them.")
@@ -96,7 +76,7 @@ def scan_command(
         float | None,
         Option(help="With --all: wait between two layers, s; default: process.layer_pause_s.", min=0.0),
     ] = None,
-    layer_height: LayerHeightOption = None,
+    layer_height: options.LayerHeightOption = None,
     orders: Annotated[
         str, Option(help=f"{', '.join(order_names())}, or all; comma-separated. Default: scan.order.")
     ] = "",
@@ -110,19 +90,19 @@ def scan_command(
         ),
     ] = "",
     seeds: Annotated[int, Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
-    config_file: ConfigOption = None,
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    yes: YesOption = False,
-    as_json: JsonOption = False,
+    config_file: options.ConfigOption = None,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    yes: options.YesOption = False,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long.
 
     Example: ebamcheck scan blade.stl --height 12 --orders all -o orders
     """
-    config = settings_of(config_file, units, direction, layer_height)
+    config = options.settings_of(config_file, units, direction, layer_height)
     checked_window(config)
-    wanted = compared_orders() if orders == ALL else names(orders) or (config.scan.order,)
+    wanted = compared_orders() if orders == ALL else options.names(orders) or (config.scan.order,)
     for name in wanted:  # an unknown one is refused before anything is computed
         config.changed(scan={"order": name})
     exported = _exported(export, output)
@@ -132,7 +112,7 @@ def scan_command(
         raise SettingsError("scan: give either --height Z for one layer, or --all")
     if pause is not None and not all_layers:
         raise SettingsError("--pause: the wait between layers belongs to --all")
-    placed = loaded(part, config)
+    placed = options.loaded(part, config)
     if height is None:
         if len(wanted) != 1:
             raise SettingsError(f"--all plans in one order, not {len(wanted)}: give one with --orders")
@@ -144,7 +124,7 @@ def scan_command(
 
 def _exported(export: str, output: Path | None) -> tuple[str, ...]:
     known = simulators()
-    exported = known if export == ALL else names(export)
+    exported = known if export == ALL else options.names(export)
     if unknown := set(exported) - set(known):
         raise SettingsError(f"--export {sorted(unknown)[0]!r}: choose from {', '.join(known)}, or all")
     if exported and output is None:
@@ -159,7 +139,7 @@ def scan_all(
     part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool
 ) -> ExitCode:
     """Order all layers of a placed part; rows are written as they are done, so that an interrupt keeps them."""
-    layers = slice_part(part, within_work(part, cut_heights(part, config), config, yes))
+    layers = slice_part(part, options.within_work(part, cut_heights(part, config), config, yes))
     sections = [layers.section(k) for k in range(len(layers))]
     heights_mm = np.asarray(layers.heights) - float(part.bounds[0][2])
     found = scan_part(sections, heights_mm, config, order, config.scan.seed)
@@ -189,7 +169,7 @@ def scan_all(
             kept = f", kept in {file}" if output is not None and done else ""
             raise KeyboardInterrupt(f"{done} of {len(sections)} layers are done{kept}") from None
     if as_json:
-        print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
+        options.print_json([{k: None if v != v else v for k, v in row.items()} for row in rows])
         return ExitCode.PASS
     typer.echo(f"{len(rows)} layers in the order {order}, {config.process.base} base\n")
     shown = [*(name for name in WHOLE_PART if name != "stored_j"), BUILT]
@@ -257,7 +237,7 @@ def scan_layer(
         kept = f", kept in {output}" if output is not None and done.rows else ""
         raise KeyboardInterrupt(f"{len(done.rows)} of {len(orders)} orders are done{kept}")
     if as_json:
-        print_json(done.records())
+        options.print_json(done.records())
     else:
         rows = [[_cell(row[name]) for name in HEADINGS] for row in done.records()]
         count, base = len(layer.laid.islands), config.process.base
@@ -339,13 +319,15 @@ def order_pictures(
     """
     islands, section = compared.laid.islands, compared.laid.regions.section
     scenes = {
-        name: Scene.of(section, result.plan.contours[0], result.plan.vectors_of(0))
+        name: pictures.Scene.of(section, result.plan.contours[0], result.plan.vectors_of(0))
         for name, result in results.items()
     }
     files = {}
     for name, result in results.items():
         rank = result.rank.astype(np.float64)
-        files[f"{name}-rank.svg"] = islands_svg(islands, rank, f"{what}: rank, {name}", scene=scenes[name])
+        files[f"{name}-rank.svg"] = pictures.islands_svg(
+            islands, rank, f"{what}: rank, {name}", scene=scenes[name]
+        )
     if compared.heat is None:
         return files
     plane = compared.heat.model.plane
@@ -357,22 +339,22 @@ def order_pictures(
     config = compared.config
     ambient_k = config.process.ambient_temperature_k
     solidus, boiling = (k - ambient_k for k in (config.material.solidus_k, config.material.boiling_k))
-    scale = TemperatureScale.of(max(hottest, warmest), solidus, boiling)
+    scale = pictures.TemperatureScale.of(max(hottest, warmest), solidus, boiling)
     for name, result in results.items():
         title = f"{what}: entry temperature rise, {name}"
-        files[f"{name}-entry.svg"] = islands_svg(
+        files[f"{name}-entry.svg"] = pictures.islands_svg(
             islands, result.entry_k, title, " K", scene=scenes[name], temperatures=scale
         )
         title = f"{what}: temperature rise when the layer is done, {name}"
-        files[f"{name}-field.svg"] = field_svg(
+        files[f"{name}-field.svg"] = pictures.field_svg(
             partial(_rises, plane, at_end[name]), section, title, " K", scale.greatest, scenes[name], scale
         )
         order = np.argsort(result.rank)
         history = island_history(compared.heat, order, result.start_s, result.end_s)
-        files[f"{name}.html"] = layer_animation(
+        files[f"{name}.html"] = pictures.layer_animation(
             islands, order, result.end_s, history, f"{what}, {name}", scale, scenes[name]
         )
-    files["pareto.svg"] = pareto_svg(figures, f"{what}: {len(islands)} islands")
+    files["pareto.svg"] = pictures.pareto_svg(figures, f"{what}: {len(islands)} islands")
     return files
 
 

@@ -12,21 +12,7 @@ import typer
 from typer import Argument, Option
 
 from ebamcheck.atomic_file import made_folder
-from ebamcheck.commands.options import (
-    ConfigOption,
-    DirectionOption,
-    JsonOption,
-    LayerHeightOption,
-    PartArgument,
-    UnitsOption,
-    YesOption,
-    assignments,
-    loaded,
-    numbers,
-    print_json,
-    settings_of,
-    within_work,
-)
+from ebamcheck.commands import options
 from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 from ebamcheck.showing.short_text import counted
 
@@ -37,7 +23,7 @@ _log = logging.getLogger(__name__)
 
 
 def slice_command(
-    part: PartArgument,
+    part: options.PartArgument,
     output: Annotated[
         Path,
         Option(
@@ -49,17 +35,17 @@ def slice_command(
     backend: Annotated[
         str, Option(help="Backend; default: the available exact one of the highest priority.")
     ] = "",
-    layer_height: LayerHeightOption = None,
+    layer_height: options.LayerHeightOption = None,
     heights: Annotated[
         str, Option(help="Listed heights, mm, comma-separated, instead of uniform layers.")
     ] = "",
     setting: Annotated[
         list[str] | None, Option("--set", help="Backend setting NAME=VALUE; repeatable.")
     ] = None,
-    config_file: ConfigOption = None,
-    units: UnitsOption = "",
-    direction: DirectionOption = "",
-    yes: YesOption = False,
+    config_file: options.ConfigOption = None,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    yes: options.YesOption = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
     from ebamcheck.layers.files import format_of
@@ -69,9 +55,9 @@ def slice_command(
     format_of(output)
     made_folder(output.parent)
 
-    config = settings_of(config_file, units, direction, layer_height)
+    config = options.settings_of(config_file, units, direction, layer_height)
     name = backend or config.slicing.primary or registry.default_backend()
-    values = {**config.slicing.settings.get(name, {}), **assignments(setting or [])}
+    values = {**config.slicing.settings.get(name, {}), **options.assignments(setting or [])}
     registry.slicer_settings(name, values)
     from ebamcheck.numeric.compiling_beside import SLICING, compiled_beside
 
@@ -91,13 +77,13 @@ def slice_command(
         from ebamcheck.slicers.slicing import slice_to_file
 
         with announced():
-            placed = loaded(part, config)
+            placed = options.loaded(part, config)
             wanted = (
-                heights_within(placed, numbers(heights, "--heights"), "--heights")
+                heights_within(placed, options.numbers(heights, "--heights"), "--heights")
                 if heights
                 else layer_heights(placed, config.layer_height_mm)
             )
-            within_work(placed, wanted, config, yes)
+            options.within_work(placed, wanted, config, yes)
             limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
             points = config.slicing.block_points
             made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
@@ -128,7 +114,7 @@ def compare(
     tolerance: Annotated[float, Option(help="Depth of the symmetric difference allowed, mm.")] = 0.001,
     output: Annotated[Path | None, Option("-o", "--output", help="Write the table as CSV.")] = None,
     any_part: Annotated[bool, Option("--any-part", help="Compare slices of different parts, too.")] = False,
-    as_json: JsonOption = False,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
     import numpy as np
@@ -165,7 +151,7 @@ def compare(
         "agrees",
     ]
     if as_json:
-        print_json(table.to_dict(orient="records"))
+        options.print_json(table.to_dict(orient="records"))
     else:
         rows = table[~table["agrees"]] if not table["agrees"].all() else table.nlargest(10, "depth_mm")
         print(text_table(shown, rows[shown].head(20).itertuples(index=False)))
@@ -174,14 +160,14 @@ def compare(
 
 
 def inspect(
-    part: PartArgument,
-    units: UnitsOption = "",
+    part: options.PartArgument,
+    units: options.UnitsOption = "",
     regions: Annotated[
         bool, Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform.")
     ] = False,
     picture: Annotated[Path | None, Option(help="Draw the surfaces into FILE.svg; with --regions.")] = None,
-    config_file: ConfigOption = None,
-    as_json: JsonOption = False,
+    config_file: options.ConfigOption = None,
+    as_json: options.JsonOption = False,
 ) -> ExitCode:
     """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
     from ebamcheck.mesh.inspection import inspect as inspect_part
@@ -201,7 +187,7 @@ def inspect(
         from ebamcheck.curves.regions.surfaces import surfaces
         from ebamcheck.showing.pictures import regions_svg
 
-        listed = surfaces(loaded_part, settings_of(config_file, "", "", None).curves)
+        listed = surfaces(loaded_part, options.settings_of(config_file, "", "", None).curves)
         if picture is not None:
             picture.write_text(
                 regions_svg(
@@ -213,7 +199,7 @@ def inspect(
             )
     if as_json:
         figures = found.as_dict()
-        print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
+        options.print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
     else:
         figures = found.as_dict()
         for key in ("name", "verdict", "why", "notes", "passed", "relations", "union_known", "units_from"):

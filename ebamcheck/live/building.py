@@ -21,6 +21,7 @@ from typing import IO, Any
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import plain, sha256_of_json
+from ebamcheck.live import publishing
 from ebamcheck.live.before import Before, Ground, check_warmth
 from ebamcheck.live.height_map import (
     LONGEST_LINE,
@@ -35,20 +36,6 @@ from ebamcheck.live.height_map import (
 from ebamcheck.live.heights import HeightRule, height_rule
 from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of
-from ebamcheck.live.publishing import (
-    JOURNAL,
-    JOURNAL_FORMAT,
-    LAYERS,
-    PROGRAM,
-    Journal,
-    certificate_of,
-    check_format,
-    ended_early,
-    layer_name,
-    publish,
-    read_current,
-    read_journal,
-)
 from ebamcheck.live.verifying import FollowedLayers
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
@@ -94,13 +81,13 @@ class Building:
         self._tried: tuple[Reading, Answer | None] | None = None
         # The lock comes first: two servers on one folder would publish over each other.
         _refuse_relayered(folder)
-        self.journal = Journal(folder / JOURNAL)
+        self.journal = publishing.Journal(folder / publishing.JOURNAL)
         # What a kill has left: nobody else makes layers here.
         for path in folder.glob(f"{MAKING}*"):
             shutil.rmtree(path, ignore_errors=True)
         try:
             if self.journal.lines:
-                self._resume(read_journal(self.journal.path))
+                self._resume(publishing.read_journal(self.journal.path))
             else:
                 self.journal.append({"kind": "begin", **self._of()})
         except BaseException:
@@ -171,7 +158,7 @@ class Building:
         """Tell what is published, and what is expected."""
         return {
             "answer": "status",
-            "published": read_current(self.folder),
+            "published": publishing.read_current(self.folder),
             "expected_done": self.expected_done,
             "finished": self.finished,
             "top_mm": self.rule.slopes.top_mm,
@@ -194,7 +181,9 @@ class Building:
             entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
             if "temperature" in answer:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
-            current = publish(self.folder, layer, certificate, before=lambda: self.journal.append(entry))
+            current = publishing.publish(
+                self.folder, layer, certificate, before=lambda: self.journal.append(entry)
+            )
         except (EbamcheckError, OSError) as error:
             return self._noted(reading, _kept(reading, failure_of(error)))
         finally:
@@ -232,7 +221,7 @@ class Building:
         plan = self.rule.plan(base_mm)
         top_mm = self.rule.slopes.top_mm
         if not len(plan):
-            if early := ended_early(self.maker.height_mm, base_mm, self.maker.config):
+            if early := publishing.ended_early(self.maker.height_mm, base_mm, self.maker.config):
                 return _kept(reading, early), None
             return _done(reading, top_mm, *plan.said), None
         limits, why, broken = self.rule.outer, "", False
@@ -248,18 +237,18 @@ class Building:
             )
             if factor != 1.0 and not inside:
                 continue
-            name = layer_name(program, reading.done, number)
+            name = publishing.layer_name(program, reading.done, number)
             wanted = Wanted(reading.done, base_mm, thickness_mm, name, shifted)
             staged = Path(tempfile.mkdtemp(prefix=MAKING, dir=self.folder))
             try:
-                made = self.maker.make(wanted, ground.mended(mended), staged / PROGRAM)
+                made = self.maker.make(wanted, ground.mended(mended), staged / publishing.PROGRAM)
                 if made.passed:
                     # The least wait counts from the end of the layer below.
                     made = replace(made, wait_s=ground.since_s + made.wait_s)
                     told = ground.told(mended)
-                    certificate = certificate_of(made, self.maker, told)
+                    certificate = publishing.certificate_of(made, self.maker, told)
                     said = [*plan.said, *made.after.spent.to_do()]
-                    if warm := self._followed.too_warm(staged / PROGRAM, certificate, made.config):
+                    if warm := self._followed.too_warm(staged / publishing.PROGRAM, certificate, made.config):
                         raise InputError(warm)
                     answer = {"answer": "published", "layers_left": len(plan), "said": said,
                               "cusp_mm": float(plan.cusp_mm[0]), "seconds": made.seconds,
@@ -269,7 +258,11 @@ class Building:
             except Exception as error:  # whatever a stage meets, the server stays
                 why, broken = why or failure_of(error), True
             shutil.rmtree(staged, ignore_errors=True)
-        if reading.done and not broken and not ended_early(self.maker.height_mm, base_mm, self.maker.config):
+        if (
+            reading.done
+            and not broken
+            and not publishing.ended_early(self.maker.height_mm, base_mm, self.maker.config)
+        ):
             # What is left is less than the least layer: no other reading can come that would lead on.
             return _done(reading, top_mm, f"no layer fills the last {top_mm - base_mm:.3f} mm ({why}): leave them to "
                          "the machining allowance, or weld them up by hand"), None  # fmt: skip
@@ -279,7 +272,7 @@ class Building:
 
     def _of(self) -> dict[str, Any]:
         return {
-            "format": JOURNAL_FORMAT,
+            "format": publishing.JOURNAL_FORMAT,
             "part_sha256": self.maker.part.sha256,
             "settings_sha256": sha256_of_json(self.maker.config.model_dump()),
             "annealing_steps": self.maker.annealing_steps,
@@ -293,12 +286,12 @@ class Building:
         first = next(entries, None)
         if first is None:
             return
-        check_format(first, self.folder / JOURNAL)
+        publishing.check_format(first, self.folder / publishing.JOURNAL)
         mine = {"kind": "begin", **self._of()}
         for key, value in mine.items():
             if first.get(key) != value:
                 raise InputError(
-                    f"{self.folder / JOURNAL}: is of another build: its {key} is {first.get(key)!r:.20}, not {value!r:.20}: "
+                    f"{self.folder / publishing.JOURNAL}: is of another build: its {key} is {first.get(key)!r:.20}, not {value!r:.20}: "
                     "give another folder with -o"
                 )
         waiting: Reading | None = None
@@ -315,7 +308,7 @@ class Building:
         if made is None:
             if answer["answer"] != entry["kind"]:
                 raise InputError(
-                    f"{self.folder / JOURNAL}: layer {reading.done + 1} does not come out again: {answer.get('reason')}"
+                    f"{self.folder / publishing.JOURNAL}: layer {reading.done + 1} does not come out again: {answer.get('reason')}"
                 )
             self._take(reading, answer, None)
             return
@@ -326,11 +319,11 @@ class Building:
             for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
                 if certificate[key] != told.get(key):
                     raise InputError(
-                        f"{self.folder / JOURNAL}: layer {reading.done + 1} comes out as {what} than was published: "
+                        f"{self.folder / publishing.JOURNAL}: layer {reading.done + 1} comes out as {what} than was published: "
                         "the software or a slicer is another one"
                     )
             # Between the journal's line and the current file a kill may have come; the layer itself is there.
-            current = publish(self.folder, layer, certificate)
+            current = publishing.publish(self.folder, layer, certificate)
         finally:
             shutil.rmtree(staged, ignore_errors=True)
         self._take(reading, {**answer, **current}, layer)
@@ -348,8 +341,8 @@ def _done(reading: Reading, top_mm: float, *said: str) -> Answer:
 
 def _refuse_relayered(folder: Path) -> None:
     """Refuse to begin a build beside layers of `relayer`: it would come to their names, and keep its own layers back."""
-    layers = folder / LAYERS
-    if (folder / JOURNAL).is_file() or not layers.is_dir():
+    layers = folder / publishing.LAYERS
+    if (folder / publishing.JOURNAL).is_file() or not layers.is_dir():
         return
     found = sorted(path.name for path in layers.iterdir())
     if found:

@@ -34,17 +34,9 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import gates, stages
 from ebamcheck.pipeline.cross_check import compared_layers, witness_backend
 from ebamcheck.pipeline.fit import fitted
-from ebamcheck.pipeline.stages import (
-    judged_program,
-    laid_out,
-    power_by_wire,
-    smooth_layers,
-    smooth_sections,
-    written,
-)
 from ebamcheck.plugins import registry
 from ebamcheck.program import ProgramFiles, verify_program
 from ebamcheck.result import Check
@@ -221,13 +213,13 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         comparing = self._aside.submit(self._agreement, cuts, seconds)
         with timed(seconds, "fit"):
             verdict, _ = fitted(contours, self.part, config, self._bounds[self.primary][0])
-            smooth = smooth_layers(verdict.curves)
+            smooth = stages.smooth_layers(verdict.curves)
         with timed(seconds, "plan"):
             plan, after, wait_s = self._planned(smooth, wanted, stands, aimed_lower(config, cooler_k))
         agreement = comparing.result()
         with timed(seconds, "write"):
-            laid = laid_out(smooth, plan, config, wanted.layer)
-            files = written(laid, self.part, config, folder)
+            laid = stages.laid_out(smooth, plan, config, wanted.layer)
+            files = stages.written(laid, self.part, config, folder)
         with timed(seconds, "verify"):
             read = control(config.machine.control).load("reader")
             program, match = matched(read(files.main, config), laid.path)
@@ -245,14 +237,14 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
                 before=before.rested(wait_s + rise_s).part.column,
                 under=self._under(config, self.witness),
                 sha256=files.sha256,
-                smooth=smooth_sections(verdict.curves, config),
+                smooth=stages.smooth_sections(verdict.curves, config),
             )
             beside, after = weighing.result()
             checks += [*beside, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = witness.section(0)
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
-            made = [self.sound, agreement, *judged_program(verdict, checks, plan.metrics, config)]
+            made = [self.sound, agreement, *stages.judged_program(verdict, checks, plan.metrics, config)]
             files = marked_validated(files) if all(gate.passed for gate in made) else files
         scan_s = sum(float(way.time_s.sum()) for way in scans_of(program, config).values())
         return MadeLayer(
@@ -300,7 +292,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
         warm, passes = preheated(before.part, [section], 0, wanted.base_mm, config, under)
-        power_of = power_by_wire([section], config, before.surface, wanted.layer)
+        power_of = stages.power_by_wire([section], config, before.surface, wanted.layer)
         done, part, last = ordered_on(
             warm,
             before.last,

@@ -19,19 +19,11 @@ from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.json_values import json_text
+from ebamcheck.live import publishing
 from ebamcheck.live.before import Before, Ground
 from ebamcheck.live.height_map import MapCells, Reading, Refused, check_height
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
-from ebamcheck.live.publishing import (
-    CERTIFICATE,
-    JOURNAL,
-    LAYERS,
-    PROGRAM,
-    certificate_of,
-    layer_name,
-    publish,
-)
 from ebamcheck.mesh.on_table import on_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
@@ -69,7 +61,7 @@ def check_below(folder: Path, run: FinishedRun, layer: int, measured_mm: float) 
         top_mm = float(run.tops_mm[layer - 1])
         base_mm, by = top_mm - float(run.thickness_mm[layer - 1]), "the run"
         if made := _made_before(folder, run.config.machine.program_name, layer - 1):
-            paper = json.loads((made[-1] / CERTIFICATE).read_text(encoding="utf-8"))
+            paper = json.loads((made[-1] / publishing.CERTIFICATE).read_text(encoding="utf-8"))
             base_mm, top_mm, by = float(paper["base_mm"]), float(paper["top_mm"]), made[-1].name
     try:
         check_height(Reading(layer, measured_mm), base_mm, top_mm)
@@ -97,7 +89,9 @@ def tilted(before: FinishedRun, now: FinishedRun, built_mm: float) -> Config:
 
 def _made_before(folder: Path, program: str, layer: int) -> list[Path]:
     """Folders of the layer of that number, the newest last."""
-    places = (folder / LAYERS / layer_name(program, layer, number) for number in count(1))
+    places = (
+        folder / publishing.LAYERS / publishing.layer_name(program, layer, number) for number in count(1)
+    )
     return [*takewhile(Path.exists, places)]
 
 
@@ -115,7 +109,7 @@ def relayer(
     """
     program = maker.config.machine.program_name
     made_folder(folder)
-    if (folder / JOURNAL).is_file():
+    if (folder / publishing.JOURNAL).is_file():
         raise SettingsError(
             f"{folder}: is the folder of a build, whose own layers would come to the same names: give another with -o"
         )
@@ -126,18 +120,18 @@ def relayer(
             f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, nothing is left to be laid{said}"
         )
     # As high as it has to be for the rest to end at the part's top.
-    name = layer_name(program, layer, len(_made_before(folder, program, layer)) + 1)
+    name = publishing.layer_name(program, layer, len(_made_before(folder, program, layer)) + 1)
     wanted = Wanted(layer, measured_mm, float(plan.thickness_mm[0]), name)
     reading = Reading(layer, measured_mm) if cells is None else Reading.of_map(layer, measured_mm, cells)
     ground = Ground.of(reading, before, maker.config)
     for share in ground.mending:
         staged = Path(tempfile.mkdtemp(prefix=".making.", dir=folder))
         try:
-            made = maker.make(wanted, ground.mended(share), staged / PROGRAM)
-            certificate = certificate_of(made, maker, ground.told(share))
+            made = maker.make(wanted, ground.mended(share), staged / publishing.PROGRAM)
+            certificate = publishing.certificate_of(made, maker, ground.told(share))
             if made.passed:
-                publish(folder, made, certificate)
-                return Relayered(made, certificate, plan.said, folder / LAYERS / wanted.name)
+                publishing.publish(folder, made, certificate)
+                return Relayered(made, certificate, plan.said, folder / publishing.LAYERS / wanted.name)
         finally:
             shutil.rmtree(staged, ignore_errors=True)
     (folder / f"{wanted.name}.refused.json").write_text(json_text(certificate), encoding="utf-8")

@@ -22,7 +22,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.pipeline import gates
+from ebamcheck.pipeline import gates, stages
 from ebamcheck.pipeline.cross_check import CrossCheck, witness_backend
 from ebamcheck.pipeline.entry_program import Entry, write_entry, write_live
 from ebamcheck.pipeline.findings import (
@@ -40,16 +40,6 @@ from ebamcheck.pipeline.findings import (
 )
 from ebamcheck.pipeline.fit import FitResult, fit_result, fitted, other_fits
 from ebamcheck.pipeline.job import Job, one_beside
-from ebamcheck.pipeline.stages import (
-    LaidOut,
-    header_of,
-    judged_program,
-    laid_out,
-    plan_program,
-    smooth_layers,
-    smooth_sections,
-    written,
-)
 from ebamcheck.pipeline.tables import Table, tables_of_metal, tables_of_plan, tables_of_program
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.result import Check, has_fault
@@ -109,12 +99,12 @@ def make_program(
         compared.add_done_callback(lambda _: kept.close())
         fit = aside.submit(put_beside)
         with job.stage("partition and order", len(layers)):
-            smooth = smooth_layers(verdict.curves)
-            plan = plan_program(smooth, config, job.observer.advance)
+            smooth = stages.smooth_layers(verdict.curves)
+            plan = stages.plan_program(smooth, config, job.observer.advance)
         with job.stage("program", 1):
-            laid = laid_out(smooth, plan, config)
+            laid = stages.laid_out(smooth, plan, config)
             of_plan = aside.submit(tables_of_plan, laid.path, plan, config)
-            files = written(laid, job.part, config, job.folder.program_folder)
+            files = stages.written(laid, job.part, config, job.folder.program_folder)
             witness = _witness(job, layers, checked.done)
             proof = _proved(job.part, files, laid, _Sections(layers, verdict.curves, witness), config, aside)
             planned: dict[str, Table] = {
@@ -123,7 +113,7 @@ def make_program(
                 **of_plan.result(),
             }
             fitting = fit.result()
-    made = tuple(judged_program(fitting.verdict, proof.checks, plan.metrics, config))
+    made = tuple(stages.judged_program(fitting.verdict, proof.checks, plan.metrics, config))
     findings = (*fit_findings(verdict), *heat_findings(plan, config), *proof.findings)
     entry = _entry(job, files, layers)
     if entry is not None:
@@ -134,7 +124,7 @@ def make_program(
     live = None
     if job.live:
         live = write_live(
-            job.folder.path, config, float(job.part.size[2]), files.validated, header_of(job.part)
+            job.folder.path, config, float(job.part.size[2]), files.validated, stages.header_of(job.part)
         )
         job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
     tables = {**fitting.tables, **planned, **proof.tables}
@@ -164,7 +154,12 @@ class _Sections(NamedTuple):
 
 
 def _proved(
-    part: Part, files: ProgramFiles, laid: LaidOut, sections: _Sections, config: Config, aside: Executor
+    part: Part,
+    files: ProgramFiles,
+    laid: stages.LaidOut,
+    sections: _Sections,
+    config: Config,
+    aside: Executor,
 ) -> ProgramProof:
     """Read the text of a program back and check it against what it was made from."""
     witness, heights = sections.witness, sections.contours.heights
@@ -184,7 +179,7 @@ def _proved(
         laid=metal.result,
         heat=True,
         sha256=files.sha256,
-        smooth=smooth_sections(sections.curves, config),
+        smooth=stages.smooth_sections(sections.curves, config),
     )
     found, solid = metal.result(), solid_check(part, witness, config)
     of_metal = [*deposit_checks(program, found, config), solid.check, *of_mesh(part, witness, config)]

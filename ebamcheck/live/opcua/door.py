@@ -19,17 +19,7 @@ from typing import Any
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.live.building import Answer, Building
 from ebamcheck.live.making import failure_of
-from ebamcheck.live.opcua.handshake import (
-    BUILT,
-    OFFSETS,
-    Seen,
-    Waiting,
-    keys_of,
-    proved_program,
-    release_of,
-    told_of,
-    written_before,
-)
+from ebamcheck.live.opcua import handshake
 from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken, within
 from ebamcheck.live.publishing import read_journal
 from ebamcheck.settings.machine import MachineSettings
@@ -107,7 +97,7 @@ class Door:
         self._owner = float(1 + secrets.randbelow(OWNERS - 1))
         self._owners, self._claimed = {0.0}, False
         self._telling = Telling(told, opcua.retry_s, opcua.longest_retry_s)
-        self._waiting = Waiting(3.0 * max(machine.live_poll_s, opcua.look_s, opcua.grid_s))
+        self._waiting = handshake.Waiting(3.0 * max(machine.live_poll_s, opcua.look_s, opcua.grid_s))
         self._measured: str | None = None
         self._done_since: tuple[int, float] | None = None
         self._released: int | None = None
@@ -115,7 +105,7 @@ class Door:
         self._keeps = False
         self._released_at = time.monotonic()
         self._taken_back_at: float | None = None
-        self._keys = keys_of(building.folder)
+        self._keys = handshake.keys_of(building.folder)
         self._recall()
 
     def _recall(self) -> None:
@@ -201,7 +191,7 @@ class Door:
             self._telling.made(await asyncio.to_thread(self._building.start))
         return self._building.expected_done > 0
 
-    async def _owns(self, link: Link, seen: Seen) -> bool:
+    async def _owns(self, link: Link, seen: handshake.Seen) -> bool:
         """Whether this is the `live` that writes: the last one that came and could go on is, and the one before notices."""
         if seen.owner == self._owner:
             return True
@@ -223,7 +213,7 @@ class Door:
             link.changed.set()
         return False
 
-    def _cannot_go_on(self, seen: Seen) -> str:
+    def _cannot_go_on(self, seen: handshake.Seen) -> str:
         """Why this build can release nothing on the control as it stands; empty where it can."""
         done = self._building.expected_done - 1
         # The layer that this build released last may be done since.
@@ -237,9 +227,9 @@ class Door:
     def _own_releases(self) -> tuple[float, ...]:
         """What this build may have left in the variable of the layer that is released."""
         ours = () if self._released is None else (self._released + 1.0,)
-        return (0.0, *ours, *((BUILT,) if self._building.finished else ()))
+        return (0.0, *ours, *((handshake.BUILT,) if self._building.finished else ()))
 
-    async def _took_back(self, link: Link, seen: Seen) -> bool:
+    async def _took_back(self, link: Link, seen: handshake.Seen) -> bool:
         """Whether somebody else has written a release, whenever it was: it is set to 0, and the program does not take it."""
         # What a build of before has left is set to 0 by the main program when it is started.
         old = self._released is None and not self._waiting.now
@@ -254,7 +244,7 @@ class Door:
         link.changed.set()
         return True
 
-    async def _step(self, link: Link, seen: Seen) -> Answer | None:
+    async def _step(self, link: Link, seen: handshake.Seen) -> Answer | None:
         building = self._building
         if building.finished:
             return await self._finish(link, seen)
@@ -279,11 +269,11 @@ class Door:
         return None
 
     def _name(self, role: str) -> str:
-        return self._opcua.nodes.get(role) or f"R{self._machine.live_r + OFFSETS[role]}"
+        return self._opcua.nodes.get(role) or f"R{self._machine.live_r + handshake.OFFSETS[role]}"
 
     # -- heights -----------------------------------------------------------------------------------
 
-    async def _measure(self, link: Link, seen: Seen) -> None:
+    async def _measure(self, link: Link, seen: handshake.Seen) -> None:
         """A layer is done: take its height, once it belongs to that layer and stands still."""
         done, now = int(seen.done), time.monotonic()
         if self._done_since is None or self._done_since[0] != done:
@@ -321,7 +311,7 @@ class Door:
 
     # -- releases ----------------------------------------------------------------------------------
 
-    async def _release(self, link: Link, seen: Seen, layer: int) -> None:
+    async def _release(self, link: Link, seen: handshake.Seen, layer: int) -> None:
         """The layer that is published is the next one of the control: release it, unless that was done."""
         if self._released == layer:
             self._judge_release(seen, layer)
@@ -336,10 +326,12 @@ class Door:
             )
             return
         current = self._building.status()["published"]
-        data, name = proved_program(self._building.folder, current, self._opcua.file_limit_mb)
+        data, name = handshake.proved_program(self._building.folder, current, self._opcua.file_limit_mb)
         await self._put(link, name, data, str(current["sha256"]))
-        release = release_of(self._keys, layer + 1, current)
-        await link.write_all({"measured": 0.0, **told_of(current), **written_before(release)})
+        release = handshake.release_of(self._keys, layer + 1, current)
+        await link.write_all(
+            {"measured": 0.0, **handshake.told_of(current), **handshake.written_before(release)}
+        )
         now = await link.seen()
         if now.owner != self._owner or now.done != layer or now.released == layer + 1:
             raise NotTaken(
@@ -363,7 +355,7 @@ class Door:
         self._telling.forget("refused", "waiting", "late", "held")
         self._telling.say("released", layer=layer + 1, name=current["name"], sha256=current["sha256"])
 
-    def _judge_release(self, seen: Seen, layer: int) -> None:
+    def _judge_release(self, seen: handshake.Seen, layer: int) -> None:
         counts_since = self._waiting.after(max(self._released_at, self._taken_back_at or 0.0))
         if seen.released == layer + 1:
             if counts_since:
@@ -399,7 +391,7 @@ class Door:
                 f"{name} reads back as another file than was written ({0 if found is None else len(found)} bytes of {len(data)}): it is not released",
             )
 
-    async def _begin_again(self, link: Link, seen: Seen, layer: int) -> None:
+    async def _begin_again(self, link: Link, seen: handshake.Seen, layer: int) -> None:
         """The operator says at which layer the control, that was RESET, is to go on."""
         wanted = seen.begin_at
         if wanted not in (layer + 1, layer + 2):
@@ -425,14 +417,14 @@ class Door:
         self._telling.say("begins-again", layer=int(wanted))
         link.changed.set()
 
-    async def _finish(self, link: Link, seen: Seen) -> Answer | None:
+    async def _finish(self, link: Link, seen: handshake.Seen) -> Answer | None:
         """The part is built: say so to the control."""
         if not self._telling.due:
             return None
         release = self._keys.built(self._building.expected_done)
-        if (seen.released, seen.key, seen.seal) != (BUILT, release.key, release.seal):
-            await link.write_all(written_before(release))
-            await link.write("released", BUILT)
+        if (seen.released, seen.key, seen.seal) != (handshake.BUILT, release.key, release.seal):
+            await link.write_all(handshake.written_before(release))
+            await link.write("released", handshake.BUILT)
         await link.write("owner", 0.0)
         return {**self._building.told, "answer": "built"}
 
