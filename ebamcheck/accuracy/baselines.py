@@ -1,4 +1,4 @@
-"""Baselines: the accuracy that was accepted, one JSON file a model.
+"""Baselines, the accuracy that was accepted, one JSON file a model; and what got worse than they are, by how much, and where.
 
 An entry's key is backend and settings hash; machine, renderer and versions are told, and never compared.
 """

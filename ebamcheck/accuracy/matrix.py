@@ -1,7 +1,4 @@
-"""What is measured: models, their meshes and layers, and the settings of each backend.
-
-The table is data, ``matrix.toml`` beside the baselines, so that the harness knows no model and no slicer by name.
-"""
+"""What is measured, as data beside the baselines: models, their meshes and layers, settings of each backend, and what change each metric may take."""
 
 from __future__ import annotations
 

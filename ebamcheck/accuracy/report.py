@@ -1,6 +1,7 @@
-"""``regress.html``: one file that shows what changed, how accurate every slicer is, and how that went over time.
+"""Files of a regression report: ``regress.html``, ``junit.xml``, and the history of accuracy in SQLite.
 
-It needs no scripts and no network, and it holds no time and no date: the same result gives the same bytes.
+The page needs no scripts and no network, and holds no time and no date: the same result gives the same bytes. A result is recorded in the history
+when it differs from all before it; seen again, it is only counted, so that the trend shows changes, not runs.
 """
 
 from __future__ import annotations

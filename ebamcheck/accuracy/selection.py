@@ -1,4 +1,4 @@
-"""Accuracy and speed of every slicer on one part, each in a process of its own as a run has it."""
+"""Which slicers suit this machine: accuracy and speed of every one on a part, a choice by stated rules, and its section of the settings file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ebamcheck regress``: how far every slicer is from the truth, held against the baselines."""
+"""``ebamcheck regress``, ``select`` and ``conform``: how far slicers are from the truth, which suit this machine, and what the kit finds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ebamcheck backends``: the slicers that are installed, and what keeps others out."""
+"""``ebamcheck config`` and ``backends``: the settings in force, and the slicers that are installed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ebamcheck live RUN``: waits for measured heights and publishes a proved layer on each, by lines or on a control."""
+"""``ebamcheck live`` and ``relayer``: a build followed by its measured heights, and one layer of a finished run made again at one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ebamcheck run`` and ``ebamcheck check``: the whole job, and its cross-check alone."""
+"""``ebamcheck run``, ``check`` and ``verify``: the whole job, its cross-check alone, and a finished run or a program worked out again."""
 
 from __future__ import annotations
 

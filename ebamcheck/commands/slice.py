@@ -1,4 +1,4 @@
-"""``ebamcheck slice``: one backend, one file of layers."""
+"""``ebamcheck slice``, ``compare`` and ``inspect``: one backend, two files of layers, and the defects of a part."""
 
 from __future__ import annotations
 

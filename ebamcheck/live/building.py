@@ -1,4 +1,4 @@
-"""The state of a build between its layers: a reading comes in, it is judged, the next layer is made, written down and published.
+"""The state of a build between its layers, and its door of JSON lines: a reading comes in, is judged, the next layer is made and published.
 
 Whatever comes in, the answer is one dictionary and the state is sound: what was published last stays until something that
 passed every gate takes its place. Readings decide, and nothing else does: neither the clock nor chance, so that the journal
@@ -431,7 +431,11 @@ WORK = ("published", "released", "kept", "done", "built")  # answers after which
 
 
 class BetweenLayers:
-    """What is done after each answer of a build."""
+    """What is done after each answer of a build, when nobody waits: tables are written and memory is given back.
+
+    A server holds half a million objects that stay. Python looks for cycles among all of them at once, for a quarter of a second, in the
+    middle of a layer: so what stays is set aside once it is loaded, and what a layer leaves is collected after it.
+    """
 
     def __init__(self, building: Building) -> None:
         self._building, self._layers = building, 0

@@ -1,7 +1,9 @@
-"""A measured surface under the next layer, from its file to the cells of the part's metal: its mean, hump and slope, how uneven it is.
+"""What is measured under the next layer: heights, temperatures and surfaces as they come in, what is wrong with those that are not used, and
+a surface from its file to the cells of the part's metal.
 
-Cells along the border hold the flank of a bead, which is low whatever lies there: they do not count, and get the height of the
-nearest cell within. Heights are kept to a micrometre, as the journal holds them, so that a replay plans on the same numbers.
+Nothing is converted, clipped or guessed. Cells along the border hold the flank of a bead, which is low whatever lies there: they do not count,
+and get the height of the nearest cell within. Heights are kept to a micrometre, as the journal holds them, so that a replay plans on the same
+numbers.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Publishing a layer: its program under a new name, its settings and its certificate, whole and on disk, or not at all.
+"""Publishing a layer, whole and on disk or not at all: its program under a new name, its settings and certificate; and the journal of a build.
 
 A gate that judges a layer says nothing of what is told beside it (the wait before it, the file that is called, the end of the build):
-that is looked at once more, by `verify`, and by the server before it tells anybody.
+that is looked at once more, by `verify`, and by the server before it tells anybody. Each line of the journal carries the hash of the one
+before, so that a line that was changed or lost shows; one that a kill has cut off never told anything that was published.
 """
 
 from __future__ import annotations

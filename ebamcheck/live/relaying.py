@@ -1,4 +1,4 @@
-"""One layer of a finished run made again at a measured height."""
+"""A finished run made ready for work between its layers, and one of its layers made again at a measured height."""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""A build checked after the fact: its journal, the files that it published, and each layer from its text, part and settings alone."""
+"""A build checked after the fact: its journal, the files that it published, and each layer from its text, part and settings alone.
+
+Heat and metal of each layer are followed on those below it, by the wait that is told; the server does the same before a release. Heat that was
+measured, or put in by a scan, and a surface that was measured are not in the texts: above a layer that has such, nothing is said.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Slice with every backend and compare all of them, block of layers by block of layers; which agreements are evidence."""
+"""Choose slicers, slice with every one and compare all of them, block of layers by block of layers; which agreements are evidence."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A program of a run that begins at a layer, beside the whole one: written, read back and compared with it.
+"""Programs of a run beside the whole one: one that begins at a layer, and a main program that waits between layers.
 
-It is no proof of the part, but the end of a whole program that is.
+The first is read back and compared, and is no proof of the part but the end of a whole program that is; the second is judged by what it does.
 """
 
 from __future__ import annotations

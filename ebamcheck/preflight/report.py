@@ -1,4 +1,8 @@
-"""The preflight of a job: part, heights and all checks, made once and handed on."""
+"""The preflight of a job: part, layer height, heights and all checks, made once and handed on.
+
+A level face within a layer moves to one of its borders, so that metal is added or lacks there: a layer height of which the height of the face
+is a whole number leaves it where it is.
+"""
 
 from __future__ import annotations
 

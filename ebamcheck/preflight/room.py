@@ -1,4 +1,4 @@
-"""Whether a part has room on the machine: within the travel, on the base plate, beside what stands there."""
+"""What can be seen of part and settings before anything is sliced: room on the machine, settings that exclude each other, and the unit of the file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How much work a job will be, worked out from the mesh and the settings in a fraction of a second.
+"""How much work a job will be, whole or in slabs, worked out from the mesh and the settings in a fraction of a second.
 
 Layers and points are counted; islands follow from area and outline of the mean layer; time and memory are those of the
 parts that were measured, on a core of 2020s make, and right within a factor of three or so.

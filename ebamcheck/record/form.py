@@ -1,7 +1,7 @@
-"""Form of ``run.json``: which keys it has, and what may stand under each; :mod:`~ebamcheck.record.form` is that of the certificate.
+"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each.
 
 Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
-name, and a file's name is one inside of the run folder. What a record *says* is believed by nobody; that is for
+name, and a file's name one inside of the run folder. What a record *says* is believed by nobody; that is for
 :func:`ebamcheck.verify`.
 """
 

@@ -1,4 +1,4 @@
-"""Checks of the values that a user gives: one way from texts and tables to settings, and one form of message.
+"""Checks of the values that a user gives, and settings in words: what each is and takes, and all of them as a TOML text that explains itself.
 
 A message reads ``WHERE: KEY: what it takes (given VALUE); which keys there are``, whether the value came from a settings
 file, a plate, a table of tolerances, the command line or the arguments of a function.

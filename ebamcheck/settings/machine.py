@@ -1,4 +1,4 @@
-"""Settings of the machine: its control, its limits and its axes."""
+"""Settings of the machine: its control, its limits and its axes; and a tilt table with the part that stands on it."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced.
+"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced; and the feed along a bead.
 
-The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.value_checks`.
+The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.value_checks`. Wire over feed is the metal of
+a bead: where the wire stands at a limit of its feeder, the feed does what is left, within the windows of feed, travel and line energy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings of single stages: curves, partition and order, preheating, and measured heights."""
+"""Settings of part, layers and single stages: slicing, comparison, curves, partition and order, preheating, height maps; and each machine's slicers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How values show themselves: one short line at a prompt, a small table in a notebook."""
+"""How values show themselves: one short line at a prompt, a small table in a notebook, a plain text table on a terminal."""
 
 from __future__ import annotations
 

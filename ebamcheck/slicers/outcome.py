@@ -1,6 +1,6 @@
-"""What becomes of a backend that slices: its file of layers and figures, or why it has none; and the events in which a worker tells it.
+"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of layers.
 
-Events are checked on arrival: malformed ones, or floods of them, make the worker lost.
+Events are checked on arrival: malformed ones, or floods of them, make the worker lost; so do layers of wrong types, sizes, order or range.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Run the whole kit against one slicer, and tell the outcome."""
+"""Run the whole kit, all checks by name, against one slicer, and tell the outcome."""
 
 from __future__ import annotations
 

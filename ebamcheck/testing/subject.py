@@ -1,4 +1,4 @@
-"""What is under test: one slicer under one choice of settings."""
+"""What is under test, one slicer under one choice of settings, and what a check of it finds: one figure against one limit."""
 
 from __future__ import annotations
 
