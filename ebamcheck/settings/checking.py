@@ -307,26 +307,22 @@ def _range(metadata: Sequence[Any]) -> str:
 
 @cache
 def explanations(kind: type[BaseModel]) -> dict[str, str]:
-    """What each setting of a section is, by name; those that say nothing are left out."""
+    """What each setting of a section is, by name: the text under its annotation; those that say nothing are left out."""
     found: dict[str, str] = {}
     for base in reversed(kind.__mro__):
         if issubclass(base, BaseModel) and base is not BaseModel:
-            found |= _docstrings(base)
-    described = {name: info.description for name, info in kind.model_fields.items() if info.description}
-    return {name: text for name, text in (found | described).items() if name in kind.model_fields}
-
-
-def _docstrings(kind: type[BaseModel]) -> dict[str, str]:
-    made = _classes(kind.__module__).get(kind.__qualname__) or _class_within(kind)
-    return {
-        line.target.id: inspect.cleandoc(under.value.value)
-        for line, under in itertools.pairwise(made.body)
-        if isinstance(line, ast.AnnAssign)
-        and isinstance(line.target, ast.Name)
-        and isinstance(under, ast.Expr)
-        and isinstance(under.value, ast.Constant)
-        and isinstance(under.value.value, str)
-    }
+            made = _classes(base.__module__).get(base.__qualname__)
+            # One that is defined within something else is not at the top of its module.
+            tree: Any = made or ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+            for line, under in itertools.pairwise(tree.body):
+                if (
+                    isinstance(line, ast.AnnAssign)
+                    and isinstance(under, ast.Expr)
+                    and isinstance(under.value, ast.Constant)
+                ):
+                    found[ast.unparse(line.target)] = inspect.cleandoc(str(under.value.value))
+    found |= {name: info.description for name, info in kind.model_fields.items() if info.description}
+    return {name: text for name, text in found.items() if name in kind.model_fields}
 
 
 @cache
@@ -336,16 +332,10 @@ def _classes(module: str) -> dict[str, ast.ClassDef]:
     return {made.name: made for made in found if isinstance(made, ast.ClassDef)}
 
 
-def _class_within(kind: type[BaseModel]) -> ast.ClassDef:
-    made = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    assert isinstance(made, ast.ClassDef)
-    return made
-
-
 def explained_schema(kind: type[BaseModel]) -> dict[str, Any]:
     """JSON schema of settings, with what each of them is."""
     schema = kind.model_json_schema()
-    known = {one.__name__: one for one in _kinds(kind)}
+    known = {one.__name__: one for one in _below(kind.__mro__[-3])}  # above it are BaseModel and object
     for name, part in ((kind.__name__, schema), *schema.get("$defs", {}).items()):
         for key, text in explanations(known[name]).items():
             if key in part.get("properties", {}):
@@ -353,17 +343,8 @@ def explained_schema(kind: type[BaseModel]) -> dict[str, Any]:
     return schema
 
 
-def _kinds(kind: type[BaseModel]) -> list[type[BaseModel]]:
-    """All classes of settings whose base is that of a section."""
-    root = next(
-        base for base in reversed(kind.__mro__) if issubclass(base, BaseModel) and base is not BaseModel
-    )
-    found, waiting = [root], [root]
-    while waiting:
-        below = waiting.pop().__subclasses__()
-        found += below
-        waiting += below
-    return found
+def _below(kind: type[BaseModel]) -> list[type[BaseModel]]:
+    return [kind, *(below for one in kind.__subclasses__() for below in _below(one))]
 
 
 WIDTH = 100
