@@ -13,10 +13,7 @@ from parts import box
 from slicers_here import slicers_here
 
 from ebamcheck.errors import InputError
-from ebamcheck.json_values import (
-    sha256_of_file,
-    write_json,
-)
+from ebamcheck.json_values import sha256_of_file, write_json
 from ebamcheck.pipeline import run_job
 from ebamcheck.pipeline.cross_check import witness_backend
 from ebamcheck.plugins import registry

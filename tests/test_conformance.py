@@ -21,16 +21,7 @@ from ebamcheck.commands.accuracy import conform_command
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models
-from ebamcheck.testing import (
-    CHECKS,
-    Figure,
-    SlicerSuite,
-    Subject,
-    conform,
-    examine,
-    markdown_table,
-    solids,
-)
+from ebamcheck.testing import CHECKS, Figure, SlicerSuite, Subject, conform, examine, markdown_table, solids
 from ebamcheck.testing.solids import house_rule, section, winding_rule
 from ebamcheck.testing.subject import generic_heights
 from ebamcheck_embree import Embree

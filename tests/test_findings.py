@@ -19,10 +19,7 @@ from slicers_here import slicers_here
 from ebamcheck.checks.rules import REMEDIES
 from ebamcheck.commands.summaries import run_summary
 from ebamcheck.errors import ExitCode
-from ebamcheck.json_values import (
-    plain,
-    write_json,
-)
+from ebamcheck.json_values import plain, write_json
 from ebamcheck.pipeline import findings, run_job
 from ebamcheck.pipeline.findings import METAL, failed_checks
 from ebamcheck.record.certificate import (

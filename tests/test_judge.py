@@ -31,13 +31,7 @@ from ebamcheck.accuracy.heat_judge import (
 from ebamcheck.commands.command_group import guarded
 from ebamcheck.commands.judge import judge_command
 from ebamcheck.controls.thesis import INPUT, LINE_MODE, HeatPath
-from ebamcheck.errors import (
-    BackendFailed,
-    BackendMissing,
-    ExitCode,
-    NothingCompared,
-    SettingsError,
-)
+from ebamcheck.errors import BackendFailed, BackendMissing, ExitCode, NothingCompared, SettingsError
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config

@@ -167,13 +167,7 @@ def test_the_preflight_is_a_command(block, tmp_path):
     assert ebamcheck("preflight", block.name, "--units", "furlong", cwd=tmp_path).returncode == 2
 
 
-HEAVY = (
-    "pandas",
-    "ebamcheck.pipeline",
-    "ebamcheck.slicers.slicing",
-    "ebamcheck.curves",
-    "ebamcheck.scan",
-)
+HEAVY = ("pandas", "ebamcheck.pipeline", "ebamcheck.slicers.slicing", "ebamcheck.curves", "ebamcheck.scan")
 """What takes most of the time of a start; the names of the controls, which the preflight asks for, take a hundredth."""
 
 

@@ -64,11 +64,7 @@ def held(new: Entry, old: Entry, **tolerances):
     return found
 
 
-@given(
-    st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6),
-    st.floats(0.0, 0.1),
-    st.integers(0, 5),
-)
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=6), st.floats(0.0, 0.1), st.integers(0, 5))
 def test_an_entry_is_worse_exactly_if_a_layer_grew_beyond_its_tolerance(depths, growth, at):
     old = [rounded(d) for d in depths]
     k = at % len(old)

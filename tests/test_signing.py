@@ -15,22 +15,10 @@ from finished_runs import certified_plate, thin_plate
 from sealed_runs import copied, failed, two_keys
 
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.json_values import (
-    write_json,
-)
-from ebamcheck.record.certificate import (
-    CERTIFICATE,
-    read_certificate,
-    released,
-)
+from ebamcheck.json_values import write_json
+from ebamcheck.record.certificate import CERTIFICATE, read_certificate, released
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.record.signing import (
-    make_key,
-    read_private_key,
-    sign,
-    signature_check,
-    trusted_keys,
-)
+from ebamcheck.record.signing import make_key, read_private_key, sign, signature_check, trusted_keys
 from ebamcheck.verification.verify import verify, verify_run
 
 

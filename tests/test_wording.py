@@ -107,8 +107,7 @@ def from_arguments(at):
 
 
 @pytest.mark.parametrize(
-    "given",
-    [from_a_file, from_a_plate, from_tolerances, from_a_frame, from_the_command_line, from_arguments],
+    "given", [from_a_file, from_a_plate, from_tolerances, from_a_frame, from_the_command_line, from_arguments]
 )
 def test_whatever_a_value_comes_from_it_is_refused_in_one_form(given, tmp_path):
     with pytest.raises((SettingsError, InputError)) as told:

@@ -53,19 +53,14 @@ BUFFER_SHARE = 0.003  # what a buffer's polygonal arcs take off its radius (16 s
 
 def bound_held(subject: Subject) -> list[Figure]:
     """On every solid and layer, the exact section eroded by the bound lies in the result, and the reverse."""
-    found = []
-    for name in SIMPLE:
-        part = simple(name)
-        found += _depth_figures("bound held", subject, part, 3)
-    return found
+    parts = [simple(name) for name in SIMPLE]
+    return [f for part in parts for f in _depths("bound held", subject, part, generic_heights(part, 3))]
 
 
 def bound_attacked(subject: Subject) -> list[Figure]:
     """The same on walls, slits, posts, pores and wedges about as thin as the bound."""
-    found = []
-    for part in _attackers(subject).values():
-        found += _depth_figures("bound attacked", subject, part, 1)
-    return found
+    parts = _attackers(subject).values()
+    return [f for part in parts for f in _depths("bound attacked", subject, part, generic_heights(part, 1))]
 
 
 def bound_not_idle(subject: Subject) -> list[Figure]:
@@ -168,12 +163,7 @@ def coplanar_planes(subject: Subject) -> list[Figure]:
             layers = subject.cut(part, levels)
             found.append(truth("coplanar planes", name, len(layers) == levels.size, "layers are missing"))
             continue
-        differences = subject.differences(part, levels)
-        limit = subject.limit_mm(part)
-        found += [
-            Figure("coplanar planes", name, k, float(depth), limit, f"depth, mm, at {differences.places[k]}")
-            for k, depth in enumerate(differences.depth_mm)
-        ]
+        found += _depths("coplanar planes", subject, part, levels)
     return found
 
 
@@ -324,10 +314,8 @@ def _attackers(subject: Subject) -> dict[str, Part]:
     return attackers(min(max(subject.bound_mm(frame()), FINE_FEATURES_MM), 0.02 * FRAME_MM))
 
 
-def _depth_figures(check: str, subject: Subject, part: Part, layers: int) -> list[Figure]:
-    heights = generic_heights(part, layers)
-    differences = subject.differences(part, heights)
-    limit = subject.limit_mm(part)
+def _depths(check: str, subject: Subject, part: Part, heights: NDArray[np.float64]) -> list[Figure]:
+    differences, limit = subject.differences(part, heights), subject.limit_mm(part)
     return [
         Figure(check, part.name, k, float(depth), limit, f"depth, mm, at {differences.places[k]}")
         for k, depth in enumerate(differences.depth_mm)
