@@ -62,9 +62,9 @@ def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
         which, figure, limit = (
             ("travel_max_mm", greatest, limit_high) if above > below else ("travel_min_mm", least, limit_low)
         )
-        place = _room_remedy(axis, greatest - least, limit_high - limit_low, config)
+        remedy = _room_remedy(axis, greatest - least, limit_high - limit_low, config)
         text = f"{span}: {over:.6g} mm beyond machine.{which}"
-        yield Check.preflight(name, "fault", text, float(figure), limit, "mm", place, (RUN,))
+        yield Check.preflight(name, "fault", text, float(figure), limit, "mm", remedy, (RUN,))
 
 
 def _room_remedy(axis: str, needed_mm: float, there_mm: float, config: Config) -> str:
