@@ -151,6 +151,8 @@ def strict_json(value: Any, indent: int = 0) -> str:
     return json.dumps(plain(value), sort_keys=True, allow_nan=False, ensure_ascii=False)
 
 
+# -- differences -----------------------------------------------------------------------------------
+
 FIRST_PLACES = 3  # places that a difference names
 SAME_HEIGHT_MM = 1e-6
 

@@ -266,6 +266,8 @@ def _no_contours(plan: ScanPlan) -> Curves:
     )
 
 
+# -- the program 3DThesis --------------------------------------------------------------------------
+
 TIMES_A_RUN = 16
 """Moments that one run of 3DThesis is asked for. It takes all places at all moments, of which only each island's own are
 wanted: many at once cost their square, few cost a start each."""

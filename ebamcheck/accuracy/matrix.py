@@ -106,6 +106,9 @@ def rounds(matrix: Matrix, model: str, backends: Sequence[str]) -> list[dict[str
     return found
 
 
+# -- tolerances ------------------------------------------------------------------------------------
+
+
 class Tolerance(Section):
     """A value may grow to ``old + absolute + relative * |old|`` before it counts as worse."""
 

@@ -165,6 +165,8 @@ def _legend(line: Trend, rank: int) -> Markup:
     return element("span", named, class_="key", style=f"color:{COLOURS[rank % len(COLOURS)]}")
 
 
+# -- history ---------------------------------------------------------------------------------------
+
 HISTORY = "history.sqlite"
 
 SCHEMA = """
@@ -255,6 +257,8 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
             f"{path}: is no history that can be used ({error}): name another with --history"
         ) from None
 
+
+# -- test results ----------------------------------------------------------------------------------
 
 JUNIT = "junit.xml"
 

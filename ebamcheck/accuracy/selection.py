@@ -271,6 +271,8 @@ def _place_reason(fit: Sequence[Trial], place: int) -> str:
     return f"witness: the next after {best.name} ({slower})" if place == 1 else f"not needed: {slower}"
 
 
+# -- the section of the settings file --------------------------------------------------------------
+
 FIGURE_DIGITS = 4  # significant digits of the figures kept: provenance, not input
 
 

@@ -352,6 +352,9 @@ def _refuse_relayered(folder: Path) -> None:
         )
 
 
+# -- the door of JSON lines ------------------------------------------------------------------------
+
+
 class Lines:
     """Lines of a file descriptor, with a time limit, in bounded memory: a longer one is cut and told as such."""
 

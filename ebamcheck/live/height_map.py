@@ -361,6 +361,8 @@ def _place(surface: Surface, cell: int) -> tuple[float, float]:
     return round(x, 2), round(y, 2)
 
 
+# -- readings --------------------------------------------------------------------------------------
+
 LONGEST_LINE = 4096  # bytes of a line; a reading takes a hundred
 
 UNIT = "mm"

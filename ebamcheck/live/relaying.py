@@ -138,6 +138,9 @@ def relayer(
     return Relayered(made, certificate, plan.said, None)
 
 
+# -- the finished run ------------------------------------------------------------------------------
+
+
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
     """A run whose program passed: its record, settings and part."""

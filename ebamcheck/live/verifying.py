@@ -237,6 +237,8 @@ def read_verified(folder: Path) -> dict[str, VerifiedLayer]:
     return found
 
 
+# -- heat and metal of a build, followed by its texts ----------------------------------------------
+
 SAME = 1e-3  # share by which sums may differ: far less for another slicer, far more without a layer
 
 

@@ -209,6 +209,8 @@ def _named(pair: str) -> str:
     return " and ".join(pair.split(","))
 
 
+# -- choice of slicers -----------------------------------------------------------------------------
+
 ALL = "all"  # word for every installed witness
 
 

@@ -159,6 +159,8 @@ def _first_mm(nc: NCProgram) -> float:
     return float(nc.end[first, 2]) if first >= 0 else np.nan
 
 
+# -- the main program that waits -------------------------------------------------------------------
+
 LIVE = "live"  # folder of the program within a run
 
 NAME = "handshake"

@@ -152,6 +152,8 @@ def _wire(part: Part, spool_kg: float, config: Config) -> Check:
     return Check.preflight(SPOOL, "warning", text, part_kg, spool_kg, "kg", remedy)
 
 
+# -- the height of layers --------------------------------------------------------------------------
+
 NAME = "layer height"
 
 

@@ -156,6 +156,8 @@ def _winding(corners: Floats, z: Floats, x: float, y: float, height: float) -> i
     return int(np.sign(whole[over])[at > height].sum())
 
 
+# -- settings that cannot work together ------------------------------------------------------------
+
 FEW_BEADS_ACROSS = 2.0  # cells narrower than this many beads are all ends and starts
 
 
@@ -240,6 +242,8 @@ def _temperatures(config: Config) -> Iterator[Check]:
             (RUN,),
         )
 
+
+# -- the unit of the file --------------------------------------------------------------------------
 
 FEW_BEADS = 3.0  # a part of fewer beads than this in its greatest extent is no part of this process, or its unit is another
 

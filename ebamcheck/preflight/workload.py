@@ -172,6 +172,8 @@ def _amount(figure: float, unit: str) -> str:
     return f"{figure:,.0f}"
 
 
+# -- slabs -----------------------------------------------------------------------------------------
+
 FACETS_A_SLAB = 4_000_000  # facets of a slab at most where the settings do not say how many slabs there are
 MOST_SLABS = 10_000  # as many as the settings allow
 COLUMNS_MB = 1.3e-5  # of every facet of the file: two heights and, mostly once, its number

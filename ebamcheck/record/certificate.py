@@ -302,6 +302,8 @@ def _looked_at(findings: list[Mapping[str, Any]]) -> str:
     return f"a look at {counted(grave)}" if grave else ""
 
 
+# -- what a run was made with ----------------------------------------------------------------------
+
 GIT_TIMEOUT_S = 10.0  # a checkout that git cannot look through in this time has an unknown state
 UNKNOWN = "unknown"
 

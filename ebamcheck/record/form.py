@@ -363,6 +363,8 @@ def in_form(kind: type[_Form], found: Any, where: Path) -> dict[str, Any]:
     return dict(found)
 
 
+# -- the certificate -------------------------------------------------------------------------------
+
 CERTIFICATE_FORMAT = 2
 
 

@@ -164,6 +164,8 @@ def _told(place: _Place, first: Mapping[str, Any]) -> str:
     )
 
 
+# -- settings in words -----------------------------------------------------------------------------
+
 PLACEHOLDERS: Mapping[str, str] = {
     "power_w": "power of the beam, W",
     "voltage_kv": "accelerating voltage, kV",

@@ -246,6 +246,8 @@ class KinematicsSettings(Section):
     """Where the feed falls under this share of the feed programmed, the bead grows: a dip."""
 
 
+# -- a tilt table ----------------------------------------------------------------------------------
+
 Component = Annotated[float, Between(-1e6, 1e6)]  # component of a direction, of any length but 0
 
 Triple = tuple[Place, Place, Place]

@@ -203,6 +203,8 @@ def _beyond(value: float, limit: float) -> str:
     return "over" if value > limit else "under"
 
 
+# -- the feed along a bead -------------------------------------------------------------------------
+
 SHARE_DIGITS = 6  # decimals of a feed over that of the process
 
 

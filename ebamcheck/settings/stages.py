@@ -214,6 +214,8 @@ class HeightMapSettings(Section):
     None: half the usual height of a layer, and no more than process.surface_tolerance_mm."""
 
 
+# -- part, layers, slicing, comparison -------------------------------------------------------------
+
 Component = Annotated[float, Between(-1e6, 1e6)]  # component of a direction, of any length but 0
 
 

@@ -173,6 +173,8 @@ def _shown(line: bytes) -> str:
     return repr(one_line(line[:200].decode("utf-8", "replace"), 60))
 
 
+# -- form of layers --------------------------------------------------------------------------------
+
 ABSURD = 1e6
 """Coordinates farther off than this many times the largest extent or coordinate of the part are no section of it: no
 mistake of units is that large, and squares of such numbers overflow."""

@@ -293,6 +293,8 @@ def frame() -> Part:
     return named("frame", box((0, 0, 0), (FRAME_MM, FRAME_MM, 4.0)))
 
 
+# -- sections by plain means -----------------------------------------------------------------------
+
 WindingRule = Callable[[int], bool]  # whether a winding number is solid
 HOUSE_RULE = "winding > 0"
 

@@ -214,6 +214,8 @@ def differences(
     return Differences(depth, table["topology_agrees"].to_numpy(dtype=np.bool_), places)
 
 
+# -- figures ---------------------------------------------------------------------------------------
+
 NO_LAYER = -1  # layer of a figure that is about no layer in particular
 
 
