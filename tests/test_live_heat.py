@@ -9,16 +9,22 @@ import pytest
 import shapely
 from command_line import write_stl
 from live_boxes import maker_of, run_of_box
+from prism_program import CONFIG, Made
 
 import ebamcheck
 from ebamcheck.checks.interpass_checks import INTERPASS
+from ebamcheck.checks.metal import deposit
+from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.live import building as building_module
 from ebamcheck.live import verifying
-from ebamcheck.live.before import Before
+from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.live.building import Building
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.verifying import FollowedLayers, LayerText, verify_build
+from ebamcheck.metal import Surface
+from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
+from ebamcheck.writing.bead_ends import planned_path
 from tests.parts import box
 
 THICKNESS_MM = 1.7
@@ -124,3 +130,170 @@ def test_a_slim_column_on_a_wide_foot_is_followed_from_the_plate_up(monkeypatch)
     assert said(layers) == [""] * 16
     assert any(said(layers[6:]))
     assert said([*layers, None, text(column, 40), text(column, 40)])[16:] == [""] * 3
+
+
+# -- The metal of a build, layer by layer: judged by the limits of a whole part for what stands, and of a single layer for each --
+
+
+SQUARE = shapely.box(0, 0, 70, 70)
+FIGURES = (
+    "wanted_mm3", "laid_mm3", "outside_mm3", "inside", "edge", "inside_settled", "inside_owed", "edge_owed", "zone_settled",
+    "zone_owed", "low_mm", "high_mm",
+)  # fmt: skip
+MEANS = ("metal", "metal outside", "height inside", "height at edges")
+
+
+@pytest.fixture(scope="module")
+def stack(tmp_path_factory):
+    """A program of four layers, its layers one by one as programs of their own, and their settings."""
+    folder = tmp_path_factory.mktemp("stack")
+    made = Made(folder, SQUARE)
+    main = made.files.main
+    lines = main.read_text().split("\n")
+    single = []
+    for k in range(4):
+        kept = [line for line in lines if not any(f"MAIN_L{n + 1:04d}" in line for n in range(4) if n != k)]
+        place = folder / f"layer{k}"
+        place.mkdir()
+        (place / main.name).write_text("\n".join(kept))
+        name = f"MAIN_L{k + 1:04d}.SPF"
+        (place / name).write_bytes((main.parent / name).read_bytes())
+        base_mm = float(made.z[k - 1]) if k else 0.0
+        config = CONFIG.changed(layers={"base_mm": base_mm})
+        single.append((read_program(place / main.name, config), made.layers.block(k, k + 1), config))
+    return made, single
+
+
+def test_layers_one_by_one_are_the_whole_program(stack):
+    made, single = stack
+    nc = made.read()
+    whole = deposit(nc, made.layers, made.z, CONFIG)
+    metal = MetalBelow()
+    surface = Surface(np.array(SQUARE.bounds), CONFIG.process.bead_width_mm)
+    for k, (layer, section, config) in enumerate(single):
+        found = deposit(layer, section, made.z[k : k + 1], config, stands=surface)
+        for name in FIGURES:
+            assert found.layers[name].iloc[0] == pytest.approx(whole.layers[name].iloc[k], abs=1e-9), name
+        last = deposit_checks(layer, found, config, metal)
+        metal, surface = metal.and_layers(found.layers, config.process), found.surface
+    # What holds for the whole part is said of it when its last layer is judged.
+    of_whole = {check.name: check for check in deposit_checks(nc, whole, CONFIG)}
+    assert metal.layers == 4
+    for check in last:
+        if check.name in MEANS:
+            assert check.value == pytest.approx(of_whole[check.name].value, abs=1e-9), check.name
+            assert check.limit == of_whole[check.name].limit
+
+
+def judged(single, height, below, tolerance):
+    """Check of the mean inside of a layer's metal, on what stands."""
+    layer, section, config = single
+    config = config.changed(process={"inside_tolerance": tolerance})
+    found = deposit(layer, section, np.array([config.base_mm + height]), config)
+    return {check.name: check for check in deposit_checks(layer, found, config, below)}[
+        "height inside"
+    ], found
+
+
+def test_a_layer_is_judged_by_its_own_limit_and_by_the_mean_of_all(stack):
+    made, single = stack
+    height = float(made.z[0])
+    _, found = judged(single[1], height, None, 0.03)
+    off, area = float(found.layers["inside"].iloc[0]) - 1.0, float(found.layers["inside_mm2"].iloc[0])
+    assert abs(off) > 1e-3
+    tight = 0.5 * abs(off)
+
+    def below(mean):
+        return MetalBelow(9, zone_mm2=(9.0 * area, 0.0), zone_layers_mm2=(9.0 * area * mean, 0.0))
+
+    # On layers whose mean is right the mean stays within; where it was off as far, this layer does not bring it in.
+    assert judged(single[1], height, below(1.0), tight)[0].passed
+    assert judged(single[1], height, below(1.0), tight)[0].value == pytest.approx(abs(off) / 10.0)
+    assert not judged(single[1], height, below(1.0 + off), tight)[0].passed
+    assert not judged(single[1], height, below(1.0 + 2.0 * off), tight)[0].passed
+    # The lowest layer is all that stands. One on layers of which nothing is known has the limit of a single layer.
+    assert not judged(single[0], height, None, tight)[0].passed
+    assert not judged(single[0], height, MetalBelow(), tight)[0].passed
+    alone = judged(single[1], height, None, tight)[0]
+    assert alone.passed
+    process = CONFIG.process
+    assert alone.limit == pytest.approx(tight + 0.5 * process.hatch_spacing_mm / np.sqrt(area))
+
+
+def test_the_sums_of_a_build_keep_their_limits(stack):
+    made, single = stack
+    layer, section, config = single[1]
+    found = deposit(layer, section, made.z[1:2], config)
+    wanted = float(found.layers["wanted_mm3"].iloc[0])
+
+    def checks(**sums):
+        below = MetalBelow(9, 9.0 * wanted, **{"laid_mm3": 9.0 * wanted, **sums})
+        return {check.name: check for check in deposit_checks(layer, found, config, below)}
+
+    assert checks()["metal"].passed
+    assert not checks(laid_mm3=9.0 * 1.03 * wanted)["metal"].passed
+    assert checks()["metal outside"].passed
+    assert not checks(outside_mm3=0.06 * 10.0 * wanted)["metal outside"].passed
+
+
+def test_a_surface_that_was_measured_keeps_its_pattern_and_loses_its_mean(stack):
+    made, single = stack
+    layer, section, config = single[0]
+    found = deposit(layer, section, made.z[:1], config)
+    target = found.fields[0].target
+    before, after = found.surface.over_mm(target), found.surface.measured().over_mm(target)
+    # Corners that no bead reaches have no metal, and no height.
+    metal = before != 0.0
+    assert metal.sum() > 0.9 * (target.share >= 1.0).sum()
+    assert np.ptp((before - after)[metal]) == pytest.approx(0.0, abs=1e-9)
+    again = found.surface.measured().measured().over_mm(target)
+    assert again == pytest.approx(after, abs=1e-12)
+    # And the one that was measured is not changed by building on its copy.
+    copy = found.surface.copy()
+    copy.add(target, np.zeros_like(target.share), 2.0)
+    assert np.array_equal(found.surface.over_mm(target), before)
+
+
+def hump(height_mm):
+    """Surface of the square whose left half lies higher than its right one."""
+    surface = Surface(np.array(SQUARE.bounds), CONFIG.process.bead_width_mm)
+    surface._share[:] = 0.0
+    rows, columns = surface._share.shape
+    x = (surface._corner[0] + np.arange(columns) + 0.5) * surface.step_mm
+    y = (surface._corner[1] + np.arange(rows) + 0.5) * surface.step_mm
+    inside = ((y > 0) & (y < 70))[:, None] & ((x > 0) & (x < 70))
+    surface._share[inside] = 1.0
+    surface._over_mm = np.where(inside, np.where(x < 35, 0.5, -0.5) * height_mm, 0.0)
+    return surface
+
+
+def test_a_layer_mends_the_surface_that_it_lies_on(stack):
+    made, _ = stack
+    level = planned_path(made.beads, made.plan, CONFIG)
+    uneven = planned_path(made.beads, replace(made.plan, stands=hump(1.0)), CONFIG)
+
+    def laid(path, x_side):
+        first, last = path.track_starts[0], path.track_starts[path.layer_starts[1]]
+        middle = 0.5 * (path.segment_start[first:last] + path.end[first:last])
+        length = np.hypot(*(path.end[first:last] - path.segment_start[first:last]).T)
+        there = (middle[:, 0] < 30) if x_side < 0 else (middle[:, 0] > 40)
+        return float((path.width[first:last] * length)[there].sum() / length[there].sum())
+
+    assert laid(uneven, -1) < 0.95 * laid(level, -1)
+    assert laid(uneven, 1) > 1.05 * laid(level, 1)
+
+
+def test_a_surface_that_is_too_uneven_refuses_the_layer(stack):
+    _, single = stack
+    layer, section, config = single[1]
+    limit_mm = config.process.largest_unevenness_mm
+    sums = MetalBelow(1, 1.0, 1.0)
+
+    def failed(height_mm):
+        checks, _ = metal_checks(
+            layer, section, replace(Before.cold(config), below=sums, surface=hump(height_mm)), config
+        )
+        return {check.name for check in checks if not check.passed}
+
+    assert "surface" not in failed(1.0)
+    assert "surface" in failed(4.0 * limit_mm)

@@ -125,7 +125,7 @@ LENGTH = Tolerance(absolute=1e-5, relative=1e-3)  # ten times what the compariso
 
 AREA = Tolerance(absolute=1e-3, relative=1e-3)
 VOLUME = Tolerance(absolute=1e-2, relative=1e-3)
-BOUND = Tolerance(absolute=1e-6, relative=1e-3)  # of exact slicers rounding
+BOUND = Tolerance(absolute=1e-6, relative=1e-3)  # bounds of exact slicers are rounding
 
 NONE = Tolerance()  # counts may not grow at all
 
