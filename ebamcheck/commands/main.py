@@ -123,7 +123,9 @@ def main() -> None:
         if len(sys.argv) == 1:
             print(error.format_message(), file=sys.stderr)
         else:
-            tell(f"error: {error.format_message()} (see `{_command_path(error)} --help`)")
+            context = getattr(error, "ctx", None)
+            path = context.command_path if context is not None else "ebamcheck"
+            tell(f"error: {error.format_message()} (see `{path} --help`)")
         sys.exit(ExitCode.USAGE)
 
 
@@ -136,11 +138,6 @@ def _open_streams() -> None:
             break
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
-
-
-def _command_path(error: Exception) -> str:
-    context = getattr(error, "ctx", None)
-    return context.command_path if context is not None else "ebamcheck"
 
 
 def _terminate(*_: object) -> None:

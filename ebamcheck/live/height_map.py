@@ -304,7 +304,8 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
         known &= np.abs(height - np.median(height[known])) <= settings.spike_mm
     share = float(known.sum() / judged.sum())
     if share < settings.least_known:
-        x, y = _place(surface, _deepest(judged & ~known))
+        hole_cells = ndimage.distance_transform_edt(np.pad(judged & ~known, 1))[1:-1, 1:-1]
+        x, y = _place(surface, int(np.argmax(hole_cells)))
         raise Refused(
             "map-holes",
             f"the height map knows {100 * share:.0f} % of the layer, height_map.least_known is {100 * settings.least_known:.0f} %: "
@@ -348,11 +349,6 @@ def _slope(over: Floats, known: Bools, step_mm: float) -> tuple[float, float]:
     places -= places.mean(axis=0)
     found, *_ = np.linalg.lstsq(places, over[known], rcond=1e-9)
     return float(found[0]), float(found[1])
-
-
-def _deepest(cells: Bools) -> int:
-    """Cell that is furthest from all that are not among some."""
-    return int(np.argmax(ndimage.distance_transform_edt(np.pad(cells, 1))[1:-1, 1:-1]))
 
 
 def _place(surface: Surface, cell: int) -> tuple[float, float]:
@@ -526,12 +522,6 @@ def check_height(reading: Reading, base_mm: float, top_mm: float) -> None:
         raise Refused(
             "decreasing", f"height_mm {height:g} is not over {base_mm:.3f}, on which the layer was laid"
         )
-    raise Refused(
-        "absurd",
-        f"height_mm {height:g} is {_shown(abs(height - top_mm))} mm off the plan, {top_mm:.3f}: over {room:.3f}",
-    )
-
-
-def _shown(length_mm: float) -> str:
-    """Return a length to a micrometre; one that no machine has, to a few digits."""
-    return f"{length_mm:.3f}" if length_mm < 1e6 else f"{length_mm:.4g}"
+    off_mm = abs(height - top_mm)
+    off = f"{off_mm:.3f}" if off_mm < 1e6 else f"{off_mm:.4g}"  # of one that no machine has a few digits
+    raise Refused("absurd", f"height_mm {height:g} is {off} mm off the plan, {top_mm:.3f}: over {room:.3f}")

@@ -46,7 +46,6 @@ from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import in_order, stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.stages import PartSettings
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
 
@@ -130,7 +129,9 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         self.sound = gates.input_gate(inspect(part))
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
-        self._of_part = _as_placed(part, config.part)
+        # The direction that a part has been turned by; settings of a plate are of the parts which name none.
+        turned = {} if isinstance(part, PlatePart) else {"direction": part.direction}
+        self._of_part = config.part.model_copy(update=turned)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
         self.stands: Stands | None = None
@@ -330,13 +331,6 @@ def aimed_lower(config: Config, by_k: float) -> Config:
     limit_k = entry_limit_k(config) - by_k - ROOM_K
     return config.model_copy(
         update={"process": config.process.model_copy(update={"interpass_limit_k": limit_k})}
-    )
-
-
-def _as_placed(part: Part, settings: PartSettings) -> PartSettings:
-    """The settings with the direction that a part has been turned by; those of a plate are of the parts which name none."""
-    return (
-        settings if isinstance(part, PlatePart) else settings.model_copy(update={"direction": part.direction})
     )
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.backend import BackendSettings, Probe
+from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
 from ebamcheck.comparison.consensus import EVERY_AGREEMENT
 from ebamcheck.comparison.independence import EvidenceRule
@@ -238,7 +238,9 @@ def unavailable_backends(config: Config) -> dict[str, Outcome]:
         asked += registry.witnesses()
     probes = {name: registry.probe(name) for name in asked}
     return {
-        name: Outcome(name, "unavailable", _reason(probe), probe=probe)
+        name: Outcome(
+            name, "unavailable", f"{probe.why}; {probe.hint}" if probe.hint else probe.why, probe=probe
+        )
         for name, probe in probes.items()
         if not probe.available
     }
@@ -278,10 +280,6 @@ def _witnesses(config: Config) -> list[str]:
     if ALL not in config.slicing.witnesses:
         return [registry.slicer(name).name for name in config.slicing.witnesses]
     return [name for name in registry.witnesses() if registry.probe(name).available]
-
-
-def _reason(probe: Probe) -> str:
-    return f"{probe.why}; {probe.hint}" if probe.hint else probe.why
 
 
 def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:

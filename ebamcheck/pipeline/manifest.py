@@ -63,6 +63,7 @@ def manifest(
     That goes into a file of its own (:meth:`~ebamcheck.record.run_folder.RunFolder.write_manifest`).
     """
     config = job.config.model_dump()
+    plate = program.proof.plate if program else plate_record(job.part, job.config)
     return {
         "format": FORMAT_VERSION,
         "job": job.kind,
@@ -94,7 +95,7 @@ def manifest(
             for name, outcome in outcomes.items()
         },
         "comparison": _comparison_record(comparison, job.config),
-        **_plate(job, program),
+        **({PLATE: list(plate)} if plate else {}),
         **(_program_records(program, job.config) if program else {}),
         "gates": [gate_record(gate) for gate in gates],
         "findings": finding_records(findings),
@@ -139,12 +140,6 @@ def _placed(job: Job) -> dict[str, Any]:
     if part.place_at_mm is None and not part.rotate_deg:
         return {}
     return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
-
-
-def _plate(job: Job, program: ProgramResult | None) -> dict[str, Any]:
-    """Parts of a plate, with the metal that the program lays for each; nothing for a single part."""
-    parts = program.proof.plate if program else plate_record(job.part, job.config)
-    return {PLATE: list(parts)} if parts else {}
 
 
 def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:

@@ -105,7 +105,9 @@ def make_program(
             laid = stages.laid_out(smooth, plan, config)
             of_plan = aside.submit(tables_of_plan, laid.path, plan, config)
             files = stages.written(laid, job.part, config, job.folder.program_folder)
-            witness = _witness(job, layers, checked.done)
+            # Contours by another exact method than the one that made the program, where there is one.
+            name = witness_backend(layers.backend, checked.done)
+            witness = layers if name == layers.backend else job.folder.read_layers(name)
             proof = _proved(job.part, files, laid, _Sections(layers, verdict.curves, witness), config, aside)
             planned: dict[str, Table] = {
                 "scan.parquet": plan,
@@ -138,11 +140,6 @@ def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
     entry = write_entry(files, job.from_layer, z_of, job.config)
     job.observer.note(f"program from layer {job.from_layer} on: {entry.check.in_words()}")
     return entry
-
-
-def _witness(job: Job, layers: Layers, done: Sequence[str]) -> Layers:
-    name = witness_backend(layers.backend, done)
-    return layers if name == layers.backend else job.folder.read_layers(name)
 
 
 class _Sections(NamedTuple):

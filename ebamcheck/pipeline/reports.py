@@ -100,7 +100,8 @@ def reports_again(run: RunFolder) -> dict[str, bytes]:
     """Files that the house's writers of such reports make of the record of a run alone, by name; an InputError where one cannot be made from it."""
     found: dict[str, bytes] = {}
     for name, point in registry.points(registry.REPORTS).items():
-        if not is_house(point) or name not in _of_record(point.module.partition(".")[0]):
+        package = import_module(point.module.partition(".")[0]) if is_house(point) else None
+        if name not in getattr(package, OF_RECORD, ()):
             continue
         with tempfile.TemporaryDirectory(prefix="ebamcheck-", ignore_cleanup_errors=True) as temporary:
             bare = RunFolder(Path(temporary))
@@ -118,10 +119,6 @@ def reports_again(run: RunFolder) -> dict[str, bytes]:
                 ) from None
             found |= {file: (bare.path / file).read_bytes() for file in written}
     return found
-
-
-def _of_record(package: str) -> tuple[str, ...]:
-    return tuple(getattr(import_module(package), OF_RECORD, ()))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -65,7 +65,9 @@ def check_in_slabs(
     file = read_once(part_path, config.part.units or "", observer.advance)
     heights = cut_heights(file.outline, config)
     division = divided(file, heights, slabs, _reach_mm(file, backends, config))
-    _within_work(division, heights, config, yes)
+    most, crossings = division.most_facets, division.crossings
+    work = slab_workload(len(division.file), most, heights.size, crossings, len(division), config)
+    Preflight(tuple(work_checks(work, config, yes)), work).stop("check")
     # The mesh as a whole is never there, and so has no hash.
     file.outline.__dict__["sha256"] = ""
     job = Job(
@@ -119,13 +121,6 @@ def _reach_mm(file: FacetFile, backends: Mapping[str, BackendSettings], config: 
     if not math.isfinite(margin):
         raise SettingsError("a backend declares no finite height bound, which a check in slabs needs")
     return 2.0 * margin + LEAST_REACH * float(abs(file.outline.vertices).max())
-
-
-def _within_work(division: Division, heights: Floats, config: Config, yes: bool) -> None:
-    work = slab_workload(
-        len(division.file), division.most_facets, heights.size, division.crossings, len(division), config
-    )
-    Preflight(tuple(work_checks(work, config, yes)), work).stop("check")
 
 
 # -- slab after slab ---------------------------------------------------------------------------------
