@@ -154,7 +154,7 @@ def test_a_layer_is_not_released(mistake, said, part, monkeypatch, tmp_path):
 
 def test_verify_finds_a_build_that_ends_too_soon(part, monkeypatch, tmp_path):
     ends_too_soon(monkeypatch)
-    monkeypatch.setattr(building_module, "ended_early", lambda *_: "")
+    monkeypatch.setattr(publishing, "ended_early", lambda *_: "")
     assert built(part, tmp_path / "b")[-1]["answer"] == "done"
     assert "said to be done at" in verify_build(tmp_path / "b", part)[-1].why
 

@@ -138,7 +138,6 @@ def test_a_journal_with_another_wait_than_comes_out_is_refused(maker, tmp_path):
 
 @pytest.mark.parametrize("place_of_kill", ["staged", "renamed", "journalled"])
 def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, monkeypatch, place_of_kill):
-    from ebamcheck.live import building as module
     from ebamcheck.live import publishing
 
     class Killed(BaseException):
@@ -153,7 +152,7 @@ def test_a_kill_at_any_moment_leaves_the_last_validated_layer(maker, tmp_path, m
         raise Killed
 
     if place_of_kill == "staged":
-        monkeypatch.setattr(module, "publish", kill)
+        monkeypatch.setattr(publishing, "publish", kill)
     elif place_of_kill == "renamed":
         appended = made.journal.append
         monkeypatch.setattr(
