@@ -66,8 +66,8 @@ def check_in_slabs(
     heights = cut_heights(file.outline, config)
     division = divided(file, heights, slabs, _reach_mm(file, backends, config))
     most, crossings = division.most_facets, division.crossings
-    work = slab_workload(len(division.file), most, heights.size, crossings, len(division), config)
-    Preflight(tuple(work_checks(work, config, yes)), work).stop("check")
+    load = slab_workload(len(division.file), most, heights.size, crossings, len(division), config)
+    Preflight(tuple(work_checks(load, config, yes)), load).stop("check")
     # The mesh as a whole is never there, and so has no hash.
     file.outline.__dict__["sha256"] = ""
     job = Job(
