@@ -24,31 +24,21 @@ from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
-CRUMB = 0.25
-"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
-
+CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
+# Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.
 BEAD_STEP_MM = 0.5
-"""Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
-
+# Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two.
 SPACING_SHARE = 1.5
-"""Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
-
+# Lines of one island whose directions differ by more follow a wall, and have no common spacing.
 PARALLEL_RAD = 1e-3
-"""Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
-
-WIDEST_GAP = 0.95
-"""Width of a gap between beads over that of the one which a missing line leaves."""
-
+WIDEST_GAP = 0.95  # Width of a gap between beads over that of the one which a missing line leaves
+# Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size.
 GAP_MARGIN = 0.05
-"""Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size."""
-
 _NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
-
+# Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie.
 LEAST_GAP_LIMIT = 0.15
-"""Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
-
+# Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones.
 MARGIN = 2
-"""Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones."""
 
 
 def line_checks(subject: Subject) -> list[Check]:

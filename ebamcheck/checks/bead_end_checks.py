@@ -26,30 +26,22 @@ from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
+# Length by which a ramp is shorter or longer, since it ends with a block that is near.
 ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM
-"""Length by which a ramp is shorter or longer, since it ends with a block that is near."""
-
+# Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
+# it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all.
 MEAN_SPACINGS = 0.75
-"""Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
-it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all."""
-
+# Gap straight ahead of a single end, in bead widths: a line beside its own, which may fill what the end leaves, comes within 30 degrees
+# at 1.44 of them, at the default spacing.
 SINGLE_BEADS = 1.5
-"""Gap straight ahead of a single end, in bead widths: a line beside its own, which may fill what the end leaves, comes within 30 degrees
-at 1.44 of them, at the default spacing."""
-
+# Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a border
+# that it meets at an angle it is nearer than straight ahead.
 BORDER_BEADS = 0.8
-"""Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a
-border that it meets at an angle it is nearer than straight ahead."""
-
+# Length of a bead, in bead widths, under which it fills a spot, and its ends have no direction.
 LEAST_BEADS = 0.5
-"""Length of a bead, in bead widths, under which it fills a spot, and its ends have no direction."""
-
+# Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own.
 AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
-"""Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own."""
-
-REACH_BEADS = 2.5
-"""Distance, in bead widths, within which the next metal is looked for."""
-
+REACH_BEADS = 2.5  # Distance, in bead widths, within which the next metal is looked for
 START, END, STARTS, ENDS = "a bead starts", "a bead ends", "beads start", "beads end"
 
 

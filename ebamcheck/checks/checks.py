@@ -12,8 +12,7 @@ from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck.numeric.rings import Bools, Ints
 from ebamcheck.result import Check as Check
 
-CheckGroup = Callable[[], Sequence[Check]]
-"""Checks that are made together."""
+CheckGroup = Callable[[], Sequence[Check]]  # Checks that are made together
 
 
 def checks_of(groups: Sequence[CheckGroup]) -> list[Check]:
@@ -59,15 +58,7 @@ def worst_check(
     worst = int(np.argmax(known))
     value = float(known[worst])
     told = f"at most {value:.6g} {unit}" if np.isfinite(value) else "not known"
-    return Check(
-        name,
-        value <= limit,
-        value,
-        limit,
-        unit,
-        nc.where(int(rows[worst])),
-        f"{what}: {told}",
-    )
+    return Check(name, value <= limit, value, limit, unit, nc.where(int(rows[worst])), f"{what}: {told}")
 
 
 def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> list[tuple[str, str]]:

@@ -22,26 +22,15 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
+# Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before.
 HOP_SPACINGS = 2.0
-"""Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before."""
-
-PLACES = 32
-"""Places on each motion without support that are looked at."""
-
+PLACES = 32  # Places on each motion without support that are looked at
+# Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding.
 WHOLLY = 0.99
-"""Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding."""
-
-STEP_MM = 0.5
-"""Curved beads are looked at as straight parts of at most this length."""
-
-CELLS_PER_BEAD = 6
-"""Cells across a bead: its border is known to half a millimetre for a bead of 6 mm."""
-
-MOST_CELLS = 16_000_000
-"""Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones."""
-
-NO_HEIGHT = KeepOut.model_fields["z_mm"].default
-"""Heights of a keep-out zone for which nobody gave any."""
+STEP_MM = 0.5  # Curved beads are looked at as straight parts of at most this length
+CELLS_PER_BEAD = 6  # Cells across a bead: its border is known to half a millimetre for a bead of 6 mm
+MOST_CELLS = 16_000_000  # Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones
+NO_HEIGHT = KeepOut.model_fields["z_mm"].default  # Heights of a keep-out zone for which nobody gave any
 
 
 def clearance_checks(
@@ -308,24 +297,19 @@ class _Beads(NamedTuple):
 
     first: Ints
     last: Ints
-    floor: Floats
-    """Z of the lower of the beads before and after."""
+    floor: Floats  # Z of the lower of the beads before and after
     below: Floats
 
 
 class _Ground(NamedTuple):
     """What stands, (rows, columns) each."""
 
-    top: Floats
-    """Beads; it changes while the program runs."""
-    fixed: Floats
-    """Clamps."""
-    around: Floats
-    """Clamps grown by the radius of the head."""
+    top: Floats  # Beads; it changes while the program runs
+    fixed: Floats  # Clamps
+    around: Floats  # Clamps grown by the radius of the head
     origin: Floats
     cell: float
-    tallest: float
-    """Height of the tallest clamp."""
+    tallest: float  # Height of the tallest clamp
 
 
 class _Tool(NamedTuple):
@@ -336,8 +320,7 @@ class _Tool(NamedTuple):
     above: float
     clearance: float
     hop: float
-    apart: float
-    """1 where the axes of a rapid may arrive one after the other, else 0."""
+    apart: float  # 1 where the axes of a rapid may arrive one after the other, else 0
 
 
 @kernel

@@ -20,25 +20,17 @@ from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
-SPOOL, CATHODE = "wire on the spool", "life of the cathode"
-"""Names of the checks."""
-
+SPOOL, CATHODE = "wire on the spool", "life of the cathode"  # Names of the checks
+# What is done before a layer for which they do not last.
 NEW = {SPOOL: "on a new spool", CATHODE: "in a new cathode"}
-"""What is done before a layer for which they do not last."""
-
+# Name, words, unit and setting of each, as Consumed has them.
 WORDS = {
     SPOOL: (SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"),
     CATHODE: (CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"),
 }
-"""Name, words, unit and setting of each, as :class:`Consumed` has them."""
-
-KG_MM3 = 1e-9
-"""Cubic metres in a cubic millimetre, for densities in kg/m3."""
-
+KG_MM3 = 1e-9  # Cubic metres in a cubic millimetre, for densities in kg/m3
 HOUR_S = 3600.0
-
-TOLD_LAYERS = 6
-"""Layers that a text names; of more the number."""
+TOLD_LAYERS = 6  # Layers that a text names; of more the number
 
 
 @dataclass(frozen=True)
@@ -96,8 +88,7 @@ class Consumed:
         )
 
 
-FRESH = Spent()
-"""Nothing: a program from the plate up begins with a full spool and a new cathode."""
+FRESH = Spent()  # Nothing: a program from the plate up begins with a full spool and a new cathode
 
 
 def spent_after(found: Sequence[Consumed]) -> Spent:
@@ -161,12 +152,7 @@ def _preheating_h(nc: NCProgram, config: Config) -> Floats:
 
 
 def _used(
-    nc: NCProgram,
-    config: Config,
-    amounts: tuple[Floats, Floats],
-    holds: float,
-    name: str,
-    spent: float,
+    nc: NCProgram, config: Config, amounts: tuple[Floats, Floats], holds: float, name: str, spent: float
 ) -> Consumed:
     """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing.
 

@@ -19,9 +19,7 @@ from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import along_window
 
-RELEASED = re.compile(r"_K\d{4,}R\d+$")
-"""End of the name of a layer that is made between layers."""
-
+RELEASED = re.compile(r"_K\d{4,}R\d+$")  # End of the name of a layer that is made between layers
 Faults = list[tuple[str, str]]
 
 

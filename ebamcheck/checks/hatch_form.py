@@ -22,33 +22,21 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
 
-LINES, CROSSINGS = "hatch lines", "crossings"
-"""Names of the checks."""
-
-CHORD_MM = 0.5
-"""Chords of curved beads."""
-
-PARALLEL = 1e-3
-"""Sine of the angle between lines of one direction."""
-
+LINES, CROSSINGS = "hatch lines", "crossings"  # Names of the checks
+CHORD_MM = 0.5  # Chords of curved beads
+PARALLEL = 1e-3  # Sine of the angle between lines of one direction
+# Share of a bead's length along one direction from which on it is taken for lines to and fro.
 TO_AND_FRO = 1.0 / 3.0
-"""Share of a bead's length along one direction from which on it is taken for lines to and fro."""
-
+# Neighbouring lines to and fro are at most this many spacings apart; a bead that comes back further away follows a wall.
 WIDEST_SPACINGS = 1.3
-"""Neighbouring lines to and fro are at most this many spacings apart; a bead that comes back further away follows a wall."""
-
+# Cosine of the angle between two motions of a bead from which on it turns back on its own track. A turn of 1.5 spacings between lines
+# that are two thirds of a spacing apart, the least that a plan leaves, comes to 26 degrees.
 LEAST_TURN = -math.cos(math.radians(15.0))
-"""Cosine of the angle between two motions of a bead from which on it turns back on its own track. A turn of 1.5 spacings between
-lines that are two thirds of a spacing apart, the least that a plan leaves, comes to 26 degrees."""
-
+# Cosine of the angle of a joint that is a bend, not a turn, and how many of them in a row show that a bead follows a wall: a line that is
+# out of its place has two.
 GENTLE, MANY = 0.5, 3
-"""Cosine of the angle of a joint that is a bend, not a turn, and how many of them in a row show that a bead follows a wall: a line
-that is out of its place has two."""
-
 FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
-
-AT_ONCE = 1_000_000
-"""Pairs of lines that are held at once."""
+AT_ONCE = 1_000_000  # Pairs of lines that are held at once
 
 
 def form_checks(nc: NCProgram, config: Config) -> list[Check]:

@@ -24,21 +24,15 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 
+# Lines of the header that do not follow from the settings and the program's own text.
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
-"""Lines of the header that do not follow from the settings and the program's own text."""
-
+# Lines that follow from the program's own text, or are known of it.
 OF_THE_TEXT = ("LAYERS", "PART SHA-256", "SETTINGS SHA-256")
-"""Lines that follow from the program's own text, or are known of it."""
-
-TOLD, LETTERS = 3, 12
-"""Differing settings that are told, and letters of a hash."""
-
+TOLD, LETTERS = 3, 12  # Differing settings that are told, and letters of a hash
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
-
 MEGABYTE = 1e6
-
+# What a program that is validated says of itself, and what a file loses when it is marked.
 MARK, NOT = b"VALIDATED", b"NOT "
-"""What a program that is validated says of itself, and what a file loses when it is marked."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +42,10 @@ class Truth:
     validated: bool | None = None
     part_sha256: str | None = None
     settings_sha256: str | None = None
+    # Hash of settings that were given by someone, who need not have those that the program was made with.
     given_sha256: str | None = None
-    """Hash of settings that were given by someone, who need not have those that the program was made with."""
+    # Which of the settings given are not those that the program was made with, where both are known, in words.
     differences: tuple[str, ...] = ()
-    """Which of the settings given are not those that the program was made with, where both are known, in words."""
 
 
 def header_checks(

@@ -23,31 +23,19 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
-RADIATION_W_MM2K4 = 5.670374e-14
-"""Stefan-Boltzmann constant (CODATA 2018), by square millimetre."""
-
+RADIATION_W_MM2K4 = 5.670374e-14  # Stefan-Boltzmann constant (CODATA 2018), by square millimetre
+# Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and emissivity
+# of an alloy are known no better.
 MODELS_SHARE = 0.1
-"""Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and
-emissivity of an alloy are known no better."""
-
+# By so many kelvins they may differ in any case: how far metal cools from its melting point until the next bead is not a matter of the
+# limit (49 K at most, of five shapes, four alloys and limits from 423 K up).
 MODELS_K = 60.0
-"""By so many kelvins they may differ in any case: how far metal cools from its melting point until the next bead is not a matter of
-the limit (49 K at most, of five shapes, four alloys and limits from 423 K up)."""
-
-PLATE_CELLS = 6
-"""Cells of the base plate."""
-
-STEPS = 24
-"""Steps of every time, growing evenly: what is uneven evens out at first."""
-
+PLATE_CELLS = 6  # Cells of the base plate
+STEPS = 24  # Steps of every time, growing evenly: what is uneven evens out at first
+# Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down.
 SINGLE_LAYERS, MOST_CELLS = 48, 128
-"""Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down."""
-
-HOTTEST_K = 6000.0
-"""End of the data; what is hotter has those of the end."""
-
-SUMMED = 4000
-"""Temperatures in the sum of the heat that melts: less than a kelvin apart."""
+HOTTEST_K = 6000.0  # End of the data; what is hotter has those of the end
+SUMMED = 4000  # Temperatures in the sum of the heat that melts: less than a kelvin apart
 
 
 def highest_entry_k(config: Config) -> float:

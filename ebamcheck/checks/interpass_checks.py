@@ -11,20 +11,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.bead_end_checks import ramp_power
 from ebamcheck.checks.checks import Check, count_check, event_faults
-from ebamcheck.checks.heat_again import (
-    MODELS_K,
-    BeadHeat,
-    entries_k,
-    highest_entry_k,
-    may_differ_k,
-)
-from ebamcheck.checks.text_heat import (
-    TextBeads,
-    sections_of_text,
-    text_beads,
-    text_bed_k,
-    text_shapes,
-)
+from ebamcheck.checks.heat_again import MODELS_K, BeadHeat, entries_k, highest_entry_k, may_differ_k
+from ebamcheck.checks.text_heat import TextBeads, sections_of_text, text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.tolerances import PRINTED, VALUE_SHARE
 from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
@@ -36,23 +24,17 @@ from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
-INTERPASS, AGAIN = "interpass temperature", "balance of the heat"
-"""Names of two checks."""
-
+INTERPASS, AGAIN = "interpass temperature", "balance of the heat"  # Names of two checks
+# Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the balance of
+# a text, which knows one temperature a section, and the plan differ by less (by 64 K at most, of 50 parts and settings).
 ROOM, ROOM_K, PERCENT = 0.85, 80.0, 0.01
-"""Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the
-balance of a text, which knows one temperature a section, and the plan differ by less (by 64 K at most, of 50 parts and settings)."""
-
+# Mark of a figure that is clipped to the boiling point.
 OVER_RANGE = "over the model's range: metal would boil"
-"""Mark of a figure that is clipped to the boiling point."""
-
-COLD = "least entry temperature"
-"""Name of the check."""
-
+COLD = "least entry temperature"  # Name of the check
+# Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less. Plans
+# wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and settings,
+# 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56.
 WARM_SHARE = 0.6
-"""Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less.
-Plans wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and
-settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56."""
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
@@ -223,12 +205,7 @@ def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, con
     return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
 
 
-def _again(
-    nc: NCProgram,
-    beads: TextBeads,
-    sections: Sequence[BaseGeometry],
-    config: Config,
-) -> Check:
+def _again(nc: NCProgram, beads: TextBeads, sections: Sequence[BaseGeometry], config: Config) -> Check:
     """The same temperature by a second balance, against the limit and what two of them may differ by."""
     ambient_k, limit_k = config.process.ambient_temperature_k, highest_entry_k(config)
     most_k = limit_k + may_differ_k(config)

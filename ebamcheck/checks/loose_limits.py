@@ -31,14 +31,14 @@ WIDER_IF_GREATER = (
     "process.melting_efficiency",
     "machine.smoothing_tolerance_mm",
 )
+# Settings that gates and checks rest on and that no motion is made of, by the way in which they let more pass.
 WIDER_IF_LESS = (
     "scan.least_coverage",
     "process.wire_speed_min_mm_s",
     "process.dilution",
     "machine.clearance_mm",
 )
-"""Settings that gates and checks rest on and that no motion is made of, by the way in which they let more pass."""
-
+# Settings that are a least and a greatest value.
 WINDOWS = (
     "process.layer_over_bead",
     "process.line_energy_j_mm",
@@ -48,16 +48,10 @@ WINDOWS = (
     "process.bead_section_mm2",
     "process.metal_energy_j_mm3",
 )
-"""Settings that are a least and a greatest value."""
-
-OF_PREHEATING = ("preheat.over_k", "preheat.evenness_k")
-"""Limits of a preheating, where there is one."""
-
+OF_PREHEATING = ("preheat.over_k", "preheat.evenness_k")  # Limits of a preheating, where there is one
+# Share of the power that the increments of a control may change unsaid: no check of the power sees less.
 MOST_SLACK = 0.01
-"""Share of the power that the increments of a control may change unsaid: no check of the power sees less."""
-
-TOLD = 4
-"""Settings that are told by name."""
+TOLD = 4  # Settings that are told by name
 
 
 def loose_limits(config: Config) -> Iterator[Check]:

@@ -22,8 +22,8 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
+# Distance of layers in the space in which ends are compared: no bead is like one of another layer.
 APART_MM = 1e6
-"""Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,43 +34,29 @@ from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
 
+# Sections from which the volume of a layer is summed where the mesh has none of its own: bodies that overlap.
 CUTS_OF_A_LAYER = 16
-"""Sections from which the volume of a layer is summed where the mesh has none of its own: bodies that overlap."""
-
-CUTS_AT_ONCE = 512
-"""Sections that are held at once for that."""
-
+CUTS_AT_ONCE = 512  # Sections that are held at once for that
+# Area, seen from above, of the floor and of the roof of what is looked at: over the rounding of upright walls.
 LEAST_MM2 = 0.05
-"""Area, seen from above, of the floor and of the roof of what is looked at: over the rounding of upright walls."""
-
-MOST_SPANS = 4
-"""Most heights between two cuts at which the mesh is cut once more."""
-
-FINEST = 1e-6
-"""Share of the part's size by which heights differ that are the same."""
-
+MOST_SPANS = 4  # Most heights between two cuts at which the mesh is cut once more
+FINEST = 1e-6  # Share of the part's size by which heights differ that are the same
+# Lines over the width of a bead: two or more cross every hole and every wall that may be built.
 LINES_PER_BEAD = 2.0
-"""Lines over the width of a bead: two or more cross every hole and every wall that may be built."""
-
+# Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that.
 MOST_LINES = 400
-"""Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that."""
-
+# Share of their distance by which lines lie beside whole ones: sides of parts lie at round numbers.
 OFF_GRID = 0.381966
-"""Share of their distance by which lines lie beside whole ones: sides of parts lie at round numbers."""
-
-AT_ONCE = 2_000_000
-"""Cut facets that are held at once."""
-
+AT_ONCE = 2_000_000  # Cut facets that are held at once
+# Remedy where listed layers do not begin on what stands.
 ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
-"""Remedy where listed layers do not begin on what stands."""
 
 
 class Solid(NamedTuple):
     """The check of the layers against the solid, and where they are furthest off."""
 
     check: Check
-    z_mm: float
-    """Height in the part of the gravest level face of a check that fails; NaN without one."""
+    z_mm: float  # Height in the part of the gravest level face of a check that fails; NaN without one
 
     def tells_of(self, z_mm: float) -> bool:
         """Whether the check has told that the metal is off at that height of the part."""

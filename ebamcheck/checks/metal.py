@@ -44,46 +44,32 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 
-STEP_SHARE = 1.0 / 12.0
-"""Distance of the places at which metal is laid, over the bead width: half a cell."""
-
+STEP_SHARE = 1.0 / 12.0  # Distance of the places at which metal is laid, over the bead width: half a cell
+# Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds.
 CLOSED = 0.5
-"""Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds."""
-
+# Lines that a zone may have more or less than its width over the spacing: the border of a zone runs through a line.
 HALF_LINE = 0.5
-"""Lines that a zone may have more or less than its width over the spacing: the border of a zone runs through a line."""
-
+# Width of a window of the layer's metal, in bead widths: four lines, of which a missing one is a quarter of the metal.
 WINDOW_BEADS = 3.0
-"""Width of a window of the layer's metal, in bead widths: four lines, of which a missing one is a quarter of the metal."""
-
+# Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. All layers together
+# have the metal of the part: where sections taper, what their rims lack heaps up inside of them, and no wire levels it. So all between
+# the layer's height and this is asked for; how far the surface may heap up is a check of its own (`surface`).
 TO_LEVEL, MOST_TO_LEVEL = 0.3, 0.2
-"""Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. All layers
-together have the metal of the part: where sections taper, what their rims lack heaps up inside of them, and no wire levels it. So
-all between the layer's height and this is asked for; how far the surface may heap up is a check of its own (``surface``)."""
-
-AT_LIMIT = 0.01
-"""A bead within this of the least or greatest wire cannot have less, or more."""
-
+AT_LIMIT = 0.01  # A bead within this of the least or greatest wire cannot have less, or more
+# Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours.
 LEAST_OWN = 0.3
-"""Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours."""
-
-AT_ONCE = 8
-"""Layers whose metal is held at a time; they are measured on all threads."""
-
-FIELD_FILE = "deposit_worst.parquet"
-"""Name of the field of the worst layer in a run folder."""
-
+AT_ONCE = 8  # Layers whose metal is held at a time; they are measured on all threads
+FIELD_FILE = "deposit_worst.parquet"  # Name of the field of the worst layer in a run folder
 HOLE_COLUMNS = ("layer", "x_mm", "y_mm", "width_mm", "covered")
+# Names of the zones of a layer: deep_cells, the others, and the worst window.
 ZONES = ("inside", "edge", "zone")
-"""Names of the zones of a layer: :func:`deep_cells`, the others, and the worst window."""
-
+# Figures of the zones of a layer that has none.
 NO_ZONES = {
     "inside": math.nan, "edge": math.nan,
     **{f"{zone}_{column}": math.nan for zone in ZONES for column in ("settled", "owed")},
     **{f"{zone}_mm2": 0.0 for zone in ZONES},
     "zone_tolerance": math.nan, "zone_x_mm": math.nan, "zone_y_mm": math.nan,
 }  # fmt: skip
-"""Figures of the zones of a layer that has none."""
 
 
 def wire_section_mm2(config: Config) -> float:

@@ -36,62 +36,42 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
 
+# Name of the check of openings and walls of the part that are narrower than a least that is set.
 NARROW = "narrow features"
-"""Name of the check of openings and walls of the part that are narrower than a least that is set."""
-
+# Names of the checks of the metal of all beads together, in their order.
 DEPOSIT_CHECKS = (
     "metal", "metal of layers", "metal outside", "reach of metal", "holes", NARROW, "height inside", "height at edges",
     "height of layers", "height of zones", "surface",
 )  # fmt: skip
-"""Names of the checks of the metal of all beads together, in their order."""
-
 WIRE_OF_BEADS, LAID_ONCE = "wire of beads", "metal laid once"
-
+# Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off.
 LEAST_SPOTS = 1.0
-"""Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off."""
-
+# A single layer may have so many times the share of metal outside that the whole program may.
 LAYER_OUTSIDE = 3.0
-"""A single layer may have so many times the share of metal outside that the whole program may."""
-
 OF_LAYER = "of the layer's metal"
-
+# Zones of a layer under this many squared bead widths do not count for the mean over all layers.
 LEAST_ZONE = 25.0
-"""Zones of a layer under this many squared bead widths do not count for the mean over all layers."""
-
-MEAN_ZONES = ("inside", "edge")
-"""Zones that have a mean over all layers."""
-
-HIGHEST = 0.35
-"""Share of a layer to which wrong wire that comes back in every layer may add up."""
-
+MEAN_ZONES = ("inside", "edge")  # Zones that have a mean over all layers
+HIGHEST = 0.35  # Share of a layer to which wrong wire that comes back in every layer may add up
+# Share of the height of a single line that its neighbours take when it levels, by a Gaussian of half a bead width: what comes back in
+# every layer adds up to one over this.
 LEVELLED = 0.43
-"""Share of the height of a single line that its neighbours take when it levels, by a Gaussian of half a bead width: what comes back in
-every layer adds up to one over this."""
-
+# Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames,
+# rings, tapers and meshes, as they are planned, are all within it.
 MOST = HIGHEST * LEVELLED
-"""Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames, rings,
-tapers and meshes, as they are planned, are all within it."""
-
+# Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place.
 HATCH_ROOM = 1.2
-"""Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place."""
-
+# Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is higher
+# than between them, and higher still where islands meet.
 HEAPED = 0.2
-"""Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is
-higher than between them, and higher still where islands meet."""
-
+# Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled along
+# the bead. Between two of them limit and error change by less than a tenth.
 SPANS = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(14))
-"""Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled
-along the bead. Between two of them limit and error change by less than a tenth."""
-
-LEAST_BEADS = 0.1
-"""Length of a bead, in bead widths, under which it has hardly a place of its own."""
-
-MOST_METAL = 1.5
-"""Metal of a spot over that of the layer: half a bead more than all."""
-
+LEAST_BEADS = 0.1  # Length of a bead, in bead widths, under which it has hardly a place of its own
+MOST_METAL = 1.5  # Metal of a spot over that of the layer: half a bead more than all
+# Bead widths of the stretch of a bead over which the metal is averaged: more than what ends, turns and borders of islands pile up in one
+# place.
 STRETCH_BEADS = 3.0
-"""Bead widths of the stretch of a bead over which the metal is averaged: more than what ends, turns and borders of islands pile
-up in one place."""
 
 
 # -- metal of all beads together ----------------------------------------------------------------------

@@ -33,31 +33,17 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s
 
+# Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none.
 FACING = math.cos(math.radians(40.0))
-"""Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none."""
-
-NO_WIDTH_MM = 1e-5
-"""Openings narrower than this are the rounding of coordinates."""
-
-STEPS = 4
-"""Places on a side over the length of the least width."""
-
+NO_WIDTH_MM = 1e-5  # Openings narrower than this are the rounding of coordinates
+STEPS = 4  # Places on a side over the length of the least width
+# Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle.
 ON_SIDE = np.array([0.02, 0.5, 0.98])
-"""Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle."""
-
-LONG = 2.0
-"""Length over width from which on a hole is called a slot."""
-
-TAPERS = 1.25
-"""Greatest width over the least from which on both are told."""
-
-LYING = 2.0
-"""Height over width up to which something that ends over and under is taken to lie on its side."""
-
+LONG = 2.0  # Length over width from which on a hole is called a slot
+TAPERS = 1.25  # Greatest width over the least from which on both are told
+LYING = 2.0  # Height over width up to which something that ends over and under is taken to lie on its side
 Kind = Literal["hole", "slot", "gap", "notch", "wall"]
-
-CRUMB = 0.25
-"""Thin pieces under this times the squared bead width are corners that a round bead never fills."""
+CRUMB = 0.25  # Thin pieces under this times the squared bead width are corners that a round bead never fills
 
 
 class Place(NamedTuple):

@@ -14,39 +14,26 @@ from ebamcheck.checks.shapes import shape_distance, spline_points
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, PLACE_MM
 from ebamcheck.nc import motions
-from ebamcheck.nc.inputs import (
-    ARC,
-    LINE,
-    SPLINE,
-    CurveColumns,
-    ScanColumns,
-)
+from ebamcheck.nc.inputs import ARC, LINE, SPLINE, CurveColumns, ScanColumns
 from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
-SAMPLES = 9
-"""Places on each span where programmed and fitted curve are compared at the same parameter."""
-
+SAMPLES = 9  # Places on each span where programmed and fitted curve are compared at the same parameter
+# Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit.
 CHORD_SHARE = 0.02
-"""Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
-
-FLAT_ARC = 1e-12
-"""Sine of half the turn of an arc that is straight for numbers of 16 digits."""
+FLAT_ARC = 1e-12  # Sine of half the turn of an arc that is straight for numbers of 16 digits
 
 
 @dataclass(frozen=True, eq=False)
 class FittedSpans:
     """Every straight segment, arc and knot span of the fitted rings, sampled; a program block is expected for each."""
 
-    ring: Ints
-    """(E,)"""
-    kind: Ints
-    """(E,) of the piece: line, spline or arc."""
-    points: Floats
-    """(E, n, 2) at equal steps of the parameter."""
+    ring: Ints  # (E,)
+    kind: Ints  # (E,) of the piece: line, spline or arc
+    points: Floats  # (E, n, 2) at equal steps of the parameter
 
 
 def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | None = None) -> FittedSpans:

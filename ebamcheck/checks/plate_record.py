@@ -20,8 +20,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
-SAME_MASS = 1e-9
-"""Of the greater mass: sums in another order."""
+SAME_MASS = 1e-9  # Of the greater mass: sums in another order
 
 
 def plate_record(part: Part, config: Config, program: NCProgram | None = None) -> list[dict[str, Any]]:

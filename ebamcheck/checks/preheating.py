@@ -40,31 +40,16 @@ from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S
 
-VALUE_SHARE = 1e-3
-"""Share by which a printed value may be off."""
-
-PLACE_MM = 0.01
-"""How far beside the region a line may end: the decimals of the program."""
-
-ROUND_SHARE = 2e-3
-"""Share of the spot by which a rounding of chords may lie beside its circle."""
-
+VALUE_SHARE = 1e-3  # Share by which a printed value may be off
+PLACE_MM = 0.01  # How far beside the region a line may end: the decimals of the program
+ROUND_SHARE = 2e-3  # Share of the spot by which a rounding of chords may lie beside its circle
+# Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one.
 WIDEST = 1.5
-"""Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one."""
-
-SLIVER_MM = 0.1
-"""Lines across a narrower place may be left out."""
-
-ALONG_MM = 1e-3
-"""A line along an axis leaves it by no more: the decimals of a program, at their coarsest."""
-
+SLIVER_MM = 0.1  # Lines across a narrower place may be left out
+ALONG_MM = 1e-3  # A line along an axis leaves it by no more: the decimals of a program, at their coarsest
+# Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted.
 LENGTH_SHARE, MOST_PASSES = 0.02, 20000
-"""Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted."""
-
-
-AT_ONCE_S = 10.0
-"""Time that the second balance takes at once."""
-
+AT_ONCE_S = 10.0  # Time that the second balance takes at once
 Faults = list[tuple[str, str]]
 
 

@@ -20,23 +20,15 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
+# Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter.
 DIRECTIONS = 17
-"""Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter."""
-
-KEEP_OUT_STEP_MM = 0.2
-"""Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um."""
-
-OUTLINE_STEP_MM = 0.25
-"""Places along the contours at which an overhang is measured."""
-
+KEEP_OUT_STEP_MM = 0.2  # Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um
+OUTLINE_STEP_MM = 0.25  # Places along the contours at which an overhang is measured
+# The same along all other beads: of a roof over a hole they tell whether it reaches too far, not how far.
 INNER_STEP_MM = 1.0
-"""The same along all other beads: of a roof over a hole they tell whether it reaches too far, not how far."""
-
+# Places of a layer that are asked first whether they reach out over the one below, those farthest from its beads.
 FIRST_ASKED = 16
-"""Places of a layer that are asked first whether they reach out over the one below, those farthest from its beads."""
-
-QUARTER_ROUND = 32
-"""Chords of a quarter of a circle: a reach of 6 mm errs by 2 um."""
+QUARTER_ROUND = 32  # Chords of a quarter of a circle: a reach of 6 mm errs by 2 um
 
 
 def process_checks(nc: NCProgram, config: Config) -> list[Check]:

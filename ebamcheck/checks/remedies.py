@@ -12,11 +12,11 @@ NARROWER = (
     "the square of the width)"
 )
 COARSE = f"allow for machining (process.machining_allowance_mm), {NARROWER}, or build in another direction (part.direction)"
+# Of a wall that no bead of the process is narrow enough for.
 TOO_THIN = (
     "allow for machining (process.machining_allowance_mm), make the wall thicker in the model, or build in another direction "
     "(part.direction)"
 )
-"""Of a wall that no bead of the process is narrow enough for."""
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
 HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
@@ -67,5 +67,5 @@ SUPPORT = "build in another direction (part.direction), or support the overhang 
 WIRE = f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}"
 ENDS = f"{HATCH}; a text that was edited by hand is made again (ebamcheck run)"
 LEVEL = f"give layers of one height (layers.layer_height_mm), then {AGAIN}"
+# Of a check that a plugin brought.
 OTHERWISE = "look at that line of the program, and at the settings that the text names"
-"""Of a check that a plugin brought."""

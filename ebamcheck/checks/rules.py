@@ -20,12 +20,7 @@ from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.metal_rules import bead_wire_check, deposit_checks, overfill_check
-from ebamcheck.checks.path_checks import (
-    closure_check,
-    contour_checks,
-    hatch_checks,
-    layer_checks,
-)
+from ebamcheck.checks.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import section_checks
@@ -115,6 +110,7 @@ def _mesh(subject: Subject) -> list[Check]:
     return [solid_check(*given).check, *of_mesh(*given)]
 
 
+# All checks of a program, in the order of a record.
 # fmt: off
 RULES = (
     Rule(lambda s: text_checks(s.nc, s.config, s.sha256), _each(
@@ -184,13 +180,11 @@ RULES = (
     }, needs=("part", "metal", "layers"), gate="deposit"),
 )
 # fmt: on
-"""All checks of a program, in the order of a record."""
-
+# What to do, by name of the check that fails.
 REMEDIES: Mapping[str, str] = {
     "readable": do.AGAIN,
     **{name: remedy for rule in RULES for name, remedy in rule.checks.items() if remedy},
 }
-"""What to do, by name of the check that fails."""
 
 
 def checks_on(subject: Subject, gate: str = "") -> list[Check]:

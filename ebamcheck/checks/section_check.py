@@ -23,11 +23,8 @@ from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
 
-STEP_MM = 0.5
-"""Distance of the places compared along the path."""
-
-CORNER_RAD = math.radians(40.0)
-"""Chords that turn by more meet in a corner of the part."""
+STEP_MM = 0.5  # Distance of the places compared along the path
+CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of the part
 
 
 @dataclass(frozen=True)
@@ -53,8 +50,8 @@ class _Worst:
     layer: int
     x: float
     y: float
+    # In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there.
     what: str = ""
-    """In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there."""
 
 
 def section_checks(subject: Subject) -> list[Check]:

@@ -10,14 +10,9 @@ from ebamcheck.geometry.nearest import nearest, segments_along, square_between, 
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 
-CLOSER = 1.0 - 1e-9
-"""Share of a square under which a distance is the smaller one, however both are rounded."""
-
-MOST_STEPS = 16
-"""Segments that are walked along from one place to the next; what is farther is looked for."""
-
-DEGREE = 3
-"""Degree of every spline piece."""
+CLOSER = 1.0 - 1e-9  # Share of a square under which a distance is the smaller one, however both are rounded
+MOST_STEPS = 16  # Segments that are walked along from one place to the next; what is farther is looked for
+DEGREE = 3  # Degree of every spline piece
 
 
 @kernel

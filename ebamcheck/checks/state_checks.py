@@ -22,15 +22,9 @@ from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
 
-LEAST_SPLINE_BLOCKS = 6
-"""Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)."""
-
-FLOW = "program flow"
-"""Group whose words have checks of their own: ends of programs, stops."""
-
-TRANSFORMATION_OFF = "TRAFOOF"
-"""Word of a SINUMERIK."""
-
+LEAST_SPLINE_BLOCKS = 6  # Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE)
+FLOW = "program flow"  # Group whose words have checks of their own: ends of programs, stops
+TRANSFORMATION_OFF = "TRAFOOF"  # Word of a SINUMERIK
 Faults = list[tuple[str, str]]
 
 

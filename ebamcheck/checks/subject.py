@@ -31,8 +31,8 @@ from ebamcheck.nc.roles import by_height, by_section
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 
+# Of the bead's width: a bead that runs this near to the inset of the section is a contour.
 CONTOUR_SHARE = 0.125
-"""Of the bead's width: a bead that runs this near to the inset of the section is a contour."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,28 +31,16 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
 NAMES = ("table limits", "table turns", "table height", "frame", "frame taken back")
-
+# Steps in which a turn of the table is followed: at 500 mm from its line they lie 9 mm apart, and 0.02 mm over the chord.
 STEP_DEG = 1.0
-"""Steps in which a turn of the table is followed: at 500 mm from its line they lie 9 mm apart, and 0.02 mm over the chord."""
-
-PLACE_MM = 2e-3
-"""Heights are rounded to the decimals of a program, at their coarsest."""
-
-LIMIT_DEG = 1e-6
-"""Rounding of a position."""
-
+PLACE_MM = 2e-3  # Heights are rounded to the decimals of a program, at their coarsest
+LIMIT_DEG = 1e-6  # Rounding of a position
+# Distance of the places by which what stands is known, at most; of larger ones as many as MOST_PLACES.
 STEP_MM = 1.0
-"""Distance of the places by which what stands is known, at most; of larger ones as many as :data:`MOST_PLACES`."""
-
 MOST_PLACES = 4_000_000
-
-LEAST_MM2 = 1.0
-"""Area of a section within what stands that is no more than its border."""
-
+LEAST_MM2 = 1.0  # Area of a section within what stands that is no more than its border
 FAR_MM = 1e6
-
-SAME_MM = 1e-6
-"""Largest difference between the places of a part in two mountings that count as the same."""
+SAME_MM = 1e-6  # Largest difference between the places of a part in two mountings that count as the same
 
 
 def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
@@ -228,8 +216,7 @@ class Stands:
     tops: Floats
     corner: Floats
     step_mm: float
-    parts: tuple[Part, Part]
-    """The part as it was built, and as it is turned."""
+    parts: tuple[Part, Part]  # The part as it was built, and as it is turned
 
     @property
     def up(self) -> tuple[Floats, float]:

@@ -17,33 +17,22 @@ from ebamcheck.nc.timeline import Kind
 from ebamcheck.printable import printable
 from ebamcheck.settings.config import Config
 
-BLOCK_LIMIT = 200
-"""Characters; every software version of the control reads shorter blocks."""
-
+BLOCK_LIMIT = 200  # Characters; every software version of the control reads shorter blocks
 FIRST_PRINTABLE, LAST_PRINTABLE = 0x20, 0x7E
-BLANK_BYTES = tuple(b"\t\n\r")
-"""Bytes of a program: printable ASCII, tabs and ends of lines."""
-
+BLANK_BYTES = tuple(b"\t\n\r")  # Bytes of a program: printable ASCII, tabs and ends of lines
 _LAYER_NAME = re.compile(r"(.+)_L(\d+)")
 _ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
 _MAIN_ENDS = ("M30", "M2")
-
 Faults = list[tuple[str, str]]
-
+# Comments, and the lists of a polynomial, whose axis stands before them.
 _ASIDE = re.compile(rb"\([^)]*\)|;.*")
-"""Comments, and the lists of a polynomial, whose axis stands before them."""
-
+# The form of nearly all blocks of metal, which name both axes; of others _absent tells what they lack.
 _PLAIN = re.compile(rb"[^(;XY]*X[^(;XY]*Y")
-"""The form of nearly all blocks of metal, which name both axes; of others :func:`_absent` tells what they lack."""
-
+# Share of the blocks with metal that name both axes from which on it is the form of the program to do so.
 MOST_WHOLE = 0.9
-"""Share of the blocks with metal that name both axes from which on it is the form of the program to do so."""
-
+# Rapids across for each that names one axis alone, from which on it is the form of the program to name both.
 LEAST_WHOLE = 4
-"""Rapids across for each that names one axis alone, from which on it is the form of the program to name both."""
-
-FEW = 2
-"""So many beads without a way are a loss in a program of any size."""
+FEW = 2  # So many beads without a way are a loss in a program of any size
 
 
 def text_checks(nc: NCProgram, config: Config, sha256: Mapping[str, str] | None = None) -> list[Check]:

@@ -22,17 +22,12 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
 from ebamcheck.settings.config import Config
 
-LONGEST_WAIT_S = 4.0 * 3600.0
-"""Longest wait that is looked for."""
-
-LEAST_SHARE = 1e-6
-"""Keeps a bead without power from being divided by."""
-
+LONGEST_WAIT_S = 4.0 * 3600.0  # Longest wait that is looked for
+LEAST_SHARE = 1e-6  # Keeps a bead without power from being divided by
+# Chords of the contours of which perimeters and areas are taken, where no section is known.
 OUTLINE_STEP_MM = 0.5
-"""Chords of the contours of which perimeters and areas are taken, where no section is known."""
-
+# A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative.
 LONGEST_S = 86400.0
-"""A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative."""
 
 
 def motion_seconds(nc: NCProgram, config: Config) -> Floats:
@@ -62,8 +57,8 @@ class TextBeads:
     energy_j: Floats
     peak_w: Floats
     stray: tuple[tuple[int, str], ...]
+    # Way of the beam that preheats before a layer, by its index.
     scans: Mapping[int, BeamWay] = field(default_factory=dict)
-    """Way of the beam that preheats before a layer, by its index."""
 
     def __len__(self) -> int:
         """Return the number of beads."""

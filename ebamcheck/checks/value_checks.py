@@ -17,11 +17,9 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
-MELTING = "melting power"
-"""Name of the check."""
-
+MELTING = "melting power"  # Name of the check
+# Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program.
 WIDER = 1.0005
-"""Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program."""
 
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:

@@ -28,7 +28,6 @@ from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.layer_text import Post
 
 NAME = "fanuc"
-
 TEMPLATES = {
     "beam_on": ("M60 ; beam on",),
     "beam_off": ("M61 ; beam off",),
@@ -43,12 +42,10 @@ TEMPLATES = {
     "wire_retract": ("G104 A{wire_retract_mm:.4f} ; wire drawn back, mm",),
     "layer_pause": ("G4 X{layer_pause_s:.3f} ; wait, s",),
 }
-
 CODES = {
     "M60": "beam_on", "M61": "beam_off", "M62": "wire_start", "M63": "wire_stop",
     "G101 A": "voltage_kv", "G102 A": "current_ma", "G103 A": "wire_mm_s", "G104 A": "wire_retract_mm",
 }  # fmt: skip
-
 GROUPS = (
     *(group for group in gcode.GROUPS if group.name not in ("path control", "work offset", "axis offset")),
     Group("work offset", ("G53", "G54", "G55", "G56", "G57", "G58", "G59", "G54.1", "G10")),
@@ -58,18 +55,17 @@ GROUPS = (
     Group("exact stop", ("G9", "G61", "G62", "G63", "G64"), path=True),
     Group("look-ahead", ("G5.1", "G8"), path=True),
 )
-
 SCALES_OFF = "G50 G69"
 LOOK_AHEAD_OFF = "G5.1 Q0"
+# Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system).
 SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
-"""Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system)."""
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
 _FEED = re.compile(r" F(\d+)(?![\d.])")
 _SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
 _LOOK_AHEAD_OFF = re.compile(r"G0?5\.1\s*Q0(?:\.0*)?")
 _POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
+# An address that may have a decimal point, with a number that has none.
 _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
-"""An address that may have a decimal point, with a number that has none."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:

@@ -29,25 +29,14 @@ from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
-SCRIPT = "run.sh"
-"""What runs a case."""
-
-STATUS = "@status@"
-"""Stands in the texts of a case where its status will be."""
-
+SCRIPT = "run.sh"  # What runs a case
+STATUS = "@status@"  # Stands in the texts of a case where its status will be
 LINE_MODE, SPOT_MODE = 0, 1
-
-LEAST_SPOT_S = 1e-6
-"""Shortest time of a spot: simulators divide by the time of a row."""
-
-DECIMALS = 6
-"""Of a millimetre."""
-
-METRES = 1e-3
-"""Metres in a millimetre; and m/s in a mm/s."""
-
+LEAST_SPOT_S = 1e-6  # Shortest time of a spot: simulators divide by the time of a row
+DECIMALS = 6  # Of a millimetre
+METRES = 1e-3  # Metres in a millimetre; and m/s in a mm/s
+# The simulator as a control, whose cases no reader proves.
 THESIS = Control("3dthesis", f"{__name__}:write_3dthesis")
-"""The simulator as a control, whose cases no reader proves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,35 +209,20 @@ def _travel_s(
 
 # -- the files around the path ---------------------------------------------------------------------------
 
-NAME = "ebamcheck"
-"""Name of the simulation, with which its result files begin."""
-
+NAME = "ebamcheck"  # Name of the simulation, with which its result files begin
+# The file that names all others, and the one with the threads.
 INPUT, SETTINGS = "ParamInput.txt", "Settings.txt"
-"""The file that names all others, and the one with the threads."""
-
-MODE, DOMAIN, POINTS = "Mode.txt", "Domain.txt", "Points.txt"
-"""When, and where, temperatures are wanted."""
-
+MODE, DOMAIN, POINTS = "Mode.txt", "Domain.txt", "Points.txt"  # When, and where, temperatures are wanted
 ENDS = ("min", "max")
-
+# Shares of the time of the path, %, at which a case without places gives a picture of the surface.
 PICTURES = (25, 50, 75, 100)
-"""Shares of the time of the path, %, at which a case without places gives a picture of the surface."""
-
-GRID_CELLS = 2.0
-"""Points of that picture across a bead."""
-
-THREADS = 4
-"""Threads: its own default is half of those of the machine, which is none on a machine of one."""
-
+GRID_CELLS = 2.0  # Points of that picture across a bead
+THREADS = 4  # Threads: its own default is half of those of the machine, which is none on a machine of one
+# Mirrors of mirrors that count: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes.
 REFLECTIONS = 4
-"""Mirrors of mirrors that count: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes."""
-
+# Intensity of the beam over that of its middle where its heat counts as ended: at sqrt(6) standard deviations.
 EDGE = math.exp(-3.0)
-"""Intensity of the beam over that of its middle where its heat counts as ended: at sqrt(6) standard deviations."""
-
-MARGIN = 4.0
-"""Metal beside the path, in bead widths."""
-
+MARGIN = 4.0  # Metal beside the path, in bead widths
 Group = Mapping[str, object]
 
 

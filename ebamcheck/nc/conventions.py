@@ -7,8 +7,7 @@ from ebamcheck.nc.control import Control
 from ebamcheck.settings.config import Config
 from ebamcheck.version import __version__
 
-LONGEST_COMMENT = 199
-"""Characters of a comment line; a SINUMERIK takes blocks of under 200."""
+LONGEST_COMMENT = 199  # Characters of a comment line; a SINUMERIK takes blocks of under 200
 
 
 def comment(text: str) -> str:
@@ -39,8 +38,7 @@ def header_lines(config: Config, control: Control, layers: int) -> dict[str, str
     }
 
 
-DECIMALS = 6
-"""Decimals of a process value, trailing zeros left out."""
+DECIMALS = 6  # Decimals of a process value, trailing zeros left out
 
 
 def plain(value: float) -> str:

@@ -13,20 +13,13 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.numeric.rings import Floats, Ints
 
-STEP_MM = 0.5
-"""Distance of the places that are tried along the sides."""
-
+STEP_MM = 0.5  # Distance of the places that are tried along the sides
+# Stretches into which the shortest side is parted: of a side of a small circle only the middle has the depth.
 FEWEST = 4
-"""Stretches into which the shortest side is parted: of a side of a small circle only the middle has the depth."""
-
+# Angle between the places that are tried around an inward corner: chords of beads keep the depth within OFF_MM.
 TURN_RAD = np.pi / 96.0
-"""Angle between the places that are tried around an inward corner: chords of beads keep the depth within :data:`OFF_MM`."""
-
-OFF_MM = 1e-3
-"""By how much less deep a place may be."""
-
-HALVINGS = 8
-"""Halvings of the stretch in which a line ends."""
+OFF_MM = 1e-3  # By how much less deep a place may be
+HALVINGS = 8  # Halvings of the stretch in which a line ends
 
 
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:

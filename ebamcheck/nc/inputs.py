@@ -12,15 +12,12 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
+# Kinds of pieces: a polyline through its control points, a clamped cubic B-spline, a circular arc of under half a circle from its first
+# to its third control point through its second, which lies half-way.
 LINE, SPLINE, ARC = range(3)
-"""Kinds of pieces: a polyline through its control points, a clamped cubic B-spline, a circular arc of under half
-a circle from its first to its third control point through its second, which lies half-way."""
-
-DEGREE = 3
-"""Degree of every spline piece."""
-
+DEGREE = 3  # Degree of every spline piece
+# A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter.
 SHORTEST_BLOCK_MM = 0.05
-"""A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter."""
 
 
 class CurveColumns(Protocol):

@@ -21,13 +21,10 @@ from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
+# Kinds of motions; a BSPLINE gives one row for each knot span.
 KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
-"""Kinds of motions; a BSPLINE gives one row for each knot span."""
-
 Place = tuple[float, float, float]
-
-DRAWN_STEP_MM = 0.25
-"""Curved motions are drawn as straight parts of at most this length."""
+DRAWN_STEP_MM = 0.25  # Curved motions are drawn as straight parts of at most this length
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +71,7 @@ class SourceFile:
     name: str
     data: bytes
     line_count: int
-    end_line: int
-    """Line of M30, M17 or RET; 0 where there is none."""
+    end_line: int  # Line of M30, M17 or RET; 0 where there is none
     end_code: str
 
     def __repr__(self) -> str:
@@ -89,12 +85,9 @@ class Motion:
     """One motion that a block of the program commands."""
 
     index: int
-    where: str
-    """``FILE:line`` of its block."""
-    kind: str
-    """``rapid``, ``line``, ``poly``, ``bspline span`` or ``arc``."""
-    layer: int
-    """-1 outside of the layers."""
+    where: str  # `FILE:line` of its block
+    kind: str  # `rapid`, `line`, `poly`, `bspline span` or `arc`
+    layer: int  # -1 outside of the layers
     start_mm: Place
     end_mm: Place
     length_mm: float
@@ -182,18 +175,16 @@ class NCProgram(Columns[Motion]):
     goes_on: Bools
     events: Events
     numbers: Ints
-    layer_files: tuple[str, ...]
-    """(L,) file of each layer."""
+    layer_files: tuple[str, ...]  # (L,) file of each layer
+    # Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes. None:
+    # there are none.
     preheating: NCProgram | None = None
-    """Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes.
-    None: there are none."""
+    # All motions as the axes drive them in the work offset, those of the machine itself among them, of a program that turns a tilt table
+    # or sets a frame; its `table` tells of both. None: the program does neither.
     machine: NCProgram | None = None
-    """All motions as the axes drive them in the work offset, those of the machine itself among them, of a program that turns a tilt
-    table or sets a frame; its `table` tells of both. None: the program does neither."""
-    table: TableColumns | None = None
-    """What table and frame do during each motion; None: nothing."""
+    table: TableColumns | None = None  # What table and frame do during each motion; None: nothing
+    # Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`.
     dialect: str = "sinumerik-840d-sl"
-    """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
 
     _item_in = ("motion", "program")
 

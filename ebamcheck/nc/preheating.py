@@ -11,14 +11,12 @@ from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Bools, Ints
 
-OFF = ("beam_off", "wire_stop")
-"""Commands that come before a scan."""
-
+OFF = ("beam_off", "wire_stop")  # Commands that come before a scan
+# Columns with a row for each motion.
 OF_MOTIONS = (
     "file", "line", "layer", "kind", "start", "end", "coefficients", "arc", "feed_mm_min", "beam", "wire", "power_w",
     "wire_mm_s", "ring", "island", "turn", "goes_on",
 )  # fmt: skip
-"""Columns with a row for each motion."""
 
 
 def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:

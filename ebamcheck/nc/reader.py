@@ -17,38 +17,21 @@ from ebamcheck.nc.control import Control, control, controls
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.recorder import NO_CENTRE, Recorder, StateChange, Templates
 from ebamcheck.nc.templates import checked_templates
-from ebamcheck.nc.words import (
-    NUMBER,
-    SKIP,
-    SKIPPED,
-    Block,
-    Dialect,
-    UnknownWord,
-    WordError,
-    read_block,
-)
+from ebamcheck.nc.words import NUMBER, SKIP, SKIPPED, Block, Dialect, UnknownWord, WordError, read_block
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.config import Config
 
 AXES = ("X", "Y", "Z")
-
+# Words of motion that every control has.
 COMMON_MOTIONS: Mapping[str, int] = {"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC}
-"""Words of motion that every control has."""
-
 ARCS = ("G2", "G3")
-
+# Radii at start and end of an arc may differ by this; larger differences stop the control with an alarm.
 RADIUS_TOLERANCE_MM = 0.01
-"""Radii at start and end of an arc may differ by this; larger differences stop the control with an alarm."""
-
-CHORD_ROUNDING = 1e-9
-"""Share by which a chord may exceed the diameter, for the rounding of a half circle."""
-
+CHORD_ROUNDING = 1e-9  # Share by which a chord may exceed the diameter, for the rounding of a half circle
 _N = rf"({NUMBER})"
+# The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word.
 _PLAIN = rf"(G[0-3])(?: X{_N})?(?: Y{_N})?(?: Z{_N})?(?: I{_N} J{_N})?(?: F{_N})?(?: ; (?:TURN|GOES ON))?(?P<plain>)"
-"""The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word."""
-
-TABLE_TITLES = (b"Mode\t", b"Mode X(m)", b"Number of path segments")
-"""First lines of path tables."""
+TABLE_TITLES = (b"Mode\t", b"Mode X(m)", b"Number of path segments")  # First lines of path tables
 
 
 def read_program(

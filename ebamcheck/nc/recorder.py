@@ -23,16 +23,14 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.regular_file import regular_file
 
 NAN = float("nan")
+# Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none.
 LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
-"""Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none."""
 NO_CENTRE = (NAN, NAN, NAN)
-MOST_DIGITS = 8
-"""Digits of a block number: a SINUMERIK takes eight, and no control here takes more."""
+MOST_DIGITS = 8  # Digits of a block number: a SINUMERIK takes eight, and no control here takes more
+# No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis.
 LARGEST = 1e8
-"""No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis."""
+# A feed that is less and not 0 is under the steps of any control, and a motion by it has no end.
 LEAST_FEED = 1e-6
-"""A feed that is less and not 0 is under the steps of any control, and a motion by it has no end."""
-
 _KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
 
 
@@ -297,12 +295,9 @@ def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floa
 
 # -- templates in the text ---------------------------------------------------------------------------
 
-RUNNING = ("set_power", "set_wire")
-"""Templates that set values along a bead."""
-
+RUNNING = ("set_power", "set_wire")  # Templates that set values along a bead
+# Templates that may set a value to 0 at the end of a bead, before they switch off.
 ENDING = ("beam_off", "wire_stop")
-"""Templates that may set a value to 0 at the end of a bead, before they switch off."""
-
 _ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
 
 
@@ -310,14 +305,12 @@ _ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
 class StateChange:
     """What a block of a template does."""
 
-    block: str
-    """The block as it stands in the profile."""
+    block: str  # The block as it stands in the profile
+    # Switches (NaN) and values that it sets, in the order of its codes.
     actions: tuple[tuple[str, float], ...]
-    """Switches (NaN) and values that it sets, in the order of its codes."""
-    before: tuple[str, ...] = ()
-    """Blocks of the same template that come before one that switches."""
+    before: tuple[str, ...] = ()  # Blocks of the same template that come before one that switches
+    # Whether the profile has the block in a template for values that change while beam and wire run, or as they end.
     running: bool = True
-    """Whether the profile has the block in a template for values that change while beam and wire run, or as they end."""
 
 
 class Templates:

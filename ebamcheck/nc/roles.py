@@ -20,20 +20,13 @@ from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
+# A bead that comes this near to its start has come back: the decimals of a program, at their coarsest.
 CLOSED_MM = 1e-3
-"""A bead that comes this near to its start has come back: the decimals of a program, at their coarsest."""
-
-PARALLEL = 1e-3
-"""Sine of the angle between lines of one direction."""
-
+PARALLEL = 1e-3  # Sine of the angle between lines of one direction
+# Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else.
 JOINT_MM = 2e-5
-"""Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else."""
-
-STEP_MM = 0.5
-"""Distance of the places at which a bead's distance from the depth of contours is looked at."""
-
-MOST = 0.5
-"""Share of a bead's length at the depth of contours from which on it is a contour."""
+STEP_MM = 0.5  # Distance of the places at which a bead's distance from the depth of contours is looked at
+MOST = 0.5  # Share of a bead's length at the depth of contours from which on it is a contour
 
 
 def by_shape(nc: NCProgram) -> NCProgram:

@@ -13,8 +13,8 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
+# Heights of a keep-out zone for which nobody gave any: a place to stay out of, and no body that turns with the table.
 NO_HEIGHT = KeepOut.model_fields["z_mm"].default
-"""Heights of a keep-out zone for which nobody gave any: a place to stay out of, and no body that turns with the table."""
 
 
 def checked_preheating(config: Config, name: str) -> None:

@@ -24,15 +24,10 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.tilt import RotaryAxis
 
-NONE = np.eye(4)[:3]
-"""No frame: turn and shift (3, 4)."""
-
+NONE = np.eye(4)[:3]  # No frame: turn and shift (3, 4)
+# Motions that table and frame put within this of where they belong are taken as they are programmed: the decimals of a program.
 SAME_PLACE_MM = 1e-3
-"""Motions that table and frame put within this of where they belong are taken as they are programmed: the decimals of a program."""
-
-FLAT = 1e-12
-"""How far the third row of a turn about the vertical may be from that of none."""
-
+FLAT = 1e-12  # How far the third row of a turn about the vertical may be from that of none
 _FRAME = re.compile(r"(A?TRANS|A?ROT)\s+(\S.*)")
 _PART = re.compile(rf"\s*(?:([XYZ])\s*=?|(RPL)\s*=)\s*({NUMBER})")
 

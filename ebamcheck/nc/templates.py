@@ -36,8 +36,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process_window import wire_speed_mm_s
 
-LONGEST_BLOCK = 200
-"""Characters of a block that every software version of the control takes."""
+LONGEST_BLOCK = 200  # Characters of a block that every software version of the control takes
 
 
 class _Value(float):
@@ -63,8 +62,8 @@ class ProcessValues:
     layer: int
     height_mm: float
     defocus: float = 0.0
+    # Least step of each value that has one: it is printed as a multiple of it.
     increments: Mapping[str, float] = field(default_factory=dict)
-    """Least step of each value that has one: it is printed as a multiple of it."""
 
     def printed(self, name: str) -> float:
         """One of the values as it is printed."""
@@ -104,8 +103,8 @@ class _Placeholders(dict[str, object]):
         return found
 
 
+# Names that stand for values in a template.
 PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
-"""Names that stand for values in a template."""
 
 
 def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
@@ -157,9 +156,8 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
 
 # -- what templates may hold --------------------------------------------------------------------------
 
-FREE = ("layer", "height_mm", "feed_mm_min")
-"""Placeholders that an auxiliary code may carry."""
-
+FREE = ("layer", "height_mm", "feed_mm_min")  # Placeholders that an auxiliary code may carry
+# Values of which a template sets one, if it is not empty.
 NEEDED: Mapping[str, tuple[str, ...]] = {
     "set_power": ("current_ma", "power_w"),
     "set_wire": ("wire_mm_s",),
@@ -167,13 +165,10 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "wire_retract": ("wire_retract_mm",),
     "set_focus": (FOCUS,),
 }
-"""Values of which a template sets one, if it is not empty."""
-
+# Templates that run while the beam is on.
 UNDER_BEAM = ("set_power", "set_wire", "wire_start", "wire_stop", "wire_retract")
-"""Templates that run while the beam is on."""
-
+# Blocks of each template as text, and what the codes of each do.
 Programmed = Mapping[str, tuple[tuple[str, tuple[Action, ...]], ...]]
-"""Blocks of each template as text, and what the codes of each do."""
 
 
 def checked_templates(machine: MachineSettings, dialect: str) -> Programmed:

@@ -14,11 +14,9 @@ from ebamcheck.nc.words import SKIPPED
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 
-PAUSE = "layer_pause_s"
-"""Event of a wait of the build, named by its placeholder; that of a template is :data:`DWELL`."""
-
+PAUSE = "layer_pause_s"  # Event of a wait of the build, named by its placeholder; that of a template is DWELL
+# Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position.
 AXIS_EVENT = "table axis "
-"""Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position."""
 
 
 class Kind(IntEnum):
@@ -42,6 +40,7 @@ class Kind(IntEnum):
     TABLE_AXIS = 15
 
 
+# Kinds of events that have a name of their own.
 BY_NAME = {
     "beam_on": Kind.BEAM_ON,
     "beam_off": Kind.BEAM_OFF,
@@ -54,8 +53,7 @@ BY_NAME = {
     **dict.fromkeys(("M30", "M2", "M17", "RET"), Kind.END),
     **dict.fromkeys(("CTOL", "ADIS"), Kind.TOLERANCE),
 }
-"""Kinds of events that have a name of their own."""
-
+# Kinds of events whose name says more behind its begin: a subprogram, a block, axes.
 BY_BEGIN = {
     "call ": Kind.CALL,
     "lacks ": Kind.LACKS,
@@ -63,7 +61,6 @@ BY_BEGIN = {
     "frame lacks ": Kind.FRAME_LACKS,
     AXIS_EVENT: Kind.TABLE_AXIS,
 }
-"""Kinds of events whose name says more behind its begin: a subprogram, a block, axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +69,10 @@ class Events:
 
     file: Ints
     line: Ints
-    row: Ints
-    """Motions before the event."""
+    row: Ints  # Motions before the event
+    # Template that ends here (`beam_on`), placeholder that is set (`current_ma`), modal word, `call NAME`, or `BSPLINE` for each spline.
     name: tuple[str, ...]
-    """Template that ends here (``beam_on``), placeholder that is set (``current_ma``), modal word, ``call NAME``,
-    or ``BSPLINE`` for each spline."""
-    value: Floats
-    """Number that is set, blocks of the spline; NaN where there is none."""
+    value: Floats  # Number that is set, blocks of the spline; NaN where there is none
 
     def __repr__(self) -> str:
         return short_text.line("Events", short_text.counted(len(self.name), "event"))

@@ -28,7 +28,7 @@ __all__ = [
     "verify_program",
     "write_program",
 ]
-
+# Names and where they live; they load when first used: who asks what a control is waits for no planning and no check.
 _HOMES = {
     "Check": "checks.checks",
     "NCProgram": "nc.motions",
@@ -40,6 +40,4 @@ _HOMES = {
     "verify_program": "program.verification",
     "write_program": "writing.posts",
 }
-"""Names and where they live; they load when first used: who asks what a control is waits for no planning and no check."""
-
 __getattr__ = on_demand("ebamcheck", _HOMES)

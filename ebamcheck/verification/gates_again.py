@@ -62,46 +62,35 @@ from ebamcheck.verification.tables_again import order_of, tables_check
 from ebamcheck.version import __version__
 from ebamcheck.writing.bead_ends import planned_path
 
+# Figures that differ by less, relative to the greater or to 1, are the same: sums in another order.
 SAME_FIGURE = 1e-6
-"""Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
-
+# Points cut by one slicer twice, on another processor: far under what two slicers may differ by.
 SAME_POINT_MM = 1e-6
-"""Points cut by one slicer twice, on another processor: far under what two slicers may differ by."""
-
-COVERAGE = "coverage"
-"""The gate that the text can shut where the plan alone leaves it open."""
-
-PROGRAM = "program"
-"""The gate whose figure counts checks, of which more are made here than in a run."""
-
+COVERAGE = "coverage"  # The gate that the text can shut where the plan alone leaves it open
+PROGRAM = "program"  # The gate whose figure counts checks, of which more are made here than in a run
+# Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version.
 OF_TEXT_ALONE = {
     *("readable", "entry", HANDSHAKE),
     *(name for rule in RULES if {"beads", "part"} & {*rule.needs} for name in rule.checks),
     # Not by runs of an earlier version.
     *(AGAIN, COLD),
 }
-"""Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version."""
 
 
 @dataclass(frozen=True)
 class Again:
     """What a run came to when it was worked out again."""
 
-    witness: str
-    """Slicer that cut the part anew."""
+    witness: str  # Slicer that cut the part anew
     gates: tuple[Check, ...]
-    agrees: bool
-    """The slicers agree, the one that cut anew among them."""
-    findings: tuple[Check, ...]
-    """Findings of part and settings, which follow from these alone."""
-    checks: tuple[Check, ...] = ()
-    """Checks of the program; none for a run without one."""
+    agrees: bool  # The slicers agree, the one that cut anew among them
+    findings: tuple[Check, ...]  # Findings of part and settings, which follow from these alone
+    checks: tuple[Check, ...] = ()  # Checks of the program; none for a run without one
+    # Recorded layers that are not those of the slicer whose name their file has.
     exchanged: tuple[str, ...] = ()
-    """Recorded layers that are not those of the slicer whose name their file has."""
-    tables: Check | None = None
-    """Whether the tables of the run are those that follow; None where no run says."""
+    tables: Check | None = None  # Whether the tables of the run are those that follow; None where no run says
+    # What the record says beside gates and checks in figures, by the place where it says so.
     figures: Mapping[str, Any] = field(default_factory=dict)
-    """What the record says beside gates and checks in figures, by the place where it says so."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -356,10 +345,8 @@ class TextAgain(NamedTuple):
 
     checks: list[Check]
     plan: ScanPlan
-    tables: dict[str, Table]
-    """Tables of plan and text; of the plan alone where the text cannot be read."""
-    narrow: tuple[NarrowFeature, ...] = ()
-    """Features of the part that are narrower than beads can build."""
+    tables: dict[str, Table]  # Tables of plan and text; of the plan alone where the text cannot be read
+    narrow: tuple[NarrowFeature, ...] = ()  # Features of the part that are narrower than beads can build
 
 
 def text_again(

@@ -26,26 +26,15 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.version import __version__
 
 NAME = "tables"
-
+# Figures that differ by less, relative to the greater, are the same: sums in another order.
 SAME_FIGURE = 1e-6
-"""Figures that differ by less, relative to the greater, are the same: sums in another order."""
-
-NOTHING = 1e-9
-"""Figures that differ by less are the same, whatever they are."""
-
-
-SAME_LENGTH_MM = 1e-6
-"""Heights of metal and points of curves that differ by less are the same."""
-
-SHOWN = 40
-"""Characters that are told of two lines that differ, from a little before the place on."""
+NOTHING = 1e-9  # Figures that differ by less are the same, whatever they are
+SAME_LENGTH_MM = 1e-6  # Heights of metal and points of curves that differ by less are the same
+SHOWN = 40  # Characters that are told of two lines that differ, from a little before the place on
 
 
 def tables_check(
-    run: RunFolder,
-    manifest: Mapping[str, Any],
-    tables: Mapping[str, Table],
-    why_not: Mapping[str, str],
+    run: RunFolder, manifest: Mapping[str, Any], tables: Mapping[str, Table], why_not: Mapping[str, str]
 ) -> Check:
     """Compare tables and reports of a run with those that follow, and name the files of which only hashes are known.
 
@@ -77,17 +66,12 @@ def tables_check(
     )
 
 
+# Columns of where the worst place is: of several that are alike, another processor may find another one.
 PLACE = re.compile(r"(^|_)[xy]_mm$")
-"""Columns of where the worst place is: of several that are alike, another processor may find another one."""
-
-AREA = "area_mm2_"
-"""Beginning of the name of a slicer's column of areas."""
-
+AREA = "area_mm2_"  # Beginning of the name of a slicer's column of areas
+# Endings of what holds figures for people and other programs.
 RENDERED = (".csv", ".html", ".parquet", ".xml")
-"""Endings of what holds figures for people and other programs."""
-
-CHECKED = ("scan.parquet", "beads.parquet")
-"""Tables against which, as they are, the text itself is checked."""
+CHECKED = ("scan.parquet", "beads.parquet")  # Tables against which, as they are, the text itself is checked
 
 
 def order_of(run: RunFolder) -> list[str]:

@@ -145,11 +145,7 @@ def _told_of_defaults(checks: list[Check]) -> list[Check]:
 
 
 def verify_run(
-    folder: Path,
-    part: Path | None = None,
-    *,
-    quick: bool = False,
-    trusted: dict[bytes, str] | None = None,
+    folder: Path, part: Path | None = None, *, quick: bool = False, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
     """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again.
 
@@ -165,11 +161,7 @@ def verify_run(
 
 
 def _verify(
-    run: RunFolder,
-    manifest: dict[str, Any],
-    part: Path | None,
-    quick: bool,
-    trusted: dict[bytes, str] | None,
+    run: RunFolder, manifest: dict[str, Any], part: Path | None, quick: bool, trusted: dict[bytes, str] | None
 ) -> list[Check]:
     recorded = sha256_of_json(manifest["settings"])
     checks = [hash_check("settings unchanged", recorded, manifest["settings_sha256"], MANIFEST)]

@@ -13,14 +13,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings
-from ebamcheck.writing.bead_parts import (
-    ROUNDING_MM,
-    Stretches,
-    Tracks,
-    cut,
-    parts_of,
-    snapped,
-)
+from ebamcheck.writing.bead_parts import ROUNDING_MM, Stretches, Tracks, cut, parts_of, snapped
 from ebamcheck.writing.seams import NO_SEAMS, seam_shifts
 from ebamcheck.writing.segments import Form
 from ebamcheck.writing.tracks import Toolpath, toolpath

@@ -15,22 +15,17 @@ from ebamcheck.writing.cuts import segment_parts
 from ebamcheck.writing.segments import CIRCULAR, CUBIC
 from ebamcheck.writing.tracks import Toolpath, cleaned, rounded
 
-ROUNDING_MM = 1e-7
-"""Rounding of a length along a whole stack."""
+ROUNDING_MM = 1e-7  # Rounding of a length along a whole stack
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Lengths along a stack, mm: each track lies behind the one before."""
 
-    closed: Bools
-    """(T,) contours that end where they start."""
-    low: Floats
-    """(T,) where each track begins."""
-    length: Floats
-    """(T,)"""
-    ends: Floats
-    """(N,) where each segment ends."""
+    closed: Bools  # (T,) contours that end where they start
+    low: Floats  # (T,) where each track begins
+    length: Floats  # (T,)
+    ends: Floats  # (N,) where each segment ends
 
     @classmethod
     def of(cls, path: Toolpath) -> Tracks:
@@ -62,15 +57,11 @@ class Stretches:
     """Stretches of tracks (n,), in the order in which they are driven."""
 
     track: Ints
-    low: Floats
-    """mm along the stack"""
+    low: Floats  # mm along the stack
     high: Floats
-    lap: Ints
-    """How often the track's end was passed before."""
-    power: Floats | None = None
-    """Share of the full power; None: that of the path."""
-    width: Floats | None = None
-    """Metal that is laid, mm; None: that of the path."""
+    lap: Ints  # How often the track's end was passed before
+    power: Floats | None = None  # Share of the full power; None: that of the path
+    width: Floats | None = None  # Metal that is laid, mm; None: that of the path
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +70,7 @@ class Parts:
 
     track: Ints
     segment: Ints
-    low: Floats
-    """mm along the segment"""
+    low: Floats  # mm along the segment
     high: Floats
     lap: Ints
     power: Floats

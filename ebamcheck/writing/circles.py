@@ -13,14 +13,10 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 class Circles:
     """Circles of arcs, as columns."""
 
-    centre: Floats
-    """(n, 2) mm; of no use where the arc is straight."""
-    counter_clockwise: Bools
-    """(n,) sense of travel."""
-    sagitta_mm: Floats
-    """(n,) height of the arc over its chord."""
-    sweep_rad: Floats
-    """(n,) angle travelled, positive."""
+    centre: Floats  # (n, 2) mm; of no use where the arc is straight
+    counter_clockwise: Bools  # (n,) sense of travel
+    sagitta_mm: Floats  # (n,) height of the arc over its chord
+    sweep_rad: Floats  # (n,) angle travelled, positive
 
 
 def circles(start: Floats, middle: Floats, end: Floats) -> Circles:

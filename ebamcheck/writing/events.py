@@ -16,18 +16,15 @@ from ebamcheck.nc.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import (
-    wire_area_mm2,
-    wire_speed_mm_s,
-)
+from ebamcheck.settings.process_window import wire_area_mm2, wire_speed_mm_s
 from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
+# Roles of events: beads of contours, islands, thin walls and gaps, turns between their lines; moves and waits.
 CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
     "contour", "hatch", "wall", "gap", "turn", "move", "wait",
 )  # fmt: skip
-"""Roles of events: beads of contours, islands, thin walls and gaps, turns between their lines; moves and waits."""
-
+# Columns of process_events and what they are.
 COLUMNS = {
     "layer": "index of the layer",
     "role": "contour, hatch, wall, gap or turn: metal; move: beam off; wait: at rest",
@@ -42,7 +39,6 @@ COLUMNS = {
     "wire_mm_s": "wire speed, 0 where it is off",
     "starts": "1 where beam and wire are switched on",
 }
-"""Columns of :func:`process_events` and what they are."""
 
 
 def process_events(path: Toolpath, plan: ScanColumns, config: Config) -> pd.DataFrame:
@@ -93,8 +89,7 @@ def _beads(path: Toolpath, plan: ScanColumns, config: Config, heat: Interpass) -
     )
 
 
-STEPS_BEFORE = 8
-"""Moves and waits that can come before a track."""
+STEPS_BEFORE = 8  # Moves and waits that can come before a track
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +99,8 @@ class _Before:
     track: Ints
     layer: Ints
     begins_layer: np.typing.NDArray[np.bool_]
-    wait_s: Floats
-    """Wait over the layer, before the track and within the layer."""
-    far: np.typing.NDArray[np.bool_]
-    """Whether the tool rises before it."""
+    wait_s: Floats  # Wait over the layer, before the track and within the layer
+    far: np.typing.NDArray[np.bool_]  # Whether the tool rises before it
     across_mm: Floats
 
 
@@ -242,5 +235,5 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
     )
 
 
+# A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises.
 NEAR_SPACINGS = 2.0
-"""A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""

@@ -6,18 +6,12 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
-STEP_MM = 1.0
-"""Places along a contour at which it may start."""
-
+STEP_MM = 1.0  # Places along a contour at which it may start
+# Places, each one shift further along, of which the first that lies apart is taken, or the farthest.
 TRIES = 8
-"""Places, each one shift further along, of which the first that lies apart is taken, or the farthest."""
-
+# Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance.
 APART = 0.5
-"""Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance."""
-
-
-NO_SEAMS: Floats = np.zeros((0, 2))
-"""Seams under the lowest layer of a part."""
+NO_SEAMS: Floats = np.zeros((0, 2))  # Seams under the lowest layer of a part
 
 
 def seam_shifts(

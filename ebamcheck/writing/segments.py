@@ -15,34 +15,26 @@ from ebamcheck.nc.inputs import ARC, DEGREE, LINE, SPLINE, CurveColumns
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.writing.circles import arc_chords
 
-STRAIGHT, CUBIC, CIRCULAR = range(3)
-"""Kinds of segments."""
-
+STRAIGHT, CUBIC, CIRCULAR = range(3)  # Kinds of segments
+# What splines become: cubics, exactly, or arcs or chords within a tolerance. Arcs stay arcs, but for "all chords".
 Form = Literal["cubics", "arcs", "chords", "all chords"]
-"""What splines become: cubics, exactly, or arcs or chords within a tolerance. Arcs stay arcs, but for "all chords"."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
     """Segments of all pieces, in the order of travel."""
 
-    starts: Ints
-    """(P + 1,) first segment of each piece."""
-    kind: NDArray[np.uint8]
-    """(N,) :data:`STRAIGHT`, :data:`CUBIC` or :data:`CIRCULAR`."""
-    end: Floats
-    """(N, 2) mm."""
-    bezier: Floats
-    """(C, 4, 2) Bezier points of the cubic segments alone, in their order."""
-    middle: Floats
-    """(A, 2) points half-way along the circular segments alone, in their order."""
+    starts: Ints  # (P + 1,) first segment of each piece
+    kind: NDArray[np.uint8]  # (N,) STRAIGHT, CUBIC or CIRCULAR
+    end: Floats  # (N, 2) mm
+    bezier: Floats  # (C, 4, 2) Bezier points of the cubic segments alone, in their order
+    middle: Floats  # (A, 2) points half-way along the circular segments alone, in their order
 
 
 class _Made(NamedTuple):
     """Segments of the pieces of one kind."""
 
-    sizes: Ints
-    """(p,) segments of each."""
+    sizes: Ints  # (p,) segments of each
     end: Floats
     kind: int = STRAIGHT
     middle: Floats | None = None
@@ -107,10 +99,8 @@ def _arcs(control: Floats, first: Ints, form: Form, tolerance_mm: float) -> _Mad
 class Spans:
     """Knot spans of all spline pieces, in order, each over 0 <= t <= 1."""
 
-    starts: Ints
-    """(P + 1,) first span of each piece; lines have none."""
-    bezier: Floats
-    """(S, 4, 2) Bezier points, mm."""
+    starts: Ints  # (P + 1,) first span of each piece; lines have none
+    bezier: Floats  # (S, 4, 2) Bezier points, mm
 
     @property
     def end(self) -> Floats:
@@ -191,17 +181,13 @@ def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
 # equal length (Bolton, Biarc curves, CAD 7, 1975); a stretch that leaves the tolerance is halved.
 
 
-SAMPLES = 12
-"""Places inside a stretch where the distance from its arcs is measured."""
-
+SAMPLES = 12  # Places inside a stretch where the distance from its arcs is measured
+# Share of the tolerance allowed at the samples: what lies between them may be a little farther.
 SAMPLED_SHARE = 0.9
-"""Share of the tolerance allowed at the samples: what lies between them may be a little farther."""
-
+# A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line.
 MOST_HALVINGS = 14
-"""A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line."""
-
+# A derivative shorter than this share of the chord gives no direction; the chord's is taken.
 NO_TANGENT = 1e-9
-"""A derivative shorter than this share of the chord gives no direction; the chord's is taken."""
 
 
 class Pairs(NamedTuple):
@@ -216,12 +202,9 @@ class Pairs(NamedTuple):
 class ArcPieces(NamedTuple):
     """Arcs and lines in place of splines."""
 
-    starts: Ints
-    """(P + 1,) first arc of each piece."""
-    middle: Floats
-    """(N, 2) points half-way along each arc; on the chord of a straight line."""
-    end: Floats
-    """(N, 2)"""
+    starts: Ints  # (P + 1,) first arc of each piece
+    middle: Floats  # (N, 2) points half-way along each arc; on the chord of a straight line
+    end: Floats  # (N, 2)
 
 
 def spline_arcs(found: Spans, tolerance_mm: float) -> ArcPieces:

@@ -23,9 +23,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.tilt import RotaryAxis
 from ebamcheck.writing.blocks import BlockFormat
 
-PARALLEL = 1e-12
-"""Sine of the angle between directions that are one."""
-
+PARALLEL = 1e-12  # Sine of the angle between directions that are one
 UP = np.array([0.0, 0.0, 1.0])
 
 

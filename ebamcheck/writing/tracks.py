@@ -28,9 +28,9 @@ from ebamcheck.writing.circles import Circles, circles
 from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Form, contour_segments
 
+# An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and its centre would lie too
+# far away for the numbers of a control.
 STRAIGHT_SAGITTA_MM = 1e-5
-"""An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and
-its centre would lie too far away for the numbers of a control."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,47 +26,29 @@ from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_parts import (
-    ROUNDING_MM,
-    Parts,
-    Stretches,
-    Tracks,
-    cut,
-    parts_of,
-    snapped,
-)
+from ebamcheck.writing.bead_parts import ROUNDING_MM, Parts, Stretches, Tracks, cut, parts_of, snapped
 from ebamcheck.writing.cuts import segment_places
 from ebamcheck.writing.tracks import Toolpath
 
+# Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines.
 STRETCH_BEADS = 1.0
-"""Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines."""
-
+# Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch lines beside it
+# make as much of a difference, every change is a block, and a wall half as thick makes more.
 ALIKE = 1.15
-"""Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch
-lines beside it make as much of a difference, every change is a block, and a wall half as thick makes more."""
-
+# The same of all beads on a surface that was measured: what is known is followed more closely.
 ALIKE_MAPPED = 1.05
-"""The same of all beads on a surface that was measured: what is known is followed more closely."""
-
-MOST_MENDED = 0.2
-"""Share of its height by which a layer is planned thicker or thinner for that at most."""
-
+MOST_MENDED = 0.2  # Share of its height by which a layer is planned thicker or thinner for that at most
+# Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank along a contour is
+# low whatever wire it gets.
 RIM_BEADS, RIM_WEIGHT = 0.25, 0.4
-"""Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank
-along a contour is low whatever wire it gets."""
-
+# Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and their metal
+# would raise the rest, layer by layer.
 MASS_ROOM = 0.9
-"""Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and
-their metal would raise the rest, layer by layer."""
-
+# Distance, over the bead width, of the places along beads at which their metal is laid.
 PLACE_SHARE = 1.0 / 6.0
-"""Distance, over the bead width, of the places along beads at which their metal is laid."""
-
+# The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare.
 POOL_SHARE = 1.0 / 12.0
-"""The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare."""
-
-WIDTH_DIGITS = 4
-"""Decimals of a width, mm: a hundred-thousandth of the metal."""
+WIDTH_DIGITS = 4  # Decimals of a width, mm: a hundred-thousandth of the metal
 
 
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:

@@ -12,13 +12,12 @@ from ebamcheck.nc.reader import COMMON_MOTIONS, Reader
 from ebamcheck.nc.words import NUMBER, Block, Dialect, WordError
 from ebamcheck.settings.config import Config
 
+# Comments that LinuxCNC runs, beside those that only show something (interp_convert.cc, `convert_comment`).
 _RUN = re.compile(
     r"\s*(?:PY(?:RUN)?|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PYRELOAD|\s*PROBEOPEN|\s*PROBECLOSE|\s*LOGCLOSE",
     re.IGNORECASE,
 )
-"""Comments that LinuxCNC runs, beside those that only show something (interp_convert.cc, ``convert_comment``)."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
-
 PLAIN_GCODE = Dialect(
     name=control.PLAIN_GCODE.name,
     motions=COMMON_MOTIONS,
@@ -32,7 +31,6 @@ PLAIN_GCODE = Dialect(
     word=re.compile(rf"\s*(?:(?P<letter>[A-Z])\s*(?P<number>{NUMBER})|(?P<bad>\S.*))"),
     code_number=lambda number: f"{float(number):g}",
 )  # fmt: skip
-
 _N = rf"({NUMBER})"
 LINUXCNC = replace(
     PLAIN_GCODE,
@@ -59,8 +57,7 @@ def read_plain_gcode(main: Path, config: Config, **unused: object) -> NCProgram:
 class GcodeReader(Reader):
     """State of a control of G-code while it runs a program from top to bottom."""
 
-    _tangent = (-1, 0.0, 0.0)
-    """Motions up to the last G5, and I and J of a G5 that goes on tangentially."""
+    _tangent = (-1, 0.0, 0.0)  # Motions up to the last G5, and I and J of a G5 that goes on tangentially
 
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code of a line, with blanks in place of its comments, and the comments; refused where the control runs one of them."""

@@ -20,21 +20,16 @@ from ebamcheck.nc.timeline import AXIS_EVENT
 from ebamcheck.nc.words import NUMBER, Block, Dialect, WordError
 from ebamcheck.settings.config import Config
 
-DEEPEST_CALL = 8
-"""Levels of subprograms; deeper ones are taken for a program that calls itself."""
-
+DEEPEST_CALL = 8  # Levels of subprograms; deeper ones are taken for a program that calls itself
 Shift = Literal[2, 3, "uniform"]
-
 _CODE = re.compile(r'[^;"]*(?:"[^"]*"[^;"]*)*')
+# A subprogram by its name, and how often it is run.
 _CALL = re.compile(r"([A-Z_][A-Z0-9_]+)(?:\s+P\s*=?\s*(\d+))?")
-"""A subprogram by its name, and how often it is run."""
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
-
 _N = rf"({NUMBER})"
 _LIST = rf"=\({_N},{_N},{_N}\)"
+# A control point of a spline, in the spelling of most posts.
 _POINT = re.compile(rf"(?:N(\d+) )?X{_N} Y{_N} PL={_N}")
-"""A control point of a spline, in the spelling of most posts."""
-
 DIALECT = Dialect(
     name=NAME,
     motions={"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC, "POLY": POLYNOMIAL, "BSPLINE": SPLINE_SPAN},

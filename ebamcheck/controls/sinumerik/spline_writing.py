@@ -14,15 +14,12 @@ from ebamcheck.nc.inputs import DEGREE
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.writing.blocks import BlockFormat
 
+# The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly.
 LEAST_SPLINE_BLOCKS = 6
-"""The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly."""
-
-EVEN_SHARE = 1e-9
-"""Knot intervals that differ by less, as a share of the longest, are even."""
-
+EVEN_SHARE = 1e-9  # Knot intervals that differ by less, as a share of the longest, are even
+# Curves move on by at most about so many mm for each mm of their knots, or the rounding of the knots would count; those of a fit run at
+# 1.
 FASTEST = 2.0
-"""Curves move on by at most about so many mm for each mm of their knots, or the rounding of the knots would count;
-those of a fit run at 1."""
 
 
 def spline_blocks(

@@ -16,33 +16,19 @@ from ebamcheck.controls.sinumerik.control import AS_WRITTEN, CONTROL
 from ebamcheck.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.conventions import plain
-from ebamcheck.nc.files import (
-    NOT_VALIDATED,
-    VALIDATED,
-    ProgramFiles,
-    legal_name,
-    preheat_name,
-    write_files,
-)
+from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, preheat_name, write_files
 from ebamcheck.nc.inputs import SPLINE, CurveColumns, ScanColumns
 from ebamcheck.nc.templates import process_values
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.blocks import BlockFormat, numbered, off_blocks
-from ebamcheck.writing.layer_text import (
-    Post,
-    layer_blocks,
-    motion_text,
-    preheat_blocks,
-    preheat_passes,
-)
+from ebamcheck.writing.layer_text import Post, layer_blocks, motion_text, preheat_blocks, preheat_passes
 from ebamcheck.writing.segments import CUBIC, Form
 from ebamcheck.writing.table import Tilt, tilt_of
 from ebamcheck.writing.tracks import Toolpath
 
+# What splines become for each `machine.curve_form`.
 FORMS: Mapping[str, Form] = {"poly": "cubics", "bspline": "cubics", "arcs": "arcs", "lines": "chords"}
-"""What splines become for each ``machine.curve_form``."""
-
 NOT_THERE = "machine.curve_form {form!r}: the control does not have that option; use 'arcs' or 'lines'"
 
 
