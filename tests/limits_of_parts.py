@@ -114,13 +114,13 @@ def judged(check: str, limits: str, plant) -> Case:
 
 
 CASES: tuple[Case, ...] = (
-    judged("layers of the part", "tolerances.PLACE_MM", cut_higher),
+    judged("layers of the part", "checks.PLACE_MM", cut_higher),
     judged("sections of the mesh", "curves.section_tolerance_mm", wider),
     judged("metal of the solid", "process.mass_tolerance", lower_solid),
     judged("between the cuts", "process.least_hole_mm", gap_between),
     judged("between the cuts", "process.least_wall_mm", rim_between),
     judged("between the cuts", "process.outside_reach_mm", rim_reaching),
-    judged("part of the file", "tolerances.SAME_SIZE", stretched),
+    judged("part of the file", "checks.SAME_SIZE", stretched),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(0.0, f * 1e-6)),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(1e6, f * 1.0)),
     judged("tables", "tables_again.SAME_FIGURE", lambda f: of_tables(1e6, f)),

@@ -74,7 +74,7 @@ NO_LIMITS = {
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         subject.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM
-        tolerances.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
+        checks.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
         table.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """

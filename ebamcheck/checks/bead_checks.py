@@ -12,17 +12,17 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, count_check, lines_of, row_faults
+from ebamcheck.checks.checks import SAME_LINE_MM, count_check, lines_of, row_faults
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.tolerances import SAME_LINE_MM
 from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
 from ebamcheck.geometry.regions import ground, inset, valid_polygons
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 
 CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
 # Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.

@@ -13,10 +13,9 @@ import pandas as pd
 import shapely
 from scipy.spatial import cKDTree
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.event_checks import retract_check
+from ebamcheck.checks.checks import PLACE_MM, VALUE_SHARE, count_check, worst_check
 from ebamcheck.checks.metal import STEP_SHARE, wanted_region
-from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
+from ebamcheck.checks.state_checks import retract_check
 from ebamcheck.checks.value_checks import own_shares
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.increments import power_slack_w
@@ -24,6 +23,7 @@ from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 # Length by which a ramp is shorter or longer, since it ends with a block that is near.

@@ -11,14 +11,14 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
-from ebamcheck.checks.tolerances import PLACE_MM
+from ebamcheck.checks.checks import PLACE_MM
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.text_heat import motion_seconds
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 SPOOL, CATHODE = "wire on the spool", "life of the cathode"  # Names of the checks

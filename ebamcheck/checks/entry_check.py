@@ -10,14 +10,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.checks import PLACE_MM, count_check
 from ebamcheck.checks.header_checks import Truth, status_check
 from ebamcheck.checks.state_checks import machine_state_checks
 from ebamcheck.checks.text_checks import text_checks
-from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.nc.codes import BEAM_VALUES
 from ebamcheck.nc.motions import RAPID, NCProgram
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 COLUMNS = ("kind", "feed_mm_min", "beam", "wire", "power_w", "wire_mm_s")

@@ -14,11 +14,11 @@ import numpy as np
 import shapely
 from shapely.ops import substring
 
-from ebamcheck.checks.checks import Check, count_check
-from ebamcheck.checks.tolerances import TWO_PLACES_MM
+from ebamcheck.checks.checks import TWO_PLACES_MM, count_check
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
 

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.checks.checks import Check, count_check
-from ebamcheck.checks.tolerances import PRINTED
+from ebamcheck.checks.checks import PRINTED, count_check
 from ebamcheck.nc.control import control
 from ebamcheck.nc.conventions import comment, header_lines
 from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED, ProgramFiles, mark_validated
@@ -21,6 +20,7 @@ from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 

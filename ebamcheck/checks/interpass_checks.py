@@ -10,10 +10,9 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.bead_end_checks import ramp_power
-from ebamcheck.checks.checks import Check, count_check, event_faults
+from ebamcheck.checks.checks import PRINTED, VALUE_SHARE, count_check, event_faults
 from ebamcheck.checks.heat_again import MODELS_K, BeadHeat, entries_k, highest_entry_k, may_differ_k
 from ebamcheck.checks.text_heat import TextBeads, sections_of_text, text_beads, text_bed_k, text_shapes
-from ebamcheck.checks.tolerances import PRINTED, VALUE_SHARE
 from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
@@ -22,6 +21,7 @@ from ebamcheck.nc.inputs import Interpass
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 INTERPASS, AGAIN = "interpass temperature", "balance of the heat"  # Names of two checks

@@ -13,14 +13,14 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
+from ebamcheck.checks.checks import PATH_TOLERANCE_MM, TWO_PLACES_MM, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance
-from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, TWO_PLACES_MM
 from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 
 # Distance of layers in the space in which ends are compared: no bead is like one of another layer.
 APART_MM = 1e6

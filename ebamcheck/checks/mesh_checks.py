@@ -18,9 +18,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
+from ebamcheck.checks.checks import PLACE_MM, SAME_AREA
 from ebamcheck.checks.part_file import file_check
-from ebamcheck.checks.tolerances import PLACE_MM, SAME_AREA
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
 from ebamcheck.layers.stack import Layers
@@ -30,6 +29,7 @@ from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part

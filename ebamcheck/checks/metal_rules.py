@@ -14,7 +14,7 @@ import pandas as pd
 import shapely
 from scipy import ndimage
 
-from ebamcheck.checks.checks import Check
+from ebamcheck.checks.checks import COARSE, TOO_THIN
 from ebamcheck.checks.metal import (
     AT_LIMIT,
     LEAST_OWN,
@@ -26,12 +26,12 @@ from ebamcheck.checks.metal import (
     zone_off,
 )
 from ebamcheck.checks.narrow_features import narrow_bead
-from ebamcheck.checks.remedies import COARSE, TOO_THIN
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted

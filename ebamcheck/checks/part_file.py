@@ -20,12 +20,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.checks.checks import Check
-from ebamcheck.checks.tolerances import SAME_SIZE
+from ebamcheck.checks.checks import SAME_SIZE
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.base import known_as
 from ebamcheck.settings.config import Config
 

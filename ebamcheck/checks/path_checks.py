@@ -9,16 +9,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
+from ebamcheck.checks.checks import PATH_TOLERANCE_MM, PLACE_MM, count_check, worst_check
 from ebamcheck.checks.shapes import shape_distance, spline_points
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, PLACE_MM
 from ebamcheck.nc import motions
 from ebamcheck.nc.inputs import ARC, LINE, SPLINE, CurveColumns, ScanColumns
 from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 SAMPLES = 9  # Places on each span where programmed and fitted curve are compared at the same parameter

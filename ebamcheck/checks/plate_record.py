@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import shapely
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.consumables import KG_MM3
 from ebamcheck.checks.text_heat import motion_seconds
 from ebamcheck.json_values import plain
@@ -18,6 +17,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 SAME_MASS = 1e-9  # Of the greater mass: sums in another order

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults
+from ebamcheck.checks.checks import count_check, event_faults, row_faults
 from ebamcheck.checks.heat_again import MODELS_SHARE, plate_k
 from ebamcheck.checks.state_checks import extremes, modes_of_scans
 from ebamcheck.checks.text_heat import (
@@ -36,6 +36,7 @@ from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.result import Check
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S

@@ -11,12 +11,12 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, worst_check
-from ebamcheck.checks.tolerances import DIRECTION_ROUNDING_DEG
+from ebamcheck.checks.checks import DIRECTION_ROUNDING_DEG, worst_check
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 

@@ -8,13 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from ebamcheck.checks import remedies as do
+from ebamcheck.checks import checks as do
 from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks, repeated_blocks
 from ebamcheck.checks.bead_end_checks import bead_end_checks, end_gaps_check, ramp_check
-from ebamcheck.checks.checks import Check, checks_of
+from ebamcheck.checks.checks import checks_of
 from ebamcheck.checks.clearance import clearance_checks
 from ebamcheck.checks.consumables import consumables_checks
-from ebamcheck.checks.event_checks import increment_check, released_checks, value_check, wait_height_check
 from ebamcheck.checks.header_checks import header_checks
 from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
@@ -24,16 +23,16 @@ from ebamcheck.checks.path_checks import closure_check, contour_checks, hatch_ch
 from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import section_checks
-from ebamcheck.checks.state_checks import state_checks
+from ebamcheck.checks.state_checks import released_checks, state_checks, wait_height_check
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.table import tilt_checks
 from ebamcheck.checks.text_checks import text_checks, words_check
-from ebamcheck.checks.value_checks import window_check, wire_check
+from ebamcheck.checks.value_checks import increment_check, value_check, window_check, wire_check
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
-from ebamcheck.result import Place
+from ebamcheck.result import Check, Place
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
+from ebamcheck.checks.checks import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
 from ebamcheck.checks.metal import wanted_region
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.tolerances import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
 from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
@@ -22,6 +21,7 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 
 STEP_MM = 0.5  # Distance of the places compared along the path
 CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of the part

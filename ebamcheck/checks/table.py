@@ -19,7 +19,7 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults, worst_check
+from ebamcheck.checks.checks import count_check, event_faults, row_faults, worst_check
 from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.motions import RAPID, NCProgram, TableColumns
@@ -27,6 +27,7 @@ from ebamcheck.nc.special_rules import NO_HEIGHT, carried_corners
 from ebamcheck.nc.table import SAME_PLACE_MM, table_at
 from ebamcheck.nc.timeline import AXIS_EVENT, Kind
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 

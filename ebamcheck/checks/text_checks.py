@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check, lines_of
+from ebamcheck.checks.checks import count_check, lines_of
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import RAPID, NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.printable import printable
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 BLOCK_LIMIT = 200  # Characters; every software version of the control reads shorter blocks

@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
 
-from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.checks import count_check
 from ebamcheck.controls.sinumerik.release_keys import Release, ReleaseKeys
 from ebamcheck.controls.sinumerik.waiting_run import BLOCK, Door, Run, run_text
 from ebamcheck.errors import InputError
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 

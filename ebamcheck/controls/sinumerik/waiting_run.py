@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from ebamcheck.checks.checks import PLACE_MM, VALUE_SHARE
 from ebamcheck.checks.state_checks import TRANSFORMATION_OFF
-from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.controls.sinumerik.reading import DIALECT
 from ebamcheck.errors import InputError
