@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.numeric.kernels import run_in_order
 from ebamcheck.numeric.rings import Bools, Ints
 from ebamcheck.result import Check
@@ -186,6 +186,12 @@ def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]
         what = text(i) if callable(text) else text.format(name=e.name[i], value=e.value[i], said=e.said(i))
         faults.append((nc.where_event(i), what))
     return faults
+
+
+def place_of(file: SourceFile, offset: int) -> str:
+    """``FILE:line`` of a byte of a file."""
+    line = file.data.count(b"\n", 0, offset) + 1
+    return f"{file.name}:{line}"
 
 
 def lines_of(nc: NCProgram, rows: Ints) -> list[tuple[int, int]]:

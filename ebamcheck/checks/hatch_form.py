@@ -44,9 +44,6 @@ def form_checks(nc: NCProgram, config: Config) -> list[Check]:
     return [_lines(nc, config), _crossings(nc, 0.5 * config.process.bead_width_mm)]
 
 
-# -- lines to and fro -------------------------------------------------------------------------------
-
-
 def _lines(nc: NCProgram, config: Config) -> Check:
     """Lines of beads driven to and fro: each parallel to the others, joined by one turn, all the same distance apart."""
     spacing = config.process.hatch_spacing_mm
@@ -192,9 +189,6 @@ def _before(which: Bools) -> Ints:
     """Index (m, n) of the last one before each that is true; -1 for none."""
     index = np.maximum.accumulate(np.where(which, np.arange(which.shape[1]), -1), axis=1)
     return np.concatenate([np.full((len(which), 1), -1), index[:, :-1]], axis=1)
-
-
-# -- crossings ----------------------------------------------------------------------------------------
 
 
 def _crossings(nc: NCProgram, pool_mm: float) -> Check:

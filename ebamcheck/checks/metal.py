@@ -129,40 +129,28 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Deposit:
-    """What the metal of a program comes to.
+    """What the metal of a program comes to."""
 
-    Parameters
-    ----------
-    layers
-        One row a layer: ``layer``, ``z_mm``, ``wanted_mm3``, ``laid_mm3``, ``outside_mm3`` (beside section and allowance),
-        ``inside_mm2`` and ``edge_mm2`` (cells of :func:`deep_cells`, and the others), ``inside`` and ``edge`` (mean height of the
-        metal there over that of the layer; NaN without any), ``inside_settled`` and ``edge_settled`` (the same when the metal has
-        levelled), ``zone_settled``, ``zone_mm2`` and ``zone_tolerance`` of the worst window, ``inside_owed`` ... ``zone_owed`` (the
-        height that would make the surface right), ``low_mm`` and ``high_mm`` (the surface under its height where beads run or
-        could, and over it anywhere, when the layer is done), ``reach_mm`` (how far from the section there is metal of
-        :data:`~ebamcheck.metal.surface.FILM`), ``wall_mm`` (the thinnest wall under a bead, on layers with too much metal beside
-        them; else NaN), and where these five are, ``zone_x_mm`` ... ``wall_y_mm``.
-    first_row
-        (L,) first motion of each layer that lays metal, -1 without one.
-    holes
-        Holes of sections of which metal covers more than :data:`CLOSED`, without what stands in them: ``layer``, ``x_mm``, ``y_mm``
-        (middle of the widest place), ``width_mm`` (of the greatest disc that fits in) and ``covered`` (share of the area).
-    fields, worst
-        Layers that were asked for, and the worst one, by their index; the layer of which surface, reach or a window comes nearest
-        to its limit, or is furthest over it, -1 without any.
-    surface, narrow
-        What the program leaves; openings and walls of the part that are narrower than beads can build.
-    asked
-        Wire of the beads by their places, layer by layer, where that was asked for.
-    """
-
+    # One row a layer: `layer`, `z_mm`, `wanted_mm3`, `laid_mm3`, `outside_mm3` (beside section and allowance), `inside_mm2` and
+    # `edge_mm2` (cells of deep_cells, and the others), `inside` and `edge` (mean height of the metal there over that of the layer; NaN
+    # without any), `inside_settled` and `edge_settled` (the same when the metal has levelled), `zone_settled`, `zone_mm2` and
+    # `zone_tolerance` of the worst window, `inside_owed` ... `zone_owed` (the height that would make the surface right), `low_mm` and
+    # `high_mm` (the surface under its height where beads run or could, and over it anywhere, when the layer is done), `reach_mm` (how far
+    # from the section there is metal of FILM), `wall_mm` (the thinnest wall under a bead, on layers with too much metal beside them; else
+    # NaN), and where these five are, `zone_x_mm` ... `wall_y_mm`.
     layers: pd.DataFrame
-    first_row: Ints
+    first_row: Ints  # (L,) first motion of each layer that lays metal, -1 without one
+    # Holes of sections of which metal covers more than CLOSED, without what stands in them: `layer`, `x_mm`, `y_mm` (middle of the widest
+    # place), `width_mm` (of the greatest disc that fits in) and `covered` (share of the area).
     holes: pd.DataFrame
+    # Layers that were asked for, and the worst one, by their index; the layer of which surface, reach or a window comes nearest to its
+    # limit, or is furthest over it, -1 without any.
     fields: dict[int, LayerField]
     worst: int
+    # What the program leaves; openings and walls of the part that are narrower than beads can build.
     surface: Surface
     narrow: tuple[NarrowFeature, ...]
+    # Wire of the beads by their places, layer by layer, where that was asked for.
     asked: tuple[Asked, ...] = ()
 
 
@@ -417,13 +405,8 @@ def deep_cells(inside: Bools, bead_cells: float) -> Bools:
 
 
 def zone_figures(
-    target: Target,
-    laid_mm: Floats,
-    before_mm: Floats,
-    parts: tuple[Bools, Bools],
-    thickness_mm: float,
-    process: ProcessSettings,
-) -> dict[str, float]:
+    target: Target, laid_mm: Floats, before_mm: Floats, parts: tuple[Bools, Bools], thickness_mm: float, process: ProcessSettings
+) -> dict[str, float]:  # fmt: skip
     """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows.
 
     `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below.
@@ -457,11 +440,8 @@ def zone_figures(
     row, column = (int(at[k]) for at in np.nonzero(inside))
     x_mm, y_mm = (target.origin + (np.array([column, row]) + 0.5) * target.step_mm).tolist()
     values = zip(("settled", "owed", "mm2", "tolerance"), (height, missing, mm2, allowed), strict=True)
-    return (
-        found
-        | {f"zone_{name}": float(field[k]) for name, field in values}
-        | {"zone_x_mm": x_mm, "zone_y_mm": y_mm}
-    )
+    worst = {f"zone_{name}": float(field[k]) for name, field in values}
+    return found | worst | {"zone_x_mm": x_mm, "zone_y_mm": y_mm}
 
 
 def zone_off(height: ArrayLike, owed: ArrayLike) -> Floats:

@@ -37,24 +37,14 @@ from ebamcheck.result import Check, Place
 
 @dataclass(frozen=True)
 class Rule:
-    """Checks that are made together.
+    """Checks that are made together."""
 
-    Parameters
-    ----------
-    make
-        Makes them of a subject.
-    checks
-        Their names, and what to do where one fails; nothing where that follows from its text.
-    needs
-        What has to be known of the subject, or asked for (:meth:`Subject.knows`); the program alone is always known.
-    gate
-        Gate that they shut.
-    """
-
-    make: Callable[[Subject], Sequence[Check]]
+    make: Callable[[Subject], Sequence[Check]]  # Makes them of a subject
+    # Their names, and what to do where one fails; nothing where that follows from its text.
     checks: Mapping[str, str]
+    # What has to be known of the subject, or asked for (knows); the program alone is always known.
     needs: tuple[str, ...] = ()
-    gate: str = "program"
+    gate: str = "program"  # Gate that they shut
 
     def applies(self, subject: Subject) -> bool:
         """Whether all is known that it needs."""

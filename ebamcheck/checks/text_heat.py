@@ -101,6 +101,7 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     within = np.append(-1, last)[following] >= row
     after = ~within & (following == first.size)
     before = paused[~(within | after)]
+    wait_s = np.bincount(following[~(within | after)], nc.events.value[before], first.size)
     stray = [
         (i, "waits within a bead" if inside else "waits after the last bead")
         for i, inside in zip(paused[within | after].tolist(), within[within | after].tolist(), strict=True)
@@ -110,9 +111,7 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
         ring=nc.ring[first],
         island=nc.island[first],
         row=first,
-        wait_s=np.bincount(following[~(within | after)], nc.events.value[before], first.size).astype(
-            np.float64
-        ),
+        wait_s=wait_s.astype(np.float64),
         move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
         time_s=_between(clock[last + 1], clock[first]),
         energy_j=found.total(power_w * seconds[rows]),
@@ -246,9 +245,6 @@ def _dwell_s(
             return math.nan
     # One after the other, as they come.
     return float(np.cumsum(wait_s)[-1]) if len(beads) else 0.0
-
-
-# -- preheating ------------------------------------------------------------------------------------
 
 
 def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:

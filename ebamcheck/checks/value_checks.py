@@ -42,9 +42,6 @@ def _by_row(faults: Iterable[At]) -> Faults:
     return [(where, what) for _, where, what in sorted(faults, key=lambda fault: fault[0])]
 
 
-# -- metal of beads ------------------------------------------------------------------------------------
-
-
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
     """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
 
@@ -101,9 +98,6 @@ def _wanted_mm2(nc: NCProgram, rows: Ints, path: TrackColumns) -> Floats | None:
     return np.asarray(path.width[segment] * height[track][:, None], np.float64)
 
 
-# -- melting -------------------------------------------------------------------------------------------
-
-
 def spread_mm(nc: NCProgram, rows: Ints, config: Config) -> Floats:
     """Height of what motions (n,) lay where their metal is spread over one spacing, mm; NaN without a feed."""
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -147,9 +141,6 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
         f"that it remelts need {need_w[worst]:.6g} W"
     )
     return Check(MELTING, passed, float(power_w[worst] / need_w[worst]), 1.0, unit, nc.where(row), text)
-
-
-# -- process window ------------------------------------------------------------------------------------
 
 
 def window_check(nc: NCProgram, config: Config) -> Check:
@@ -235,9 +226,6 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
         if text not in [f"{limit:.{digits}g}" for limit in limits]:
             break
     return text
-
-
-# -- values that are set ---------------------------------------------------------------------------------
 
 
 def value_check(nc: NCProgram, config: Config) -> Check:

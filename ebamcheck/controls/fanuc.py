@@ -113,9 +113,6 @@ CONTROL = Control(
 )
 
 
-# -- writing -------------------------------------------------------------------------------------------
-
-
 def write_program(
     curves: CurveColumns,
     plan: ScanColumns,

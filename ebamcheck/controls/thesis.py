@@ -41,18 +41,10 @@ THESIS = Control("3dthesis", f"{__name__}:write_3dthesis")
 
 @dataclass(frozen=True, eq=False)
 class HeatPath:
-    """The path of a stack as simulators take it.
+    """The path of a stack as simulators take it."""
 
-    Parameters
-    ----------
-    rows
-        (n, 6) mode, X, Y, Z in mm, share of the power, and s for a spot or m/s for a line.
-    layer, island
-        (n,) of each row; -1 for the island of a contour.
-    """
-
-    rows: Floats
-    layer: Ints
+    rows: Floats  # (n, 6) mode, X, Y, Z in mm, share of the power, and s for a spot or m/s for a line
+    layer: Ints  # (n,) of each row; -1 for the island of a contour
     island: Ints
 
     @property

@@ -14,23 +14,13 @@ class Beads:
     """Beads of a program, or of some of its motions, in the order in which they are laid.
 
     A bead ends where beam or wire are switched on, at a travel, and where the height or the layer changes.
-
-    Parameters
-    ----------
-    rows
-        (n,) motions.
-    bead
-        (n,) bead of each, from 0 without gaps.
-    first, last
-        (P,) first and last motion of each bead.
-    group
-        (B,) numbers that rise from one bead to another, of all motions of the program, also of those that lay nothing.
     """
 
-    rows: Ints
-    bead: Ints
-    first: Ints
+    rows: Ints  # (n,) motions
+    bead: Ints  # (n,) bead of each, from 0 without gaps
+    first: Ints  # (P,) first and last motion of each bead
     last: Ints
+    # (B,) numbers that rise from one bead to another, of all motions of the program, also of those that lay nothing.
     group: Ints
 
     @classmethod

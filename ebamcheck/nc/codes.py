@@ -199,8 +199,6 @@ class Codes:
         number = float(token.number) if token.number else None
         return Action(DWELL, token.placeholder, number, f"G4 {token}"), 2
 
-    # -- codes that stand in the templates alone -----------------------------------------------------
-
     def _derive(
         self, templates: Mapping[str, Sequence[str]], names: Sequence[str], values: Sequence[str]
     ) -> None:

@@ -154,23 +154,13 @@ def hatch_columns(plan: ScanColumns) -> tuple[Ints, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Interpass:
-    """Waits and power of a stack.
+    """Waits and power of a stack."""
 
-    Parameters
-    ----------
-    wait_s, ring_wait_s
-        (L,) wait before each layer, and before each further contour of it.
-    island_wait_s, inner_wait_s
-        (I,) wait before each island, and before each further bead of it.
-    power_share
-        (L,) share of the beam's power.
-    """
-
-    wait_s: Floats
+    wait_s: Floats  # (L,) wait before each layer, and before each further contour of it
     ring_wait_s: Floats
-    island_wait_s: Floats
+    island_wait_s: Floats  # (I,) wait before each island, and before each further bead of it
     inner_wait_s: Floats
-    power_share: Floats
+    power_share: Floats  # (L,) share of the beam's power
 
     def before_layer_s(self, layer: int) -> float:
         """Wait before a layer; 0 for the one after the last."""

@@ -29,33 +29,18 @@ DRAWN_STEP_MM = 0.25  # Curved motions are drawn as straight parts of at most th
 
 @dataclass(frozen=True, eq=False)
 class TableColumns:
-    """Rotary positions and frames in force, one row for each motion (B,).
+    """Rotary positions and frames in force, one row for each motion (B,)."""
 
-    Parameters
-    ----------
-    axes
-        Names of the rotary axes (A,).
-    positions_deg
-        (P, A) every set of positions that the table stands at, the first all 0.
-    frames
-        (F, 3, 4) every frame that is in force, turn and shift, the first none: a place p of the program lies at turn @ p + shift.
-    before, after
-        (B,) positions of the table before and after the motion, by their row.
-    frame
-        (B,) frame during the motion, by its row.
-    off_mm
-        (B,) how far table and frame put the end of the motion from where it belongs on the part, mm.
-    apart
-        (B,) ways of the machine itself, with neither frame nor beam, and turns of the table: they are none of a layer.
-    """
-
-    axes: tuple[str, ...]
-    positions_deg: Floats
+    axes: tuple[str, ...]  # Names of the rotary axes (A,)
+    positions_deg: Floats  # (P, A) every set of positions that the table stands at, the first all 0
+    # (F, 3, 4) every frame that is in force, turn and shift, the first none: a place p of the program lies at turn @ p + shift.
     frames: Floats
-    before: Ints
+    before: Ints  # (B,) positions of the table before and after the motion, by their row
     after: Ints
-    frame: Ints
+    frame: Ints  # (B,) frame during the motion, by its row
+    # (B,) how far table and frame put the end of the motion from where it belongs on the part, mm.
     off_mm: Floats
+    # (B,) ways of the machine itself, with neither frame nor beam, and turns of the table: they are none of a layer.
     apart: Bools
 
     def rows(self, kept: Bools) -> TableColumns:

@@ -110,9 +110,6 @@ def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> 
     raise SettingsError(f"{path}: machine.control {config.machine.control!r} is none whose programs are read")
 
 
-# -- the machine -------------------------------------------------------------------------------------
-
-
 class Reader:
     """State of a control while it runs a program from top to bottom: lines, blocks, words and motions.
 
@@ -132,8 +129,6 @@ class Reader:
         self._changes: dict[str, StateChange] = {}
         curve = f"|{dialect.curve}(?P<curve>)" if dialect.curve else ""
         self._plain = re.compile(rf"(?:N(\d+) )?(?:{_PLAIN}{curve})")
-
-    # -- what a dialect has of its own ----------------------------------------------------------------
 
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code of a line, blanks in place of comments that do not end it, and the comments."""
@@ -184,8 +179,6 @@ class Reader:
         allowed = {"I", "J", self._radius} if self.mode in ARCS else set()
         takes = f"it takes I and J, or {self._radius}" if allowed else "it takes axes and F alone"
         return "" if values.keys() <= allowed else f"{', '.join(values)} under {self.mode}: {takes}"
-
-    # -- files and lines ------------------------------------------------------------------------------
 
     def run(self, path: Path) -> None:
         """Run one file to its end."""
@@ -269,8 +262,6 @@ class Reader:
     def _says_only(self, code: str) -> bool:
         """Whether a block only says something to the operator."""
         return self.dialect.message is not None and self.dialect.message.fullmatch(code) is not None
-
-    # -- blocks ---------------------------------------------------------------------------------------
 
     def _run_block(self, code: str) -> str:
         if (change := self._changes.get(code)) is not None:

@@ -62,8 +62,6 @@ class Recorder:
         self._templates_at = (-1, -1)
         self.table = TableState(axes)
 
-    # -- files -------------------------------------------------------------------------------------
-
     def open(self, path: Path) -> list[str]:
         """Read a file, and return its lines; a carriage return stays at the end of its line."""
         try:
@@ -100,8 +98,6 @@ class Recorder:
     def error(self, what: str, column: int) -> InputError:
         """Return a refusal with its place; `column` counts from 0."""
         return InputError(f"{self.files[self.file].name}:{self.line}:{column + 1}: {what}")
-
-    # -- state -------------------------------------------------------------------------------------
 
     @property
     def motions(self) -> int:
@@ -159,8 +155,6 @@ class Recorder:
             raise self.error(f"block number of {len(digits)} digits: {MOST_DIGITS} at most", 0)
         self._numbers.append((self.file, self.line, int(digits)))
 
-    # -- motions -----------------------------------------------------------------------------------
-
     def move(
         self,
         kind: int,
@@ -198,8 +192,6 @@ class Recorder:
             self.table.set_frame(frame)
         else:
             self.x, self.y, self.z = self.table.seen_from(frame, here).tolist()
-
-    # -- result ------------------------------------------------------------------------------------
 
     def program(self) -> NCProgram:
         """Gather all that was read into columns; a number that no control takes is refused."""

@@ -160,9 +160,6 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-# -- layers ------------------------------------------------------------------------------------------
-
-
 def nearest_layer(z: Floats, z_of: Floats) -> Ints:
     """Index of the layer (n,) whose height is nearest to each Z."""
     return np.asarray(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), z), np.int64)

@@ -113,9 +113,6 @@ def _times(turn: Floats, place: Floats) -> Floats:
     return np.asarray(np.where(turn == 0.0, 0.0, turn * place).sum(axis=1), np.float64)
 
 
-# -- frames -----------------------------------------------------------------------------------------
-
-
 def frame_after(code: str, frame: Floats) -> Floats | None:
     """Frame (3, 4) that is in force after a block; None where the block sets none.
 
@@ -167,9 +164,6 @@ def _about(axis: int, angle_rad: float) -> Floats:
     turn[i, i] = turn[j, j] = np.cos(angle_rad)
     turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
     return turn
-
-
-# -- from the program to the part ---------------------------------------------------------------------
 
 
 def on_part(nc: NCProgram, config: Config) -> NCProgram:

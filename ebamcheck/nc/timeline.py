@@ -116,8 +116,6 @@ class Events:
         for run in np.split(np.arange(len(self)), np.flatnonzero(np.diff(self.file)) + 1):
             yield self.chosen(run)
 
-    # -- the state before each event -------------------------------------------------------------------
-
     def latest(self, which: Bools) -> Ints:
         """Last event before each one, and before the end (E + 1,), that is marked in `which` (E,); -1 for none."""
         return np.maximum.accumulate(np.append(-1, np.where(which, np.arange(len(self)), -1)))

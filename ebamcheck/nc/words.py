@@ -161,9 +161,6 @@ def _refuse_two_of_a_group(dialect: Dialect, words: Collection[str]) -> None:
         seen[kind] = word
 
 
-# -- modal groups ------------------------------------------------------------------------------------
-
-
 @cache
 def _index(name: str) -> Mapping[str, Group]:
     return {word: group for group in control(name).groups for word in group.words}

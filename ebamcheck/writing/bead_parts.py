@@ -98,9 +98,6 @@ def parts_of(path: Toolpath, tracks: Tracks, stretches: Stretches) -> Parts:
     )
 
 
-# -- the path anew -----------------------------------------------------------------------------------
-
-
 def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
     """Return the path of the parts, rounded."""
     segment, lengths = parts.segment, path.lengths
@@ -160,9 +157,6 @@ def _in_whole_pieces(path: Toolpath, parts: Parts, whole: Bools) -> Bools:
     found = np.bincount(run, whole & (parts.lap == 0))
     wanted = np.bincount(path.piece[path.piece >= 0], minlength=1)[np.maximum(piece[new], 0)]
     return np.asarray((found == wanted)[run] & (piece >= 0))
-
-
-# -- power: that of the layer, and more where a bead lays more metal than that power melts ---------------
 
 
 def layer_power(path: Toolpath, layer: int, rows: slice, share: float, config: Config) -> Floats:

@@ -272,9 +272,6 @@ def _with_feed(block: str, feed: str) -> str:
     return code + feed + mark + note
 
 
-# -- preheating: the beam out of focus, without wire, back and forth over plate or layer, then a wait -----
-
-
 def preheat_passes(plan: ScanColumns) -> Ints:
     """Passes (L,) before each layer of a plan; none of one that knows nothing of preheating."""
     metrics = getattr(plan, "metrics", {})

@@ -92,9 +92,6 @@ def _arcs(control: Floats, first: Ints, form: Form, tolerance_mm: float) -> _Mad
     return _Made(np.ones(first.size, np.int64), control[first + 2], CIRCULAR, control[first + 1])
 
 
-# -- cubic B-splines as polynomials -------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Spans:
     """Knot spans of all spline pieces, in order, each over 0 <= t <= 1."""

@@ -29,22 +29,12 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """A table that is turned for a layer.
+    """A table that is turned for a layer."""
 
-    Parameters
-    ----------
-    positions_deg
-        Of the rotary axes, as they are printed.
-    zero_mm, turn_deg
-        Zero of the part's coordinates in the work offset, and their turn about the vertical.
-    up_mm
-        Z in the work offset at which the table may turn.
-    """
-
-    positions_deg: tuple[float, ...]
-    zero_mm: Floats
+    positions_deg: tuple[float, ...]  # Of the rotary axes, as they are printed
+    zero_mm: Floats  # Zero of the part's coordinates in the work offset, and their turn about the vertical
     turn_deg: float
-    up_mm: float
+    up_mm: float  # Z in the work offset at which the table may turn
 
     def before(self, off: Sequence[str], first: Floats, config: Config, form: BlockFormat) -> list[str]:
         """Blocks that turn the table and set the frame; then the tool stands over the place `first` of the layer."""
@@ -112,9 +102,6 @@ def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
     )
 
 
-# -- positions ---------------------------------------------------------------------------------------
-
-
 def positions_of(direction: Floats, axes: Sequence[RotaryAxis]) -> tuple[float, ...]:
     """Positions, degrees, that turn a direction of the table up: the ones nearest to 0 of those within the limits.
 
@@ -174,9 +161,6 @@ def _within(turns: tuple[float, ...], axes: Sequence[RotaryAxis]) -> tuple[float
             return None
         found.append(min(room, key=lambda p: (round(abs(p), 9), -p)) + 0.0)
     return tuple(found)
-
-
-# -- where the table is ------------------------------------------------------------------------------
 
 
 def _line(axis: RotaryAxis) -> tuple[Floats, Floats]:

@@ -35,59 +35,25 @@ STRAIGHT_SAGITTA_MM = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Toolpath:
-    """Tracks of a whole stack, positions rounded as they will be printed, mm.
+    """Tracks of a whole stack, positions rounded as they will be printed, mm."""
 
-    Parameters
-    ----------
-    cut
-        (L,) heights at which the layers were cut.
-    z
-        (L,) tops of the layers, where the tool works.
-    layer_starts
-        (L + 1,) first track of each layer.
-    track_starts
-        (T + 1,) first segment of each track.
-    start
-        (T, 2) where each track starts.
-    ring, island
-        (T,) number of the contour ring or of the island; -1 for the other.
-    kind, end
-        (N,) :data:`STRAIGHT`, :data:`CUBIC` or :data:`CIRCULAR`, and (N, 2) end of each segment.
-    turn
-        (N,) a turn between two hatch lines.
-    piece
-        (N,) piece of the curves that each segment is of; -1 for hatch.
-    bezier
-        (C, 4, 2) of the cubic segments alone, in their order; not rounded.
-    middle
-        (A, 2) of the circular segments alone, in their order; not rounded.
-    power
-        (N,) share of the full beam power.
-    goes_on
-        (N,) a further part of the hatch line before.
-    width
-        (N,) metal that is laid, in section over the height of the layer, mm.
-    base_mm
-        Z of what the lowest layer lies on.
-    """
-
-    cut: Floats
-    z: Floats
-    layer_starts: Ints
-    track_starts: Ints
-    start: Floats
-    ring: Ints
+    cut: Floats  # (L,) heights at which the layers were cut
+    z: Floats  # (L,) tops of the layers, where the tool works
+    layer_starts: Ints  # (L + 1,) first track of each layer
+    track_starts: Ints  # (T + 1,) first segment of each track
+    start: Floats  # (T, 2) where each track starts
+    ring: Ints  # (T,) number of the contour ring or of the island; -1 for the other
     island: Ints
-    kind: NDArray[np.uint8]
+    kind: NDArray[np.uint8]  # (N,) STRAIGHT, CUBIC or CIRCULAR, and (N, 2) end of each segment
     end: Floats
-    turn: Bools
-    piece: Ints
-    bezier: Floats
-    middle: Floats
-    power: Floats
-    goes_on: Bools
-    width: Floats
-    base_mm: float = 0.0
+    turn: Bools  # (N,) a turn between two hatch lines
+    piece: Ints  # (N,) piece of the curves that each segment is of; -1 for hatch
+    bezier: Floats  # (C, 4, 2) of the cubic segments alone, in their order; not rounded
+    middle: Floats  # (A, 2) of the circular segments alone, in their order; not rounded
+    power: Floats  # (N,) share of the full beam power
+    goes_on: Bools  # (N,) a further part of the hatch line before
+    width: Floats  # (N,) metal that is laid, in section over the height of the layer, mm
+    base_mm: float = 0.0  # Z of what the lowest layer lies on
 
     @property
     def thickness(self) -> Floats:

@@ -84,8 +84,6 @@ class GcodeReader(Reader):
         if "G64" in block.codes and "P" in block.values:
             self.out.event("CTOL", block.values.pop("P"))
 
-    # -- cubics ---------------------------------------------------------------------------------------
-
     def own_motion(self, x: float, y: float, z: float, block: Block) -> bool:
         """G5: I and J may be left out where the motion before is a G5, which goes on tangentially then."""
         if self.mode != "G5":

@@ -55,9 +55,6 @@ def _code(line: str) -> str:
     return found[3] if found else ""
 
 
-# -- doors -------------------------------------------------------------------------------------------
-
-
 NUMBERS = (1, 2, 1)  # Number of the program of each layer that a door releases
 LONGER_S = 17.0  # A wait that is longer than any other parameter is large: none may be taken for it
 OURS, OTHERS = 1_234_567, 7_654_321  # Keys of the last layer of a build, and of another one

@@ -81,8 +81,6 @@ class SinumerikReader(Reader):
         self._degree = 3
         self._depth = 0
 
-    # -- lines and blocks --------------------------------------------------------------------------
-
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code and comment of a line: the comment begins at the first semicolon that stands in no message.
 
@@ -174,8 +172,6 @@ class SinumerikReader(Reader):
             out.layer(-1)
         return True
 
-    # -- motions -----------------------------------------------------------------------------------
-
     def _move(self, block: Block) -> None:
         out, mode = self.out, self.mode
         named = {axis for axis in AXES if axis in block.values or f"PO[{axis}]" in block.lists}
@@ -226,8 +222,6 @@ class SinumerikReader(Reader):
             raise WordError("PO[Z] with coefficients: layers are flat", 0)
         x, y = ((*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY")
         return x[1], x[2], y[1], y[2], length
-
-    # -- splines -----------------------------------------------------------------------------------
 
     def motion_word(self, word: str) -> None:
         """Change the kind of motion; BSPLINE begins a spline at the position before."""

@@ -108,9 +108,6 @@ def _preheating(post: Post) -> dict[int, list[str]]:
     return found
 
 
-# -- forms of curves -------------------------------------------------------------------------------
-
-
 def _licensed_form(curves: CurveColumns, machine: MachineSettings) -> Form:
     """What splines become; refused where the control has no licence for it, or none for uneven knots."""
     form = machine.curve_form
@@ -151,9 +148,6 @@ def _cubics(path: Toolpath, curves: CurveColumns, machine: MachineSettings, form
         control = np.asarray(curves.control[curves.control_starts[p] : curves.control_starts[p + 1]])
         text[i] = "\n".join(spline_blocks(form.rounded(control), knots, form, machine.bspline_shift))
     return text
-
-
-# -- opening and modes -----------------------------------------------------------------------------
 
 
 def _opening(name: str, suffix: str, config: Config, status: str) -> list[str]:
