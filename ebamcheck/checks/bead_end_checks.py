@@ -19,7 +19,7 @@ from ebamcheck.checks.metal import STEP_SHARE, wanted_region
 from ebamcheck.checks.state_checks import retract_check
 from ebamcheck.checks.value_checks import own_shares
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each

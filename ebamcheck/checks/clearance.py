@@ -13,9 +13,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import PLACE_MM
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.control import control
-from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, Beads, NCProgram
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
@@ -364,15 +363,8 @@ def _touch(
 
 @kernel
 def _travel(
-    path: Columns,
-    m: int,
-    floor: float,
-    ground: _Ground,
-    tool: _Tool,
-    highest: float,
-    low_mm: float,
-    out: Floats,
-) -> float:
+    path: Columns, m: int, floor: float, ground: _Ground, tool: _Tool, highest: float, low_mm: float, out: Floats,
+) -> float:  # fmt: skip
     """Look at what one travel meets; for how long travel has run under the clearance by then, mm."""
     start, end = path.start[m], path.end[m]
     # Axes that move at once need not arrive at once: the lower end counts for the whole way.

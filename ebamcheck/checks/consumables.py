@@ -247,20 +247,14 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     wire_mm = np.asarray(total(wire, always))
     return pd.DataFrame(
         {
-            "layer": np.arange(count),
-            "file": nc.layer_files,
-            "z_mm": nc.layer_heights,
+            "layer": np.arange(count), "file": nc.layer_files, "z_mm": nc.layer_heights,
             "motions": np.bincount(nc.layer[inside], minlength=count),
             "contour_mm": total(length, nc.deposit & (nc.ring >= 0)),
-            "hatch_mm": total(length, nc.deposit & (nc.island >= 0)),
-            "travel_mm": total(length, ~nc.deposit),
-            "deposit_s": total(time, nc.deposit),
-            "travel_s": total(time, ~nc.deposit),
-            "pause_s": layer_pauses_s(nc),
-            "wire_mm": wire_mm,
-            "wire_kg": wire_mm * 1e-3 * area_m2 * config.material.density_kg_m3,
+            "hatch_mm": total(length, nc.deposit & (nc.island >= 0)), "travel_mm": total(length, ~nc.deposit),
+            "deposit_s": total(time, nc.deposit), "travel_s": total(time, ~nc.deposit), "pause_s": layer_pauses_s(nc),
+            "wire_mm": wire_mm, "wire_kg": wire_mm * 1e-3 * area_m2 * config.material.density_kg_m3,
         }
-    )
+    )  # fmt: skip
 
 
 # -- parts of a plate -------------------------------------------------------------------------------------
@@ -310,12 +304,8 @@ def _laid(part: PlatePart, nc: NCProgram, config: Config) -> list[dict[str, Any]
 
 
 def plate_checks(
-    part: Part,
-    config: Config,
-    program: NCProgram | None,
-    recorded: Sequence[Mapping[str, Any]] | None,
-    where: str,
-) -> list[Check]:
+    part: Part, config: Config, program: NCProgram | None, recorded: Sequence[Mapping[str, Any]] | None, where: str,
+) -> list[Check]:  # fmt: skip
     """Work the entries of a plate out again and hold them against a record; none for a single part."""
     found = plate_record(part, config, program)
     if not found and not recorded:

@@ -243,14 +243,9 @@ class _Column:
 
 @kernel
 def _follow(
-    kelvin: Floats,
-    cells: tuple[Floats, Floats, Floats],
-    tables: tuple[Floats, Floats],
-    ambient: float,
-    cooled: bool,
-    time: float,
-    power: float,
-) -> None:
+    kelvin: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats], ambient: float, cooled: bool,
+    time: float, power: float,
+) -> None:  # fmt: skip
     """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end.
 
     Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
@@ -269,15 +264,9 @@ def _follow(
 
 @kernel
 def _step(
-    kelvin: Floats,
-    data_at: Floats,
-    cells: tuple[Floats, Floats, Floats],
-    tables: tuple[Floats, Floats],
-    ambient: float,
-    cooled: bool,
-    time: float,
-    power: float,
-) -> None:
+    kelvin: Floats, data_at: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats],
+    ambient: float, cooled: bool, time: float, power: float,
+) -> None:  # fmt: skip
     """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step.
 
     Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.

@@ -16,7 +16,7 @@ from ebamcheck.checks.text_heat import TextBeads, sections_of_text, text_beads, 
 from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
-from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import Interpass
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
@@ -69,12 +69,9 @@ def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
 
 
 def heat_checks(
-    nc: NCProgram,
-    config: Config,
-    sections: Sequence[BaseGeometry] | None,
-    before: HeatColumn | None = None,
+    nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     witness: Sequence[BaseGeometry] | None = None,
-) -> list[Check]:
+) -> list[Check]:  # fmt: skip
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
     Without `sections` those count that the contours of the program enclose; `witness` are those of the second balance. Of a program that

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MaterialSettings, preset

@@ -178,14 +178,9 @@ class _Laid(NamedTuple):
 
 
 def deposit(
-    nc: NCProgram,
-    layers: Layers,
-    z_of: Floats,
-    config: Config,
-    keep: Collection[int] = (),
-    stands: Surface | None = None,
-    asked: bool = False,
-) -> Deposit:
+    nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = (),
+    stands: Surface | None = None, asked: bool = False,
+) -> Deposit:  # fmt: skip
     """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
 
     The layers lie at `z_of` (L,) in the program, the lowest on the surface `stands`, or level. The fields of the layers `keep` are

@@ -37,9 +37,8 @@ from ebamcheck.checks.text_heat import (
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.nc.codes import BEAM_VALUES, FOCUS
-from ebamcheck.nc.conventions import safe_end_mm
+from ebamcheck.nc.conventions import increments_of, safe_end_mm
 from ebamcheck.nc.files import layer_of_preheat
-from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
@@ -70,12 +69,9 @@ class Known:
 
 
 def preheat_checks(
-    nc: NCProgram,
-    config: Config,
-    sections: Sequence[BaseGeometry] | None,
-    before: HeatColumn | None = None,
+    nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
-) -> list[Check]:
+) -> list[Check]:  # fmt: skip
     """Check the preheating scans of a program; nothing where the settings ask for none and it has none.
 
     Without `sections` (L,) those count that the contours of the program enclose. Where heat `before` and section `under` a program that

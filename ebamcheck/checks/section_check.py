@@ -22,9 +22,8 @@ from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.depths import depth_lines
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.nc.roles import nearest_layer
+from ebamcheck.nc.roles import depth_lines, nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.result import Check
@@ -78,14 +77,9 @@ def section_checks(subject: Subject) -> list[Check]:
 
 
 def section_check(
-    nc: NCProgram,
-    layers: Layers,
-    z_of: Floats,
-    offset_mm: float,
-    limit_mm: float,
-    name: str = "section",
+    nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section",
     evidence: Evidence | None = None,
-) -> Check:
+) -> Check:  # fmt: skip
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
 
     A place on the path lies as deep in the section as the inset, within its limit: the depth moves no farther than
@@ -132,14 +126,9 @@ def _layer(
 
 
 def _compared(
-    nc: NCProgram,
-    rows: Ints,
-    polygons: list[shapely.Polygon],
-    k: int,
-    offset_mm: float,
-    limit_mm: float,
+    nc: NCProgram, rows: Ints, polygons: list[shapely.Polygon], k: int, offset_mm: float, limit_mm: float,
     known: Evidence,
-) -> _Worst:
+) -> _Worst:  # fmt: skip
     """Worst place of a layer; where either has a contour and the other none, its length."""
     sections, lines = _sections(polygons, offset_mm, limit_mm)
     wanted = 0.5 * (lines[:, :2] + lines[:, 2:])

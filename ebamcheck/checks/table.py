@@ -23,8 +23,8 @@ from ebamcheck.checks.checks import count_check, event_faults, limit_check, row_
 from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.motions import RAPID, NCProgram, TableColumns
-from ebamcheck.nc.special_rules import NO_HEIGHT, carried_corners
 from ebamcheck.nc.table import SAME_PLACE_MM, table_at
+from ebamcheck.nc.templates import NO_HEIGHT, carried_corners
 from ebamcheck.nc.timeline import AXIS_EVENT, Kind
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.result import Check

@@ -107,18 +107,12 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
         for i, inside in zip(paused[within | after].tolist(), within[within | after].tolist(), strict=True)
     ]
     return TextBeads(
-        layer=nc.layer[first],
-        ring=nc.ring[first],
-        island=nc.island[first],
-        row=first,
+        layer=nc.layer[first], ring=nc.ring[first], island=nc.island[first], row=first,
         wait_s=wait_s.astype(np.float64),
         move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
-        time_s=_between(clock[last + 1], clock[first]),
-        energy_j=found.total(power_w * seconds[rows]),
-        peak_w=found.greatest(power_w),
-        stray=tuple(stray),
-        scans=scans_of(nc, config),
-    )
+        time_s=_between(clock[last + 1], clock[first]), energy_j=found.total(power_w * seconds[rows]),
+        peak_w=found.greatest(power_w), stray=tuple(stray), scans=scans_of(nc, config),
+    )  # fmt: skip
 
 
 def _between(late_s: Floats, early_s: Floats) -> Floats:
@@ -130,13 +124,9 @@ def _between(late_s: Floats, early_s: Floats) -> Floats:
 
 
 def text_bed_k(
-    beads: TextBeads,
-    config: Config,
-    shapes: Sequence[LayerShape],
-    before: HeatColumn | None = None,
-    lowest: BaseGeometry | None = None,
-    seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
-) -> tuple[Floats, Floats]:
+    beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None,
+    lowest: BaseGeometry | None = None, seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
 
     By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
@@ -288,13 +278,9 @@ class Scanned:
 
 
 def scanned(
-    sections: Sequence[BaseGeometry],
-    k: int,
-    z_mm: float,
-    config: Config,
-    under: BaseGeometry | None = None,
+    sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None,
     spot_share: float = 1.0,
-) -> Scanned:
+) -> Scanned:  # fmt: skip
     """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
 
     Plan and writer take region and lines from one place: a mistake there would be in the program and in what it is held against.
@@ -324,14 +310,9 @@ def scanned(
 
 
 def scanned_heat(
-    way: BeamWay,
-    sections: list[BaseGeometry],
-    k: int,
-    z_mm: float,
-    column: HeatColumn | None,
-    config: Config,
+    way: BeamWay, sections: list[BaseGeometry], k: int, z_mm: float, column: HeatColumn | None, config: Config,
     under: BaseGeometry | None = None,
-) -> tuple[SurfaceHeat, Scanned] | None:
+) -> tuple[SurfaceHeat, Scanned] | None:  # fmt: skip
     """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan.
 
     `column` is that of what stands, which is not changed; None: the bare plate.

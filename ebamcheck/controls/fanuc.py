@@ -71,20 +71,8 @@ _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
     return (
-        "G17",
-        "G21",
-        "G90",
-        "G94",
-        "G40",
-        "G49",
-        "G80",
-        "G50",
-        "G69",
-        machine.work_offset,
-        "G92.1",
-        "G64",
-        "G5.1",
-    )
+        "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G92.1", "G64", "G5.1",
+    )  # fmt: skip
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
@@ -114,14 +102,9 @@ CONTROL = Control(
 
 
 def write_program(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None,
-) -> ProgramFiles:
+) -> ProgramFiles:  # fmt: skip
     """Write one ``.cnc`` file between percent signs, with arcs or lines for splines.
 
     The program's number is ``machine.program_name`` where that is one, such as O1234, and O0001 where it is none.
@@ -130,14 +113,8 @@ def write_program(
     machine = config.machine
     form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
     modes = [
-        "G17 G21 G90 G94",
-        "G40 G49 G80",
-        SCALES_OFF,
-        machine.work_offset,
-        SHIFTS_OFF,
-        "G64",
-        LOOK_AHEAD_OFF,
-    ]
+        "G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, SHIFTS_OFF, "G64", LOOK_AHEAD_OFF,
+    ]  # fmt: skip
     lines = one_file(Post.of(curves, plan, config, CONTROL, form, None), modes, validated, header)
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"

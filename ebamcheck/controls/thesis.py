@@ -90,16 +90,9 @@ class CasePost(Protocol):
     """A post of this module: it takes a layer, which programs for controls do not."""
 
     def __call__(
-        self,
-        curves: CurveColumns,
-        plan: ScanColumns,
-        config: Config,
-        folder: str | Path,
-        *,
-        validated: bool = False,
-        header: Mapping[str, str] | None = None,
-        layer: int | None = None,
-    ) -> ProgramFiles:
+        self, curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+        header: Mapping[str, str] | None = None, layer: int | None = None,
+    ) -> ProgramFiles:  # fmt: skip
         """Write a case."""
         ...
 
@@ -114,15 +107,9 @@ def case_post(control: str) -> CasePost:
 
 
 def write_3dthesis(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    layer: int | None = None,
-) -> ProgramFiles:
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+    header: Mapping[str, str] | None = None, layer: int | None = None,
+) -> ProgramFiles:  # fmt: skip
     """Write a case of 3DThesis, its ``Path.txt`` first; of one layer where one is given. `header` has no place in it.
 
     Takes and raises what :func:`ebamcheck.write_program` does.

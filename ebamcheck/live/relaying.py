@@ -29,7 +29,7 @@ from ebamcheck.live.publishing import (
 )
 from ebamcheck.live.readings import Reading, check_height
 from ebamcheck.mesh.on_table import on_table
-from ebamcheck.nc.special_rules import checked_tilt
+from ebamcheck.nc.templates import checked_tilt
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat
 from ebamcheck.writing.table import tilt_of

@@ -343,14 +343,9 @@ class Reader:
 
 
 def arc(
-    start: tuple[float, float],
-    end: tuple[float, float],
-    i: float,
-    j: float,
-    radius: float | None = None,
-    *,
+    start: tuple[float, float], end: tuple[float, float], i: float, j: float, radius: float | None = None, *,
     counter_clockwise: bool,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float]:  # fmt: skip
     """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle.
 
     I and J lead from the start to the centre and count where there is no radius, which is negative for an arc of more than half a

@@ -13,8 +13,7 @@ import numpy as np
 from ebamcheck.errors import InputError
 from ebamcheck.nc.codes import AUXILIARY, BEAM_VALUES, DWELL, SWITCHES, Action
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram, SourceFile
-from ebamcheck.nc.preheating import without_preheating
-from ebamcheck.nc.roles import by_shape, with_travel
+from ebamcheck.nc.roles import by_shape, with_travel, without_preheating
 from ebamcheck.nc.table import TableState, starts_in_frames
 from ebamcheck.nc.templates import Programmed
 from ebamcheck.nc.timeline import Events
@@ -156,15 +155,9 @@ class Recorder:
         self._numbers.append((self.file, self.line, int(digits)))
 
     def move(
-        self,
-        kind: int,
-        x: float,
-        y: float,
-        z: float,
-        curve: tuple[float, ...] = LINE_OF_T,
-        centre: tuple[float, ...] = NO_CENTRE,
-        line: int = 0,
-    ) -> None:
+        self, kind: int, x: float, y: float, z: float, curve: tuple[float, ...] = LINE_OF_T,
+        centre: tuple[float, ...] = NO_CENTRE, line: int = 0,
+    ) -> None:  # fmt: skip
         """Note a motion to x, y, z; `line` where it is not the present one."""
         # Here and not behind all motions: an arc from such a place would be refused in the place of it.
         if x > LARGEST or y > LARGEST or z > LARGEST or x < -LARGEST or y < -LARGEST or z < -LARGEST:

@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram, TableColumns
-from ebamcheck.nc.preheating import rows_of
+from ebamcheck.nc.roles import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
@@ -83,15 +83,9 @@ class TableState:
         frame, after = states
         before = np.concatenate([[0], after[:-1]])[: len(after)]
         return TableColumns(
-            self.axes,
-            np.array(self._positions, np.float64).reshape(len(self._positions), len(self.axes)),
-            np.stack(self._frames),
-            before,
-            after,
-            frame,
-            np.zeros(len(after)),
-            np.zeros(len(after), np.bool_),
-        )
+            self.axes, np.array(self._positions, np.float64).reshape(len(self._positions), len(self.axes)),
+            np.stack(self._frames), before, after, frame, np.zeros(len(after)), np.zeros(len(after), np.bool_),
+        )  # fmt: skip
 
 
 def starts_in_frames(start: Floats, table: TableColumns) -> Floats:

@@ -42,17 +42,11 @@ class Kind(IntEnum):
 
 # Kinds of events that have a name of their own.
 BY_NAME = {
-    "beam_on": Kind.BEAM_ON,
-    "beam_off": Kind.BEAM_OFF,
-    "wire_start": Kind.WIRE_START,
-    "wire_stop": Kind.WIRE_STOP,
-    SKIPPED: Kind.SKIPPED,
-    **dict.fromkeys(VALUES, Kind.VALUE),
-    **dict.fromkeys((PAUSE, DWELL), Kind.WAIT),
-    **dict.fromkeys(("M0", "M1"), Kind.STOP),
-    **dict.fromkeys(("M30", "M2", "M17", "RET"), Kind.END),
+    "beam_on": Kind.BEAM_ON, "beam_off": Kind.BEAM_OFF, "wire_start": Kind.WIRE_START, "wire_stop": Kind.WIRE_STOP,
+    SKIPPED: Kind.SKIPPED, **dict.fromkeys(VALUES, Kind.VALUE), **dict.fromkeys((PAUSE, DWELL), Kind.WAIT),
+    **dict.fromkeys(("M0", "M1"), Kind.STOP), **dict.fromkeys(("M30", "M2", "M17", "RET"), Kind.END),
     **dict.fromkeys(("CTOL", "ADIS"), Kind.TOLERANCE),
-}
+}  # fmt: skip
 # Kinds of events whose name says more behind its begin: a subprogram, a block, axes.
 BY_BEGIN = {
     "call ": Kind.CALL,

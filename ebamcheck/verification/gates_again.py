@@ -344,13 +344,8 @@ class TextAgain(NamedTuple):
 
 
 def text_again(
-    run: RunFolder,
-    manifest: Mapping[str, Any],
-    config: Config,
-    part: Part,
-    fresh: Layers,
-    smooth: Layers | None,
-) -> TextAgain:
+    run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, smooth: Layers | None,
+) -> TextAgain:  # fmt: skip
     """Read, lay and check the text of a run's program over sections of the part that were cut anew.
 
     `smooth` are the fitted contours with their curves, fitted anew; None where the method of the fit makes none.

@@ -51,14 +51,9 @@ from ebamcheck.verification.gates_again import compared, truth_of, work_again
 
 
 def verify(
-    target: str | Path,
-    part: str | Path | None = None,
-    config: Config | None = None,
-    *,
-    quick: bool = False,
-    trusted: Sequence[str | Path] = (),
-    whole: str | Path | None = None,
-) -> list[Check]:
+    target: str | Path, part: str | Path | None = None, config: Config | None = None, *, quick: bool = False,
+    trusted: Sequence[str | Path] = (), whole: str | Path | None = None,
+) -> list[Check]:  # fmt: skip
     """Check a finished run, or a program against a part, from part, settings and the program's text.
 
     Parameters

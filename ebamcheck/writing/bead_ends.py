@@ -73,14 +73,8 @@ def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floa
     if process.seam_shift_mm <= 0.0:
         return np.zeros(path.ring.size), below
     return seam_shifts(
-        path.layer_starts,
-        path.track_starts,
-        tracks.closed,
-        path.points,
-        path.lengths,
-        process.seam_shift_mm,
-        below,
-    )
+        path.layer_starts, path.track_starts, tracks.closed, path.points, path.lengths, process.seam_shift_mm, below,
+    )  # fmt: skip
 
 
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:

@@ -126,19 +126,11 @@ def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
     goes_on = path.goes_on[segment]
     goes_on[1:] |= (np.diff(segment) == 0) & (parts.low[1:] > 0.0) & ~(ring | path.turn[segment])[1:]
     made = replace(
-        path,
-        track_starts=track_starts,
-        start=start,
-        kind=kind,
-        end=end,
-        turn=path.turn[segment],
+        path, track_starts=track_starts, start=start, kind=kind, end=end, turn=path.turn[segment],
         piece=np.where(_in_whole_pieces(path, parts, whole), path.piece[segment], -1),
-        bezier=made_points[kind == CUBIC],
-        middle=made_points[kind == CIRCULAR, 1],
-        power=parts.power,
-        width=parts.width,
-        goes_on=goes_on,
-    )
+        bezier=made_points[kind == CUBIC], middle=made_points[kind == CIRCULAR, 1], power=parts.power,
+        width=parts.width, goes_on=goes_on,
+    )  # fmt: skip
     return cleaned(made, decimals)
 
 

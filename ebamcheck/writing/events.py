@@ -30,9 +30,7 @@ COLUMNS = {
     "role": "contour, hatch, wall, gap or turn: metal; move: beam off; wait: at rest",
     "ring": "number of the contour ring, -1 for none",
     "island": "number of the island, -1 for none",
-    "x_mm": "where it ends",
-    "y_mm": "where it ends",
-    "z_mm": "where it ends",
+    **dict.fromkeys(("x_mm", "y_mm", "z_mm"), "where it ends"),
     "length_mm": "along the path",
     "time_s": "at the feed, or at rapid speed",
     "power_w": "beam power, 0 where it is off",
@@ -166,33 +164,15 @@ def _between_layers(path: Toolpath, before: _Before, safe_mm: float) -> list[pd.
 
 
 def _rows(
-    layer: Ints,
-    track: Ints,
-    step: int,
-    role: str,
-    place: Floats,
-    z: Floats,
-    length: Floats,
-    time_s: Floats | None,
-) -> pd.DataFrame:
+    layer: Ints, track: Ints, step: int, role: str, place: Floats, z: Floats, length: Floats, time_s: Floats | None,
+) -> pd.DataFrame:  # fmt: skip
     return pd.DataFrame(
         {
-            "layer": layer,
-            "track": track,
-            "step": step,
-            "role": role,
-            "ring": -1,
-            "island": -1,
-            "x_mm": place[:, 0],
-            "y_mm": place[:, 1],
-            "z_mm": z,
-            "length_mm": length,
-            "time_s": 0.0 if time_s is None else time_s,
-            "power_w": 0.0,
-            "wire_mm_s": 0.0,
-            "starts": 0,
+            "layer": layer, "track": track, "step": step, "role": role, "ring": -1, "island": -1, "x_mm": place[:, 0],
+            "y_mm": place[:, 1], "z_mm": z, "length_mm": length, "time_s": 0.0 if time_s is None else time_s,
+            "power_w": 0.0, "wire_mm_s": 0.0, "starts": 0,
         }
-    )
+    )  # fmt: skip
 
 
 def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFrame:

@@ -15,14 +15,9 @@ NO_SEAMS: Floats = np.zeros((0, 2))  # Seams under the lowest layer of a part
 
 
 def seam_shifts(
-    layer_starts: Ints,
-    track_starts: Ints,
-    closed: Bools,
-    points: Floats,
-    lengths: Floats,
-    shift_mm: float,
+    layer_starts: Ints, track_starts: Ints, closed: Bools, points: Floats, lengths: Floats, shift_mm: float,
     below: Floats = NO_SEAMS,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
 
     A contour starts a shift further along itself than its place next to the seam below.

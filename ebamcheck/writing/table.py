@@ -17,7 +17,7 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.conventions import comment
-from ebamcheck.nc.special_rules import carried_corners
+from ebamcheck.nc.templates import carried_corners
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.tilt import RotaryAxis

@@ -105,14 +105,9 @@ def _along_walls(path: Toolpath, plan: ScanColumns) -> Bools:
 
 
 def _flat(
-    beads: _LayerBeads,
-    surface: Surface,
-    division: _Division,
-    tracks: Tracks,
-    thickness_mm: float,
-    config: Config,
+    beads: _LayerBeads, surface: Surface, division: _Division, tracks: Tracks, thickness_mm: float, config: Config,
     power_share: float,
-) -> Stretches:
+) -> Stretches:  # fmt: skip
     """Stretches of one layer with the widths that lay it flat, and mend a little of what lies too high or low under it."""
     target, cell_mm2 = beads.target, surface.step_mm**2
     nominal = np.full(beads.every.size, config.process.hatch_spacing_mm)
@@ -225,14 +220,9 @@ class _LayerBeads:
 
 
 def _layer_beads(
-    path: Toolpath,
-    layer: int,
-    tracks: Tracks,
-    division: _Division,
-    region: BaseGeometry,
-    step_mm: float,
+    path: Toolpath, layer: int, tracks: Tracks, division: _Division, region: BaseGeometry, step_mm: float,
     config: Config,
-) -> _LayerBeads:
+) -> _LayerBeads:  # fmt: skip
     """Lay out the stretches of one layer over its region."""
     bead_mm = config.process.bead_width_mm
     a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
