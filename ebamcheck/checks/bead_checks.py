@@ -78,10 +78,8 @@ def _spacing(subject: Subject) -> Check:
 
 
 def _is_bare(subject: Subject, chords_of: Callable[[int], NDArray[np.object_]], pair: Ints) -> bool:
-    """Whether the place half-way between two lines is in the section, and under no bead, by the chords of a layer's beads.
-
-    Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
-    """
+    """Whether the place half-way between two lines is in the section, and under no bead, by the chords of a layer's beads."""
+    # Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
     nc, config = subject.nc, subject.config
     shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
     middle = 0.5 * (nc.start + nc.end)[shorter, :2]

@@ -161,12 +161,11 @@ def _preheating_h(nc: NCProgram, config: Config) -> Floats:
 def _used(
     nc: NCProgram, config: Config, amounts: tuple[Floats, Floats], holds: float, name: str, spent: float
 ) -> Consumed:
-    """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing.
-
-    A time that nobody knows is endless.
-    """
+    """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing."""
+    # A time that nobody knows is endless.
     by_motion, before = amounts
-    layer, count = _layer_of(nc), before.size
+    # A motion between layers is of that before, one before all of the first.
+    layer, count = np.maximum.accumulate(np.maximum(nc.layer, 0)).astype(np.int64), before.size
     used = np.where(np.isnan(by_motion), np.inf, by_motion)
     in_layer = before + np.bincount(layer, used, minlength=count)
     changes, ends_in, in_use = _changes(in_layer.tolist(), holds, config.machine.optional_stop, spent)
@@ -204,11 +203,6 @@ def _changes(
         if used > holds:
             return tuple(changes), k, used
     return tuple(changes), None, used
-
-
-def _layer_of(nc: NCProgram) -> Ints:
-    """Layer of each motion (B,); of one between layers that before it, of one before all the first."""
-    return np.maximum.accumulate(np.maximum(nc.layer, 0)).astype(np.int64)
 
 
 def layer_pauses_s(nc: NCProgram) -> Floats:

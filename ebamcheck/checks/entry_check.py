@@ -79,10 +79,8 @@ def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[
 
 
 def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -> Iterator[tuple[str, str]]:
-    """First wait, switch or value from the first bead on that the whole program does not have there, or has otherwise.
-
-    Motions alone tell nothing of waits, without which the part is too warm where the next bead comes.
-    """
+    """First wait, switch or value from the first bead on that the whole program does not have there, or has otherwise."""
+    # Motions alone tell nothing of waits, without which the part is too warm where the next bead comes.
     at = [np.flatnonzero(nc.events.row >= row) for nc, row in ((entry, first), (whole, first + offset))]
     for name in VALUES:
         # What was set last before the motion; NaN where nothing was.

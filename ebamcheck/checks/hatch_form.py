@@ -98,7 +98,10 @@ def _forms(start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
     if way.shape[1] < 3:
         return np.where(back >= 0, BACK, FINE), back
     parallel = _parallel(way, length)
-    main, most = _main_lines(parallel, length)
+    # The longest line of the direction that most of a bead has, and how much of it that is, mm.
+    share = np.cumsum(np.where(parallel, length[:, None, :], 0.0), axis=2)[..., -1]
+    most = share.max(axis=1)
+    main = np.where(share == most[:, None], length, -1.0).argmax(axis=1)
     bead = np.arange(main.size)
     along, longest = parallel[bead, main], TURN_SPACINGS * spacing + TWO_PLACES_MM
     to = start - start[bead, main][:, None]
@@ -140,19 +143,10 @@ def _turned_back(way: Floats, length: Floats) -> Bools:
     return back
 
 
-def _main_lines(parallel: Bools, length: Floats) -> tuple[Ints, Floats]:
-    """Longest line (m,) of the direction that most of a bead has, and how much of it that is (m,) mm."""
-    along = np.cumsum(np.where(parallel, length[:, None, :], 0.0), axis=2)[..., -1]
-    most = along.max(axis=1)
-    return np.where(along == most[:, None], length, -1.0).argmax(axis=1), most
-
-
 def _skew(parallel: Bools, along: Bools, short: Bools, aside: Bools) -> Bools:
-    """Lines (m, n) that are neither along the main line, nor along any other, nor a turn between two.
-
-    Short motions before the first line along it and behind the last one follow a wall or fill a bare spot, and lie as that
-    does; but a single one that goes half a spacing aside is a turn whose line is missing.
-    """
+    """Lines (m, n) that are neither along the main line, nor along any other, nor a turn between two."""
+    # Short motions before the first line along it and behind the last one follow a wall or fill a bare spot, and lie as that does; but a
+    # single one that goes half a spacing aside is a turn whose line is missing.
     count = along.shape[1]
     index, low = np.arange(count), along.argmax(axis=1)[:, None]
     high = count - 1 - along[:, ::-1].argmax(axis=1)[:, None]
@@ -192,10 +186,8 @@ def _before(which: Bools) -> Ints:
 
 
 def _crossings(nc: NCProgram, pool_mm: float) -> Check:
-    """Places where a hatch bead runs across itself or another of its layer: metal on metal.
-
-    A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
-    """
+    """Places where a hatch bead runs across itself or another of its layer: metal on metal."""
+    # A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
     metal = (
         nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
     )

@@ -54,7 +54,11 @@ def header_checks(
 
     `heights` (L,) are those of the cuts; None where they are not known.
     """
-    faults = [*_other_control(nc, config), *_header(nc, config, truth), *_layers(nc, heights, config)]
+    faults = [*_header(nc, config, truth), *_layers(nc, heights, config)]
+    # Settings that name no control name the default one.
+    if config.machine.control not in (nc.dialect, MachineSettings.model_fields["control"].default):
+        what = f"is read as one of {nc.dialect}, machine.control is {config.machine.control}"
+        faults.insert(0, (f"{nc.files[0].name}:1", what))
     header = count_check("header", faults, f"true{_other_settings(nc, truth)}")
     return [status_check(nc, truth), header, _size(nc, config)]
 
@@ -105,14 +109,6 @@ def _header(nc: NCProgram, config: Config, truth: Truth) -> Faults:
             where = place_of(file, max(file.data.find(f"{key}:".encode("ascii", "replace")), 0))
             faults.append((where, f"says {key}: {nc.header[key]}, {by} {value}"))
     return faults
-
-
-def _other_control(nc: NCProgram, config: Config) -> Faults:
-    """A program in another language than that of the control which the settings name; they name the default one if they name none."""
-    if config.machine.control in (nc.dialect, MachineSettings.model_fields["control"].default):
-        return []
-    what = f"is read as one of {nc.dialect}, machine.control is {config.machine.control}"
-    return [(f"{nc.files[0].name}:1", what)]
 
 
 def _other_settings(nc: NCProgram, truth: Truth) -> str:

@@ -246,11 +246,9 @@ def _follow(
     kelvin: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats], ambient: float, cooled: bool,
     time: float, power: float,
 ) -> None:  # fmt: skip
-    """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end.
-
-    Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
-    conductivity, W/mm K, at every kelvin; the uppermost cell takes up `power`, W.
-    """
+    """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end."""
+    # Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
+    # conductivity, W/mm K, at every kelvin; the uppermost cell takes up `power`, W.
     for step in range(STEPS):
         span = (2 * step + 1) / STEPS**2 * time
         end, whole = kelvin.copy(), kelvin.copy()
@@ -267,10 +265,8 @@ def _step(
     kelvin: Floats, data_at: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats],
     ambient: float, cooled: bool, time: float, power: float,
 ) -> None:  # fmt: skip
-    """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step.
-
-    Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.
-    """
+    """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step."""
+    # Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.
     height, area, shining = cells
     content, conductivity = tables
     count = kelvin.size
@@ -303,10 +299,8 @@ def _step(
 
 
 def _shining_mm2(laid: Floats) -> Floats:
-    """Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs.
-
-    The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
-    """
+    """Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs."""
+    # The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
     height, area, outer, inner, holes = laid.T
     filled = area + holes
     seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)

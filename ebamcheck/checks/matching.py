@@ -211,12 +211,10 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
 
 @kernel
 def _farthest(places: Floats, polyline: Floats, known_mm: float) -> tuple[Ints, Floats]:
-    """Nearest segment (n,) of a polyline to each place and its distance (n,), for the farthest places.
-
-    Both follow the same way, so that the segment near a place is a step or two from that of the place before. A place
-    that is nearer to it than another one is to the polyline, or than `known_mm`, is not the farthest: what was found of
-    it is enough, and no nearer segment is looked for.
-    """
+    """Nearest segment (n,) of a polyline to each place and its distance (n,), for the farthest places."""
+    # Both follow the same way, so that the segment near a place is a step or two from that of the place before. A place that is nearer to
+    # it than another one is to the polyline, or than `known_mm`, is not the farthest: what was found of it is enough, and no nearer
+    # segment is looked for.
     ring = tree_over(segments_along(polyline, False))
     segment = np.zeros(len(places), np.int64)
     away = np.empty(len(places))

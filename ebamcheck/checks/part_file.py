@@ -155,10 +155,8 @@ def _beside_mm(part: Part, bodies: list[_Body], config: Config) -> float:
 
 
 def _standing(body: _Body) -> Iterator[Floats]:
-    """Corners (n, 3, 3) of the facets of a part where they are to stand.
-
-    The shortest turn that takes one direction to another is a half turn about the first and one about the middle between them.
-    """
+    """Corners (n, 3, 3) of the facets of a part where they are to stand."""
+    # The shortest turn that takes one direction to another is a half turn about the first and one about the middle between them.
     up = np.asarray(body.direction, np.float64) / np.linalg.norm(body.direction)
     middle = up + np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(middle) > 1e-7:

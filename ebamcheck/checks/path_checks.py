@@ -85,10 +85,8 @@ def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
 
 
 def _arc(control: Floats, t: Floats) -> Floats:
-    """Points (n, 2) on the arc from the first to the last of three points, the second half-way.
-
-    The first spoke is turned about the centre, which is where the bisectors of both halves meet.
-    """
+    """Points (n, 2) on the arc from the first to the last of three points, the second half-way."""
+    # The first spoke is turned about the centre, which is where the bisectors of both halves meet.
     first, middle, last = control
     halves = np.array([middle - first, last - middle])
     middles = 0.5 * np.array([(middle + first) @ (middle - first), (last + middle) @ (last - middle)])
@@ -189,10 +187,8 @@ def _left_mm2(points: Floats) -> Floats:
 def _group_faults(
     nc: NCProgram, rows: Ints, group: Ints, breaks: Bools, what: str, z_of: Floats, wanted: Ints
 ) -> list[tuple[str, str]]:
-    """Rings or islands that are missing, come twice, are unknown, or lie at another Z than expected.
-
-    `breaks` (n,) is true where a motion begins a new group even if the one before has the same number.
-    """
+    """Rings or islands that are missing, come twice, are unknown, or lie at another Z than expected."""
+    # `breaks` (n,) is true where a motion begins a new group even if the one before has the same number.
     ids = group[rows]
     begins = np.flatnonzero(breaks | (np.diff(ids, prepend=-1) != 0))
     found = ids[begins]

@@ -75,11 +75,9 @@ def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float
 
 
 def _keep_out(nc: NCProgram, config: Config) -> Check:
-    """Depth to which the edge of a bead enters a zone, and length of a rapid within one.
-
-    Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
-    of what that has in common with the zone.
-    """
+    """Depth to which the edge of a bead enters a zone, and length of a rapid within one."""
+    # Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
+    # of what that has in common with the zone.
     rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
     lines = motion_lines(nc, rows)
     if control(nc.dialect).rapids_apart:
@@ -228,11 +226,9 @@ def _layers(nc: NCProgram) -> Iterator[Laid]:
 
 
 def _reach(laid: Laid, below: Laid, allowed_mm: float, width_mm: float) -> tuple[float, Floats, float]:
-    """Distance of the farthest metal from that below, its place (2,), and the area (mm2) that is farther than allowed.
-
-    Centre lines reach out as far as the metal beside them, or farther: of a bridge's span half a bead stands on either side.
-    So metal is made of them only where they reach too far.
-    """
+    """Distance of the farthest metal from that below, its place (2,), and the area (mm2) that is farther than allowed."""
+    # Centre lines reach out as far as the metal beside them, or farther: of a bridge's span half a bead stands on either side. So metal
+    # is made of them only where they reach too far.
     away = distances(laid.places, below.sides)
     k = _first_outside(laid.places, np.argsort(-away, kind="stable"), below.inside)
     # Contours tell what they enclose but where a bead runs round between two of them: what is far from all beads is not over them.

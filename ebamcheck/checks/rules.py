@@ -56,11 +56,9 @@ def _each(remedy: str, *names: str) -> dict[str, str]:
 
 
 def _plugged(subject: Subject) -> list[Check]:
-    """Make the checks of all plugins, entry points of the group ``ebamcheck.checks``: each is a function of program and settings.
-
-    It sees what every check of the house sees, and shuts the same gate; one that raises or returns no check is a failed check of
-    its name.
-    """
+    """Make the checks of all plugins, entry points of the group ``ebamcheck.checks``: each is a function of program and settings."""
+    # It sees what every check of the house sees, and shuts the same gate; one that raises or returns no check is a failed check of its
+    # name.
     return [check for name in registry.names(registry.CHECKS) for check in _of_plugin(name, subject)]
 
 
@@ -76,11 +74,6 @@ def _of_plugin(name: str, subject: Subject) -> list[Check]:
         return [Check(name, False, 1.0, 0.0, "", subject.nc.files[0].name, text, remedy=remedy)]
     figures = "{0.value:.6g} {0.unit}, the limit is {0.limit:.6g}"
     return [check if check.text else replace(check, text=figures.format(check)) for check in checks]
-
-
-def _matching(subject: Subject) -> list[Check]:
-    assert subject.match is not None
-    return matching_checks(subject.nc, subject.match)
 
 
 def _metal(subject: Subject) -> list[Check]:
@@ -146,7 +139,7 @@ RULES = (
     Rule(lambda s: layer_checks(s.nc, s.z_of, s.filled), {
         "layer count": do.AGAIN, **_each(do.LEVEL, "layer heights", "flat layers"),
     }, needs=("heights",)),
-    Rule(_matching, _each(do.AGAIN, "beads as planned", "hatch path"), needs=("match",)),
+    Rule(lambda s: matching_checks(s.nc, s.match) if s.match else [], _each(do.AGAIN, "beads as planned", "hatch path"), needs=("match",)),
     Rule(contour_checks, _each(do.AGAIN, "contour rings", "contour path"), needs=("curves",)),
     Rule(hatch_checks, _each(do.AGAIN, "islands", "hatch vectors"), needs=("plan",)),
     Rule(section_checks, {"section": do.FIT, "beads inside": do.COARSE, "smooth section": do.FIT}, needs=("layers",)),

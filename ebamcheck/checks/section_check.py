@@ -180,12 +180,10 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
 
 
 def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
-    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm.
-
-    A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by
-    their lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to
-    l (a + b) / 8 (arc, tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
-    """
+    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm."""
+    # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
+    # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
+    # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
     rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
     sides, bounds = [], []
     for ring in rings:
@@ -207,10 +205,8 @@ def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
 def _sections(
     polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
 ) -> tuple[list[BaseGeometry], Floats]:
-    """The section, with its narrow rings and without, and the lines (n, 4) along which the path must pass.
-
-    It may keep the narrow rings or leave them out, and must pass where the border is there either way.
-    """
+    """The section, with its narrow rings and without, and the lines (n, 4) along which the path must pass."""
+    # It may keep the narrow rings or leave them out, and must pass where the border is there either way.
     section = layer_section(polygons)
     lines = depth_lines(section, offset_mm)
     wide = [
@@ -234,11 +230,9 @@ def _depths(at: Floats, region: BaseGeometry) -> Floats:
 
 
 def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: float) -> Floats:
-    """How far (n,) the insets of outlines within `limit_mm` of a section's may lie from places on its own inset.
-
-    Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between
-    both. Where nothing is that deep, it may be gone.
-    """
+    """How far (n,) the insets of outlines within `limit_mm` of a section's may lie from places on its own inset."""
+    # Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between both. Where nothing
+    # is that deep, it may be gone.
     inwards = distances(places, depth_lines(section, offset_mm + limit_mm))
     if offset_mm <= limit_mm:
         return np.maximum(inwards, limit_mm)

@@ -187,10 +187,8 @@ def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 
 def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
-    """Words that set a group to another than the one wanted, or change one that was set; those of the path apart.
-
-    The main program sets every group itself, before its first motion or call.
-    """
+    """Words that set a group to another than the one wanted, or change one that was set; those of the path apart."""
+    # The main program sets every group itself, before its first motion or call.
     wanted = wanted_words(nc.dialect, config.machine)
     faults: dict[bool, Faults] = {False: [], True: []}
     state: dict[str, str] = {}
@@ -219,10 +217,8 @@ def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
 
 
 def _offset_lost(nc: NCProgram, config: Config) -> Faults:
-    """Motions whose work offset went with a transformation that was switched off, and was not chosen again behind it.
-
-    Source: Siemens, Job Planning, constraints when selecting a transformation: the control deselects the frame in force.
-    """
+    """Motions whose work offset went with a transformation that was switched off, and was not chosen again behind it."""
+    # Source: Siemens, Job Planning, constraints when selecting a transformation: the control deselects the frame in force.
     e, offset = nc.events, wanted_words(nc.dialect, config.machine).get("work offset")
     off = e.named(TRANSFORMATION_OFF)
     chosen = np.append(0, np.cumsum(off | e.named(offset or "")))
@@ -304,11 +300,9 @@ def _tolerances(nc: NCProgram, config: Config, tolerances: Bools) -> Faults:
 
 
 def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
-    """Layers that lack a mode or value with which others begin: the control could not enter the program there.
-
-    Where layers begin there are rows of modes; single words that are said again later on, fewer than half of the fullest row of their
-    layer (of their file, where each layer has one), are none.
-    """
+    """Layers that lack a mode or value with which others begin: the control could not enter the program there."""
+    # Where layers begin there are rows of modes; single words that are said again later on, fewer than half of the fullest row of their
+    # layer (of their file, where each layer has one), are none.
     runs = _rows_of_modes(nc, set(wanted))
     called, last = bool((nc.events.kind == Kind.CALL).any()), len(nc) - 1
     of_layer = [
@@ -334,11 +328,9 @@ def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
 
 
 def _rows_of_modes(nc: NCProgram, wanted: set[str]) -> list[tuple[int, int, dict[str, str]]]:
-    """File, row of the next motion, and names and places of the modes and values with which the program and its layers begin.
-
-    A row of blocks that set modes ends with the next motion, and where a mode follows a switch or a value: in one file
-    the first blocks of the program are followed by those of its first layer.
-    """
+    """File, row of the next motion, and names and places of the modes and values with which the program and its layers begin."""
+    # A row of blocks that set modes ends with the next motion, and where a mode follows a switch or a value: in one file the first blocks
+    # of the program are followed by those of its first layer.
     e = nc.events
     mode, value = e.named(*wanted), e.named(*BEAM_VALUES)
     before, switched = e.latest(mode)[:-1], e.latest(value | e.named(*SWITCHES))[:-1]

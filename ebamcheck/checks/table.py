@@ -294,10 +294,8 @@ def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | N
 
 
 def _swings(nc: NCProgram, before: Part, config: Config) -> list[Check]:
-    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns none.
-
-    The check `table height` has the same of boxes by which the program was written, too.
-    """
+    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns none."""
+    # The check `table height` has the same of boxes by which the program was written, too.
     full, machine = nc.machine, config.machine
     if full is None or full.table is None:
         return []

@@ -138,9 +138,7 @@ DIALECT = replace(
 
 def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program from its one file."""
-    reader = FanucReader(main.parent, config, DIALECT)
-    reader.run(main)
-    return reader.out.program()
+    return FanucReader(main.parent, config, DIALECT).program(main)
 
 
 class FanucReader(GcodeReader):
@@ -155,9 +153,8 @@ class FanucReader(GcodeReader):
     def run_line(self, text: str) -> str | None:
         """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
         if ";" in text:
-            raise WordError(
-                "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
-            )
+            what = "a semicolon ends a block on this control: comments stand in parentheses"
+            raise WordError(what, text.index(";"))
         code = self.split(text)[0]
         small = re.search("[a-z]", code)
         if small:
@@ -171,10 +168,8 @@ class FanucReader(GcodeReader):
         """Run the blocks that take look-ahead and shifts back; refuse a number without its decimal point, and a code with one."""
         bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
         if bare is not None:
-            raise WordError(
-                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)",
-                bare.start(),
-            )
+            what = f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)"
+            raise WordError(what, bare.start())
         pointed = _POINTED_CODE.search(code)
         if pointed is not None:
             raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())

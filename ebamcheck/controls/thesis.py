@@ -27,7 +27,6 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import power_shares
-from ebamcheck.writing.tracks import Toolpath
 
 SCRIPT = "run.sh"  # What runs a case
 STATUS = "@status@"  # Stands in the texts of a case where its status will be
@@ -123,22 +122,16 @@ def write_thesis(
 ) -> ProgramFiles:
     """Write a case of 3DThesis from its path and its other files."""
     title = f"Mode\tX(mm)\tY(mm)\tZ(mm)\tPmod\ttParam\t{STATUS}"
-    text = _table(path.rows, "%d\t%.6f\t%.6f\t%.6f\t%g\t%.9g\n")
-    return _write({"Path.txt": f"{title}\n{text}", **others}, folder, validated)
+    line = "%d\t%.6f\t%.6f\t%.6f\t%g\t%.9g\n"
+    text = (line * len(path.rows)) % tuple(path.rows.ravel().tolist())
+    texts = fill_case({"Path.txt": f"{title}\n{text}", **others}, validated=validated)
+    return write_files(texts, Path(folder), validated=validated)
 
 
 def fill_case(texts: Mapping[str, str], *, validated: bool = False) -> dict[str, str]:
     """Texts of a case with their status."""
     status = VALIDATED if validated else NOT_VALIDATED
     return {name: text.replace(STATUS, status, 1) for name, text in texts.items()}
-
-
-def _write(texts: Mapping[str, str], folder: str | Path, validated: bool) -> ProgramFiles:
-    return write_files(fill_case(texts, validated=validated), Path(folder), validated=validated)
-
-
-def _table(rows: Floats, line: str) -> str:
-    return (line * len(rows)) % tuple(rows.ravel().tolist())
 
 
 def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPath:
@@ -156,7 +149,11 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
     rows[spot, 1:3], rows[line, 1:3] = path.start[tracks], path.end
     rows[:, 3] = np.repeat(z, sizes + 1)
     rows[line, 5] = config.process.travel_speed_mm_s * METRES
-    rows[spot, 5] = _travel_s(path, rows, spot, config)
+    # The rapid move to each track; the first is where the beam is.
+    away = np.zeros(spot.size)
+    if spot.size:
+        away[1:] = np.linalg.norm(rows[spot[1:], 1:4] - rows[spot[1:] - 1, 1:4], axis=1)
+    rows[spot, 5] = np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
     heat = interpass_of(plan, config)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
     rows[spot, 5] += _waits_s(layer, path.ring[tracks], path.island[tracks], heat)
@@ -174,16 +171,6 @@ def _waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> Floats:
     waits[new_island] += heat.island_wait_s[island[new_island]]
     waits[inner] += heat.inner_wait_s[island[inner]]
     return np.asarray(waits, np.float64)
-
-
-def _travel_s(
-    path: Toolpath, rows: Floats, spot: np.ndarray[tuple[int], np.dtype[np.int64]], config: Config
-) -> Floats:
-    """Time of the rapid move to each track; the first is where the beam is."""
-    away = np.zeros(spot.size)
-    if spot.size:
-        away[1:] = np.linalg.norm(rows[spot[1:], 1:4] - rows[spot[1:] - 1, 1:4], axis=1)
-    return np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
 
 
 # -- the files around the path ---------------------------------------------------------------------------

@@ -97,9 +97,8 @@ def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> 
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if begin.startswith(TABLE_TITLES):
-        raise InputError(
-            f"{path}:1:1: the path table of a heat simulator is an export, no program to be read"
-        )
+        what = "the path table of a heat simulator is an export, no program to be read"
+        raise InputError(f"{path}:1:1: {what}")
     marked = [c for c in controls.values() if c.mark and begin.startswith(c.mark)]
     ending = [c for c in controls.values() if path.suffix.upper() in c.suffixes]
     own = controls.get(config.machine.control)
@@ -179,6 +178,11 @@ class Reader:
         allowed = {"I", "J", self._radius} if self.mode in ARCS else set()
         takes = f"it takes I and J, or {self._radius}" if allowed else "it takes axes and F alone"
         return "" if values.keys() <= allowed else f"{', '.join(values)} under {self.mode}: {takes}"
+
+    def program(self, main: Path) -> NCProgram:
+        """Run a program from its main file; what it commands."""
+        self.run(main)
+        return self.out.program()
 
     def run(self, path: Path) -> None:
         """Run one file to its end."""

@@ -46,14 +46,8 @@ def by_shape(nc: NCProgram) -> NCProgram:
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
     """Give every bead its role by the sections of a part: contours run at a depth of the section.
 
-    In a layer where none does, the beads that come back to their start are taken for contours.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    offset_mm, near_mm
-        Depth of contour beads, and how near to it a bead runs that is one for most of its length.
+    The `layers` lie at `z_of` (L,) in the program; a contour runs within `near_mm` of the depth `offset_mm` for most of its length. In a
+    layer where no bead does, those that come back to their start are taken for contours.
     """
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
@@ -107,11 +101,9 @@ def _comes_back(nc: NCProgram, beads: Beads) -> Bools:
 
 
 def _begins_island(nc: NCProgram, beads: Beads, contour: Bools) -> Bools:
-    """Hatch beads (P,) that begin an island.
-
-    The others follow the bead before at its height, or from above in the same direction: islands that touch never share
-    one. After a wait an island begins in any case.
-    """
+    """Hatch beads (P,) that begin an island."""
+    # The others follow the bead before at its height, or from above in the same direction: islands that touch never share one. After a
+    # wait an island begins in any case.
     if not len(beads):
         return np.zeros(0, np.bool_)
     waits = nc.events.row[nc.events.named(PAUSE)]
@@ -175,13 +167,7 @@ def nearest_layer(z: Floats, z_of: Floats) -> Ints:
 
 
 def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
-    """Return the program with each motion in the layer whose height it works at; travel in the one that it leads to.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each layer, rising.
-    """
+    """Return the program with each motion in the layer whose Z, `z_of` (L,) rising, it works at; travel in the one that it leads to."""
     if not z_of.size:
         return nc
     metal = np.flatnonzero((nc.beam | nc.wire) & (nc.kind != RAPID))

@@ -281,13 +281,7 @@ NO_HEIGHT = KeepOut.model_fields["z_mm"].default
 
 
 def checked_preheating(config: Config, name: str) -> None:
-    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none.
-
-    Raises
-    ------
-    SettingsError
-        That names the setting, and what to do.
-    """
+    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none, by setting and what to do."""
     settings, machine, process = config.preheat, config.machine, config.process
     if settings.when == "off":
         return
@@ -319,13 +313,7 @@ def checked_preheating(config: Config, name: str) -> None:
 
 
 def checked_tilt(config: Config, name: str) -> None:
-    """Refuse a turned layer for a control that has no frames, or a machine without rotary axes.
-
-    Raises
-    ------
-    SettingsError
-        That names the setting, and what to do.
-    """
+    """Refuse a turned layer for a control that has no frames, or a machine without rotary axes, by setting and what to do."""
     if config.part.on_table is None:
         return
     if not config.machine.rotary:

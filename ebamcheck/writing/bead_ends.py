@@ -72,9 +72,8 @@ def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floa
     """Shift of each track, (T,), and the seams of the uppermost layer."""
     if process.seam_shift_mm <= 0.0:
         return np.zeros(path.ring.size), below
-    return seam_shifts(
-        path.layer_starts, path.track_starts, tracks.closed, path.points, path.lengths, process.seam_shift_mm, below,
-    )  # fmt: skip
+    layers, starts, shift_mm = path.layer_starts, path.track_starts, process.seam_shift_mm
+    return seam_shifts(layers, starts, tracks.closed, path.points, path.lengths, shift_mm, below)
 
 
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:

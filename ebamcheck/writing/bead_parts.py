@@ -161,12 +161,8 @@ def power_shares(path: Toolpath, heat: Interpass, config: Config) -> Floats:
     """Share of the full power along every segment of a path, (N,)."""
     ends = path.track_starts[path.layer_starts].tolist()
     shares = heat.power_share.tolist()
-    return np.concatenate(
-        [
-            np.zeros(0),
-            *(layer_power(path, k, slice(*ends[k : k + 2]), s, config) for k, s in enumerate(shares)),
-        ]
-    )
+    each = [layer_power(path, k, slice(*ends[k : k + 2]), s, config) for k, s in enumerate(shares)]
+    return np.concatenate([np.zeros(0), *each])
 
 
 def along_beads(parts: Parts, tracks: int, thickness_mm: float, config: Config) -> BeadPower:

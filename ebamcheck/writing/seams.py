@@ -20,18 +20,9 @@ def seam_shifts(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
 
-    A contour starts a shift further along itself than its place next to the seam below.
-
-    Parameters
-    ----------
-    layer_starts, track_starts
-        (L + 1,) first track of each layer, and (T + 1,) first segment of each track.
-    closed
-        (T,) tracks that end where they start; others keep their start.
-    points, lengths
-        (N, 4, 2) and (N,) of :mod:`ebamcheck.writing.cuts`.
-    below
-        (n, 2) seams under the lowest layer.
+    A contour that is `closed` (T,) starts a shift further along itself than its place next to the seam below; others keep their start.
+    `points` (N, 4, 2) and `lengths` (N,) of segments are those of :mod:`ebamcheck.writing.cuts`, `below` (n, 2) the seams under the
+    lowest layer.
     """
     shifts = np.zeros(closed.size)
     for k in range(layer_starts.size - 1):

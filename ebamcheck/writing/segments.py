@@ -217,7 +217,12 @@ def spline_arcs(found: Spans, tolerance_mm: float) -> ArcPieces:
         end = _at(bezier, high)
         if level == MOST_HALVINGS:
             start = _at(bezier, low)
-            _straighten(pairs, start, end, ~good)
+            for share, points in (
+                (0.25, pairs.first_middle),
+                (0.5, pairs.joint),
+                (0.75, pairs.second_middle),
+            ):
+                points[~good] = start[~good] + share * (end[~good] - start[~good])
             good[:] = True
         done.append(
             (span[good], low[good], pairs.first_middle[good], pairs.joint[good], pairs.second_middle[good], end[good])
@@ -310,11 +315,6 @@ def _off_arc(points: Floats, start: Floats, end: Floats, height: Floats) -> Floa
         y = rel[:, :, 1] * unit[:, None, 0] - rel[:, :, 0] * unit[:, None, 1]
         h = height[:, None]
         return np.asarray((h * (x * x + y * y - half**2) - y * (h * h - half**2)) / (half**2 + h * h))
-
-
-def _straighten(pairs: Pairs, start: Floats, end: Floats, which: Bools) -> None:
-    for share, points in ((0.25, pairs.first_middle), (0.5, pairs.joint), (0.75, pairs.second_middle)):
-        points[which] = start[which] + share * (end[which] - start[which])
 
 
 @dataclass(frozen=True, eq=False)

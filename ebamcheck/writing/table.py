@@ -77,10 +77,7 @@ def _word(axis: RotaryAxis, value: str) -> str:
 def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
     """How the table is turned for the part of the settings; None where nothing is turned.
 
-    Raises
-    ------
-    SettingsError
-        If the table cannot turn the direction up within its limits, or needs more height than the machine has.
+    Refused where the table cannot turn the direction up within its limits, or needs more height than the machine has.
     """
     stands = config.part.on_table
     if stands is None:

@@ -247,10 +247,6 @@ def _layer_beads(
 
 def joined(layers: Sequence[Stretches]) -> Stretches:
     """Stretches of all layers, one behind the other."""
-    return Stretches(
-        np.concatenate([s.track for s in layers]),
-        np.concatenate([s.low for s in layers]),
-        np.concatenate([s.high for s in layers]),
-        np.concatenate([s.lap for s in layers]),
-        width=np.concatenate([s.width for s in layers if s.width is not None]),
-    )
+    columns = (np.concatenate([getattr(s, name) for s in layers]) for name in ("track", "low", "high", "lap"))
+    width = np.concatenate([s.width for s in layers if s.width is not None])
+    return Stretches(*columns, width=width)

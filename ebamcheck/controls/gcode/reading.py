@@ -42,16 +42,12 @@ LINUXCNC = replace(
 
 def read_linuxcnc(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program of LinuxCNC, which has no BSPLINE whose knots could be told."""
-    reader = GcodeReader(main.parent, config, LINUXCNC)
-    reader.run(main)
-    return reader.out.program()
+    return GcodeReader(main.parent, config, LINUXCNC).program(main)
 
 
 def read_plain_gcode(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program of plain G-code."""
-    reader = GcodeReader(main.parent, config, PLAIN_GCODE)
-    reader.run(main)
-    return reader.out.program()
+    return GcodeReader(main.parent, config, PLAIN_GCODE).program(main)
 
 
 class GcodeReader(Reader):

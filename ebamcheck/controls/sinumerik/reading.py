@@ -67,8 +67,7 @@ DIALECT = Dialect(
 def read_program(main: Path, config: Config, *, bspline_shift: Shift | None = None) -> NCProgram:
     """Read a program from its main file; subprograms lie beside it."""
     reader = SinumerikReader(main.parent, config, bspline_shift or config.machine.bspline_shift)
-    reader.run(main)
-    return on_part(reader.out.program(), config)
+    return on_part(reader.program(main), config)
 
 
 class SinumerikReader(Reader):

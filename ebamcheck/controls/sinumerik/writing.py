@@ -193,10 +193,8 @@ def even(knots: Floats) -> bool:
 
 
 def _stretch(control: Floats, knots: Floats) -> float:
-    """Factor of the knots such that the curve is nowhere much faster than they; the curve stays as it is.
-
-    The derivative lies in the hull of ``3 (C[i+1] - C[i]) / (U[i+4] - U[i+1])``.
-    """
+    """Factor of the knots such that the curve is nowhere much faster than they; the curve stays as it is."""
+    # The derivative lies in the hull of `3 (C[i+1] - C[i]) / (U[i+4] - U[i+1])`.
     length = knots[DEGREE + 1 : DEGREE + len(control)] - knots[1 : len(control)]
     leg = np.hypot(*np.diff(control, axis=0).T)
     fastest = float(np.max(DEGREE * leg[length > 0.0] / length[length > 0.0]))
