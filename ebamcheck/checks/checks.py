@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.numeric.kernels import run_in_order
-from ebamcheck.numeric.rings import Bools, Ints
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
@@ -145,7 +145,7 @@ def count_check(name: str, places: Faults, good: str) -> Check:
 
 def limit_check(
     name: str, value: float, limit: float, unit: str, text: str, where: str = "", layer: int | None = None,
-    at: Sequence[float] = (), remedy: str = "",
+    at: Sequence[float] | Floats = (), remedy: str = "",
 ) -> Check:  # fmt: skip
     """Check that the worst value, found at X and Y `at`, is not over its limit; one that is no number is."""
     x_mm, y_mm = (float(at[0]), float(at[1])) if len(at) else (None, None)

@@ -99,8 +99,9 @@ class MetalBelow:
             area[k] += float(mm2.sum())
             height[k] += float((mm2 * wide[zone].to_numpy(np.float64)).sum())
         names = ("wanted_mm3", "laid_mm3", "outside_mm3")
-        metal = (getattr(self, name) + float(solid[name].sum()) for name in names)
-        return MetalBelow(self.layers + len(solid), *metal, (area[0], area[1]), (height[0], height[1]))
+        wanted, laid, outside = (getattr(self, name) + float(solid[name].sum()) for name in names)
+        layers = self.layers + len(solid)
+        return MetalBelow(layers, wanted, laid, outside, (area[0], area[1]), (height[0], height[1]))
 
     def mean(self, zone: str) -> float:
         """Mean height of the metal of a zone, in layers; NaN where no layer is wide enough for one."""
