@@ -56,10 +56,8 @@ def _collision(nc: NCProgram, found: Standing) -> Check:
         return Check("collision", True, 0.0, 0.0, "mm", "", good)
     row = int(rows[0])
     which = int(np.argmax(depth[:, row]))
-    who, where = (
-        ("tip", "head", "tip")[which],
-        ("into what stands", "under the beads before and after it")[which // 2],
-    )
+    who = "head" if which == 1 else "tip"
+    where = "under the beads before and after it" if which == 2 else "into what stands"
     what = f"the {who} goes {depth[which, row]:.4g} mm {where}"
     return Check("collision", False, float(depth.max()), 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
 

@@ -119,9 +119,7 @@ def _way_in(entry: NCProgram, first: int, z_mm: float, config: Config) -> Iterat
     if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
         yield entry.beginning, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
     low = np.fmin(entry.start[way[1:], 2], entry.end[way[1:], 2]) < rise
-    aside = ~(
-        (entry.start[way[1:], :2] == entry.end[way[1:], :2])
-        & (entry.end[way[1:], :2] == entry.start[first, :2])
-    ).all(axis=1)
+    start, end = entry.start[way[1:], :2], entry.end[way[1:], :2]
+    aside = ~((start == end) & (end == entry.start[first, :2])).all(axis=1)
     for row in way[1:][low & aside][:1].tolist():
         yield entry.where(row), f"goes below Z {rise:g} elsewhere than over the first bead"

@@ -54,9 +54,8 @@ def _lines(nc: NCProgram, config: Config) -> Check:
             UNEVEN: "lies nearer to the line before than the others of its bead, or further away",
             BACK: "turns back on the track of the one before"}  # fmt: skip
     faults = [(nc.where(int(starts[at[i]])), f"this motion {said[int(state[i])]}") for i in known.tolist()]
-    return count_check(
-        LINES, faults, f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
-    )
+    good = f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
+    return count_check(LINES, faults, good)
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
@@ -188,10 +187,8 @@ def _before(which: Bools) -> Ints:
 def _crossings(nc: NCProgram, pool_mm: float) -> Check:
     """Places where a hatch bead runs across itself or another of its layer: metal on metal."""
     # A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
-    metal = (
-        nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
-    )
-    rows = np.flatnonzero(metal & (nc.layer >= 0))
+    known = np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    rows = np.flatnonzero(nc.deposit & (nc.kind != RAPID) & known & (nc.layer >= 0))
     bead = nc.beads.group
 
     layers = range(len(nc.layer_files)) if rows.size else ()

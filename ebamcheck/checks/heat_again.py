@@ -47,11 +47,8 @@ def highest_entry_k(config: Config) -> float:
     process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return min(process.interpass_limit_k, material.solidus_k)
-    return (
-        material.solidus_k
-        if process.interpass == "off"
-        else min(material.interpass_limit_k, material.solidus_k)
-    )
+    cooled = process.interpass != "off"
+    return min(material.interpass_limit_k, material.solidus_k) if cooled else material.solidus_k
 
 
 def may_differ_k(config: Config) -> float:

@@ -161,10 +161,8 @@ def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
     beads, track, path = match.beads, match.track, match.path
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     faults = [(int(beads.first[i]), "a bead that nobody planned") for i in np.flatnonzero(track < 0).tolist()]
-    faults += [
-        (int(beads.first[i]), f"{_named(path, int(track[i]))} is laid a second time")
-        for i in np.flatnonzero(match.again).tolist()
-    ]
+    again = np.flatnonzero(match.again).tolist()
+    faults += [(int(beads.first[i]), f"{_named(path, int(track[i]))} is laid a second time") for i in again]
     once = np.flatnonzero((track >= 0) & ~match.again)
     wrong = np.flatnonzero(track[once] != np.sort(track[once]))
     if wrong.size:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.checks.checks import PATH_TOLERANCE_MM, PLACE_MM, count_check, worst_check
+from ebamcheck.checks.checks import PATH_TOLERANCE_MM, PLACE_MM, count_check, row_faults, worst_check
 from ebamcheck.checks.matching import shape_distance
 from ebamcheck.checks.subject import Subject
 from ebamcheck.nc import motions
@@ -294,18 +294,15 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     calls = nc.events.row[(nc.events.kind == Kind.CALL) & (nc.events.file == 0)]
     part = np.searchsorted(calls, rows, side="right")
-    begins = rows[
-        np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))
-    ]
+    begins = rows[(np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0)]
     laid, wanted = nc.layer[begins], np.flatnonzero(filled)
     size = min(laid.size, wanted.size)
     order = np.flatnonzero(laid[:size] != wanted[:size])
     off = np.abs(nc.end[begins, 2] - z_of[laid])
     faults = [(i, f"layer {laid[i] + 1} comes in place of layer {wanted[i] + 1}") for i in order[:1].tolist()]
-    faults += [
-        (i, f"layer {laid[i] + 1} at Z {nc.end[begins[i], 2]:g} in place of {z_of[laid[i]]:g}")
-        for i in np.flatnonzero(~(off <= PLACE_MM)).tolist()
-    ]
+    said = "layer {} at Z {:g} in place of {:g}".format
+    wrong = np.flatnonzero(~(off <= PLACE_MM)).tolist()
+    faults += [(i, said(laid[i] + 1, nc.end[begins[i], 2], z_of[laid[i]])) for i in wrong]
     faults.sort(key=lambda fault: fault[0])
     last = [_where_called(nc, int(begins[order[0] if order.size else -1]))] if begins.size else [""]
     count = Check(
@@ -332,6 +329,4 @@ def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     z = nc.layer_heights[nc.layer[rows]]
     off = (nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)
-    return [
-        (nc.where(int(row)), f"deposit at Z {nc.end[row, 2]:g} in a layer at another Z") for row in rows[off]
-    ]
+    return row_faults(nc, rows[off], "deposit at Z {:g} in a layer at another Z", nc.end[rows[off], 2])

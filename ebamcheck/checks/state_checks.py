@@ -118,9 +118,8 @@ def far_away(nc: NCProgram, config: Config) -> Check | None:
 def beyond_travel_mm(nc: NCProgram, config: Config) -> Floats:
     """How far each motion goes beyond the limits of each axis (B, 3), mm; negative within them."""
     low, high = extremes(nc)
-    over = np.fmax(
-        np.array(config.machine.travel_min_mm) - low, high - np.array(config.machine.travel_max_mm)
-    )
+    least, most = np.array(config.machine.travel_min_mm), np.array(config.machine.travel_max_mm)
+    over = np.fmax(least - low, high - most)
     return np.asarray(np.nan_to_num(over, nan=-np.inf, posinf=np.inf), np.float64)
 
 
@@ -146,9 +145,8 @@ def _switches(nc: NCProgram, config: Config) -> Iterator[Check]:
     faults += row_faults(nc, nc.wire & rapid, "wire runs during a rapid motion")
     faults += row_faults(nc, ~nc.wire & marked, "wire stands along a deposit")
     faults += _switched(nc, Kind.WIRE_START, Kind.WIRE_STOP, "wire")
-    faults += event_faults(
-        nc, ((e.kind == Kind.BEAM_OFF) & e.wire[:-1], "beam goes off before the wire stops")
-    )
+    late = (e.kind == Kind.BEAM_OFF) & e.wire[:-1]
+    faults += event_faults(nc, (late, "beam goes off before the wire stops"))
     yield count_check("wire", faults, "runs under the beam alone, stops before it")
     rows = np.flatnonzero(nc.turn & nc.deposit)
     # Positions are rounded to the program's decimals; six is the coarsest that matters here.
@@ -256,11 +254,8 @@ def _other_tolerance(nc: NCProgram, config: Config) -> tuple[Bools, str]:
 
 def _smoothing(nc: NCProgram, config: Config, wanted: list[str], faults: Faults) -> Check:
     """How the control may leave the path: its words at every motion, and every tolerance within the one set."""
-    e, limit, tolerance_word = (
-        nc.events,
-        config.machine.smoothing_tolerance_mm,
-        control(nc.dialect).tolerance_word,
-    )
+    e, limit = nc.events, config.machine.smoothing_tolerance_mm
+    tolerance_word = control(nc.dialect).tolerance_word
     if not tolerance_word:
         # What tolerance words of the path leave is not known where the profile knows none.
         own = {name for name in set(e.name) if _is_path(nc, name) and name not in wanted}
@@ -364,11 +359,8 @@ def _end(nc: NCProgram, config: Config) -> Faults:
     templates = templates_of(config.machine, nc.dialect)
     settable = " ".join(line for name in ("set_beam", "set_power", "set_wire") for line in templates[name])
     known = {name for name in nc.events.name if f"{{{name}" in settable}
-    faults = [
-        (where, f"{name} does not come after the last bead")
-        for name in ("wire_stop", "beam_off")
-        if name not in after
-    ]
+    off = [name for name in ("wire_stop", "beam_off") if name not in after]
+    faults = [(where, f"{name} does not come after the last bead") for name in off]
     values = [name for name in (*BEAM_VALUES, "wire_mm_s") if name in known and after.get(name) != 0.0]
     faults += [(where, f"{name} is not 0 at the end") for name in values]
     x, y, z = nc.end[-1]
@@ -503,10 +495,8 @@ def _ways(nc: NCProgram, file: int, config: Config) -> Iterator[tuple[str, str]]
     first, last = int(rows[0]), int(rows[-1])
     still = np.array_equal(nc.start[first, :2], nc.end[first, :2], equal_nan=True)
     if nc.kind[first] != RAPID or not still:
-        yield (
-            nc.where(first),
-            "the file does not begin with a rise: the tool stands at a height that it does not know",
-        )
+        what = "the file does not begin with a rise: the tool stands at a height that it does not know"
+        yield nc.where(first), what
     if nc.table is not None:
         return  # Heights are those of the axes: the checks of the table have them.
     clear_mm = config.machine.clearance_mm - TWO_PLACES_MM

@@ -105,10 +105,8 @@ def _left_as_they_were(full: NCProgram, table: TableColumns) -> Iterator[tuple[s
         known = full.events.chosen((full.events.file == file) & (full.events.row <= row)).name
         for axis in table.axes:
             if AXIS_EVENT + axis not in known:
-                yield (
-                    full.where(row),
-                    f"{axis} is not commanded before the frame: the table may stand otherwise there",
-                )
+                what = f"{axis} is not commanded before the frame: the table may stand otherwise there"
+                yield full.where(row), what
 
 
 # -- height ------------------------------------------------------------------------------------------
@@ -139,11 +137,8 @@ def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
     if not found.passed:
         worst = int(np.argmax(np.nan_to_num(short, nan=np.inf)))
         row = int(rows[worst])
-        what = (
-            "the tool moves aside from a height that is not known"
-            if aside[worst]
-            else "the tool is on its way"
-        )
+        what = "the tool is on its way"
+        what = "the tool moves aside from a height that is not known" if aside[worst] else what
         what = "the table turns" if table.before[row] != table.after[row] else what
         z = np.fmin(full.start[row, 2], full.end[row, 2])
         text = f"{what} at Z {z:g} mm: all that the table carries comes to Z {highest:.6g} mm as it turns, {config.machine.clearance_mm:g} mm are to be kept"

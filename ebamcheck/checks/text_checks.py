@@ -122,10 +122,8 @@ def _calls(nc: NCProgram) -> Faults:
         # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
         there = {path.name for path in nc.folder.iterdir() if re.fullmatch(loads, path.name.upper())}
         known = {file.name for file in nc.files} | {f"{call}{suffix}" for call in calls}
-        where, what = (
-            f"{nc.files[0].name}:{nc.events.line[at].max()}",
-            "is never called, and lies beside the program",
-        )
+        where = f"{nc.files[0].name}:{nc.events.line[at].max()}"
+        what = "is never called, and lies beside the program"
         faults += [(where, f"{printable(name)} {what}") for name in sorted(there - known)]
     return faults
 

@@ -131,9 +131,8 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
     if not rows.size:
         return Check(MELTING, True, 0.0, 1.0, unit, "", "nothing is laid")
     power_w = np.nan_to_num(nc.power_w[rows])
-    value = (
-        power_w + power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
-    ) / need_w
+    slack_w = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
+    value = (power_w + slack_w) / need_w
     worst = int(np.argmin(value))
     row, passed = int(rows[worst]), bool(value[worst] >= 1.0 - VALUE_SHARE)
     text = (
@@ -170,10 +169,8 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     known = np.isfinite(over_bead)
     low, high = process.current_window_ma
     # Ramps rise from less. The current of a layer is a share of the one that is set, down to the least at which the wire melts.
-    current_window = (
-        low * (process.ramp_power if process.ramps_beam else 1.0),
-        min(high, process.current_max_ma),
-    )
+    low *= process.ramp_power if process.ramps_beam else 1.0
+    current_window = low, min(high, process.current_max_ma)
     faults = [
         *_outside(nc, laid, nc.wire_mm_s[laid], wire_window, "mm/s of wire"),
         *_outside(nc, rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
