@@ -15,7 +15,7 @@ from command_line import write_stl
 from limit_cases import Case, upwards
 from parts import box, join
 
-from ebamcheck.checks import plate_record
+from ebamcheck.checks import consumables
 from ebamcheck.checks.mesh_checks import between_check, heights_check, sections_check, solid_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.layers.stack import from_polygons
@@ -106,7 +106,7 @@ def of_lengths(f: float) -> Check:
 
 
 def of_plate(f: float) -> Check:
-    return said("parts of the plate", plate_record._same(2.0, 2.0 * (1.0 + f * 1e-9)))
+    return said("parts of the plate", consumables._same(2.0, 2.0 * (1.0 + f * 1e-9)))
 
 
 def judged(check: str, limits: str, plant) -> Case:
@@ -114,17 +114,17 @@ def judged(check: str, limits: str, plant) -> Case:
 
 
 CASES: tuple[Case, ...] = (
-    judged("layers of the part", "tolerances.PLACE_MM", cut_higher),
+    judged("layers of the part", "checks.PLACE_MM", cut_higher),
     judged("sections of the mesh", "curves.section_tolerance_mm", wider),
     judged("metal of the solid", "process.mass_tolerance", lower_solid),
     judged("between the cuts", "process.least_hole_mm", gap_between),
     judged("between the cuts", "process.least_wall_mm", rim_between),
     judged("between the cuts", "process.outside_reach_mm", rim_reaching),
-    judged("part of the file", "tolerances.SAME_SIZE", stretched),
+    judged("part of the file", "checks.SAME_SIZE", stretched),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(0.0, f * 1e-6)),
     judged("recorded figures", "gates_again.SAME_FIGURE", lambda f: recorded(1e6, f * 1.0)),
     judged("tables", "tables_again.SAME_FIGURE", lambda f: of_tables(1e6, f)),
     judged("tables", "tables_again.NOTHING", lambda f: of_tables(0.0, f * 1e-9)),
     judged("tables", "tables_again.SAME_LENGTH_MM", of_lengths),
-    judged("parts of the plate", "plate_record.SAME_MASS", of_plate),
+    judged("parts of the plate", "consumables.SAME_MASS", of_plate),
 )

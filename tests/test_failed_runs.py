@@ -6,13 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ebamcheck.checks.checks import Check
-from ebamcheck.checks.remedies import OTHERWISE
+from ebamcheck.checks.checks import OTHERWISE
 from ebamcheck.checks.rules import REMEDIES, layer_of, names_of, with_remedies
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
 from ebamcheck.plugins.model import models
-from ebamcheck.result import Place
+from ebamcheck.result import Check, Place
 from ebamcheck.testing.accuracy import reference_models
 from ebamcheck.testing.conformance import CHECKS
 from ebamcheck.testing.solids import sections, simple, winding_rule

@@ -10,7 +10,6 @@ import pytest
 from command_line import FAST, ebamcheck, write_stl
 from parts import box
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.rules import with_remedies
 from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
@@ -18,6 +17,7 @@ from ebamcheck.live.relaying import finished_run
 from ebamcheck.pipeline.findings import _at
 from ebamcheck.pipeline.gates import agreement_gate
 from ebamcheck.pipeline.manifest import _disagreements
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from program_text import CONTROLS, ProgramText, near
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.nc.increments import to_increment
+from ebamcheck.nc.conventions import to_increment
 from ebamcheck.program import read_program, verify_file
 from ebamcheck.settings.config import Config, validated
 

@@ -12,7 +12,7 @@ import shapely.affinity
 from ebamcheck.checks.metal import _reaches_mm
 from ebamcheck.geometry.regions import eroded, is_inset, valid_polygons
 from ebamcheck.metal import target_of
-from ebamcheck.nc.depths import depth_lines
+from ebamcheck.nc.roles import depth_lines
 
 LOST = shapely.Polygon(
     [(-1.81, 8.08), (-0.44, 1.97), (0.51, 0.07), (37.85, 4.92), (39.55, 6.09), (38.77, 7.69), (-0.28, 8.76)]

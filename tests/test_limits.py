@@ -53,7 +53,7 @@ NO_LIMITS = {
         heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM process_checks.OUTLINE_STEP_MM
         process_checks.INNER_STEP_MM process_checks.FIRST_ASKED process_checks.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheating.AT_ONCE_S preheating.MOST_PASSES process_checks.DIRECTIONS
-        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM shapes.CLOSER shapes.MOST_STEPS shapes.DEGREE
+        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM matching.CLOSER matching.MOST_STEPS path_checks.DEGREE
         clearance.CELLS_PER_BEAD clearance.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
         table.STEP_DEG text_heat.LONGEST_S
         metal_rules.SPANS metal.AT_ONCE metal_rules.LEAST_BEADS bead_end_checks.REACH_BEADS
@@ -74,7 +74,7 @@ NO_LIMITS = {
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         subject.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM
-        tolerances.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
+        checks.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
         table.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """

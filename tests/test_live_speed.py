@@ -8,7 +8,7 @@ from parts import box
 from scipy.interpolate import BSpline
 
 from ebamcheck import installed
-from ebamcheck.checks.shapes import spline_points
+from ebamcheck.checks.path_checks import spline_points
 from ebamcheck.curves.per_part import keep_surface_of, once_a_part
 from ebamcheck.heat.enthalpy import enthalpy_tables
 from ebamcheck.installed import entry_points

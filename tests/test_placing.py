@@ -14,7 +14,7 @@ from command_line import FAST, WIDE, frame, write_stl
 from parts import box, sphere
 from slicers_here import slicers_here
 
-from ebamcheck.checks.plate_record import member_of, plate_checks, plate_record
+from ebamcheck.checks.consumables import member_of, plate_checks, plate_record
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.part_source import (
     PlatePart,

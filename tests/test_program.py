@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from inset_layers import contour_paths
 from nc_stack import REACHES_OUT, clamped_knots, hatch, make_curves, make_plan, stack
 
-from ebamcheck.controls.sinumerik.spline_writing import refined
+from ebamcheck.controls.sinumerik.writing import refined
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.nc.motions import POLYNOMIAL
 from ebamcheck.program import (

@@ -13,9 +13,9 @@ import pytest
 import ebamcheck
 import ebamcheck.testing
 from ebamcheck.backend import Slicer
-from ebamcheck.checks.checks import Check
 from ebamcheck.nc.control import Control
 from ebamcheck.plugins.model import Model
+from ebamcheck.result import Check
 
 PROTOCOLS = (Slicer, Model, Control, Check)
 """What strangers write classes and values of."""

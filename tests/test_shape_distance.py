@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.checks.shapes import shape_distance
+from ebamcheck.checks.matching import shape_distance
 
 
 def wavy(count, samples, shift=0.0, noise_mm=0.0, seed=0):

@@ -12,7 +12,7 @@ from test_turned_layers import angle
 
 from ebamcheck.checks import table as table_checks
 from ebamcheck.json_values import sha256_of_file
-from ebamcheck.nc import special_rules
+from ebamcheck.nc import templates
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import load_config
 from ebamcheck.verification.verify import verify
@@ -255,7 +255,7 @@ def test_limits_of_travel_are_those_of_the_axes(place, tmp_path):
 @pytest.mark.parametrize("kept", [slice(8), slice(8, None)])
 def test_a_box_that_writer_and_check_share_is_held_against_the_mesh(place, tmp_path, monkeypatch, kept):
     """Corners of part or plate that are lost before the program is written and before its heights are checked."""
-    known = special_rules.carried_corners
+    known = templates.carried_corners
     for module in (table_text, table_checks):
         monkeypatch.setattr(module, "carried_corners", lambda config: known(config)[kept] * [1.0, 1.0, 0.5])
     done = relayer(place, tmp_path / "o")

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import shapely
@@ -12,43 +14,33 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, count_check, lines_of, row_faults
+from ebamcheck.checks.checks import SAME_LINE_MM, count_check, limit_check, lines_of, row_faults
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.tolerances import SAME_LINE_MM
 from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
 from ebamcheck.geometry.regions import ground, inset, valid_polygons
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 
-CRUMB = 0.25
-"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
-
+CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
+# Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.
 BEAD_STEP_MM = 0.5
-"""Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows."""
-
+# Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two.
 SPACING_SHARE = 1.5
-"""Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two."""
-
+# Lines of one island whose directions differ by more follow a wall, and have no common spacing.
 PARALLEL_RAD = 1e-3
-"""Lines of one island whose directions differ by more follow a wall, and have no common spacing."""
-
-WIDEST_GAP = 0.95
-"""Width of a gap between beads over that of the one which a missing line leaves."""
-
+WIDEST_GAP = 0.95  # Width of a gap between beads over that of the one which a missing line leaves
+# Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size.
 GAP_MARGIN = 0.05
-"""Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size."""
-
 _NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
-
+# Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie.
 LEAST_GAP_LIMIT = 0.15
-"""Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie."""
-
+# Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones.
 MARGIN = 2
-"""Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones."""
 
 
 def line_checks(subject: Subject) -> list[Check]:
@@ -56,18 +48,11 @@ def line_checks(subject: Subject) -> list[Check]:
     return [_spacing(subject), _once(subject.nc), *form_checks(subject.nc, subject.config)]
 
 
-# -- lines -------------------------------------------------------------------------------------------
-
-
-def _hatch_rows(nc: NCProgram) -> Ints:
-    moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
-    return np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
-
-
 def _spacing(subject: Subject) -> Check:
     """Distance between neighbouring parallel lines that are driven one after the other, where nothing else covers what lies between."""
     nc, config = subject.nc, subject.config
-    rows = _hatch_rows(nc)
+    moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
+    rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
     limit = SPACING_SHARE * config.process.hatch_spacing_mm
     group, offset, parallel = _offsets(nc, rows)
     order = np.lexsort((offset, group))
@@ -75,8 +60,13 @@ def _spacing(subject: Subject) -> Check:
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
     wide = np.flatnonzero(same & (step > limit))
     if wide.size:
-        seen = _LayersSeen(subject)
-        wide = wide[[_is_bare(seen, rows[order[i : i + 2]]) for i in wide]]
+
+        @cache
+        def chords_of(layer: int) -> NDArray[np.object_]:
+            segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == layer)))
+            return np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)))
+
+        wide = wide[[_is_bare(subject, chords_of, rows[order[i : i + 2]]) for i in wide]]
     worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
     if not wide.size:
         text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
@@ -87,36 +77,10 @@ def _spacing(subject: Subject) -> Check:
     return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
 
 
-class _LayersSeen:
-    """Sections, and chords of beads, of the layers that were asked for: each is worked out once."""
-
-    def __init__(self, subject: Subject) -> None:
-        self.subject = subject
-        self._sections: dict[int, BaseGeometry] = {}
-        self._beads: dict[int, NDArray[np.object_]] = {}
-
-    def section(self, k: int) -> BaseGeometry:
-        """Section of one of the layers."""
-        if k not in self._sections:
-            self._sections[k] = self.subject.witness.section(k)
-            shapely.prepare(self._sections[k])
-        return self._sections[k]
-
-    def beads(self, layer: int) -> NDArray[np.object_]:
-        """Chords of the beads of a layer of the program."""
-        if layer not in self._beads:
-            nc = self.subject.nc
-            segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == layer)))
-            self._beads[layer] = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)))
-        return self._beads[layer]
-
-
-def _is_bare(seen: _LayersSeen, pair: Ints) -> bool:
-    """Whether the place half-way between two lines is in the section, and under no bead.
-
-    Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
-    """
-    nc, config = seen.subject.nc, seen.subject.config
+def _is_bare(subject: Subject, chords_of: Callable[[int], NDArray[np.object_]], pair: Ints) -> bool:
+    """Whether the place half-way between two lines is in the section, and under no bead, by the chords of a layer's beads."""
+    # Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
+    nc, config = subject.nc, subject.config
     shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
     middle = 0.5 * (nc.start + nc.end)[shorter, :2]
     way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
@@ -125,12 +89,11 @@ def _is_bare(seen: _LayersSeen, pair: Ints) -> bool:
     if not -room <= along <= float(nc.lengths[other]) + room:
         return False
     place = shapely.Point(middle - 0.5 * (from_other - along * way))
-    if seen.subject.layers is not None:
-        k = int(nearest_layer(nc.end[shorter, 2], seen.subject.z_of))
-        if not shapely.intersects(seen.section(k), place):
+    if subject.witness_sections is not None:
+        k = int(nearest_layer(nc.end[shorter, 2], subject.z_of))
+        if not shapely.intersects(subject.witness_sections[k], place):
             return False
-    lines = seen.beads(int(nc.layer[shorter]))
-    return bool(np.min(shapely.distance(lines, place)) > room)
+    return bool(np.min(shapely.distance(chords_of(int(nc.layer[shorter])), place)) > room)
 
 
 def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
@@ -156,11 +119,9 @@ def _once(nc: NCProgram) -> Check:
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & np.isfinite(nc.end[rows]).all(axis=1)]
     layer = APART_MM * nc.layer[rows]
     # Each line in both directions: nothing else tells which of its ends is the first.
-    ways = [
-        np.column_stack([*ends, layer])
-        for ends in ((nc.start[rows, :2], nc.end[rows, :2]), (nc.end[rows, :2], nc.start[rows, :2]))
-    ]
-    pairs = cKDTree(np.vstack(ways)).query_pairs(SAME_LINE_MM, p=np.inf, output_type="ndarray")
+    start, end = nc.start[rows, :2], nc.end[rows, :2]
+    ways = np.vstack([np.column_stack([start, end, layer]), np.column_stack([end, start, layer])])
+    pairs = cKDTree(ways).query_pairs(SAME_LINE_MM, p=np.inf, output_type="ndarray")
     pairs = pairs % max(rows.size, 1)
     again = np.unique(pairs[pairs[:, 0] != pairs[:, 1]].max(axis=1))
     faults = row_faults(nc, rows[again], "this line has been laid before in its layer")
@@ -168,31 +129,20 @@ def _once(nc: NCProgram) -> Check:
 
 
 def repeated_blocks(nc: NCProgram) -> Check:
-    """Blocks that repeat the one before: a motion to where the tool stands, or the same text again."""
-    feed = np.flatnonzero(nc.deposit)
-    still = feed[nc.lengths[feed] == 0.0]
+    """Blocks with metal that repeat the line before: a motion to where the tool stands, or the same words but for their numbers."""
+    still = nc.deposit & (nc.lengths == 0.0)
     faults = row_faults(nc, still, "a motion that goes nowhere: the block before says the same")
-    faults += _same_text(nc)
-    return count_check("repeated blocks", faults, "no motion repeats the block before")
-
-
-def _same_text(nc: NCProgram) -> list[tuple[str, str]]:
-    """Blocks of motions with metal whose words, but for their numbers, are those of the line before."""
-    faults, lines = [], [file.data.split(b"\n") for file in nc.files]
+    lines = [file.data.split(b"\n") for file in nc.files]
     for file, line in lines_of(nc, np.flatnonzero(nc.deposit)):
         before, block = lines[file][line - 2 : line] if line > 1 else (b"", lines[file][line - 1])
         # Most blocks end in another digit than the one before, and need not be taken into words.
-        if (
-            before[-1:] != block[-1:]
-            and before[-1:].isdigit()
-            and block[-1:].isdigit()
-            and b";" not in before + block
-        ):
+        digits = before[-1:].isdigit() and block[-1:].isdigit() and b";" not in before + block
+        if digits and before[-1:] != block[-1:]:
             continue
         words = _words_of(block)
         if words and words == _words_of(before):
             faults.append((f"{nc.files[file].name}:{line}", "the same block as the one before"))
-    return faults
+    return count_check("repeated blocks", faults, "no motion repeats the block before")
 
 
 def _words_of(line: bytes) -> list[bytes]:
@@ -201,9 +151,6 @@ def _words_of(line: bytes) -> list[bytes]:
     if words and words[0][:1] == b"N" and words[0][1:].isdigit():
         return words[1:]
     return _NUMBERED.sub(b"", b" ".join(words)).split()
-
-
-# -- coverage ----------------------------------------------------------------------------------------
 
 
 def coverage_check(subject: Subject) -> list[Check]:
@@ -264,43 +211,31 @@ def gaps_check(subject: Subject) -> list[Check]:
         where = nc.where(_nearest(nc, rows[index == -layer], centre))
         place = f" at ({centre.x:.3f}, {centre.y:.3f})"
     text = f"widest gap between beads{place}: {worst:.4g} mm"
-    return [Check("gaps", worst <= limit, worst, limit, "mm", where, text)]
-
-
-def _bare(nc: NCProgram, rows: Ints, region: BaseGeometry, width_mm: float) -> BaseGeometry:
-    """What beads along motions leave of a region."""
-    lines = np.asarray(shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2)), object)
-    return region.difference(ground(lines, width_mm))
+    return [limit_check("gaps", worst, limit, "mm", text, where)]
 
 
 def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
-    known = rows[np.isfinite(np.hstack([nc.start[rows, :2], nc.end[rows, :2]])).all(axis=1)]
-    if not known.size:
+    """Motion whose chord is nearest to a place."""
+    chords = np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)
+    known = np.isfinite(chords).all(axis=(1, 2))
+    if not known.any():
         return int(rows[0])
-    return int(known[np.argmin(shapely.distance(motion_chords(nc, known), place))])
+    return int(rows[known][np.argmin(shapely.distance(shapely.linestrings(chords[known]), place))])
 
 
 def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:
     """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
     if not rows.size:
         return f"{nc.files[0].name}:1", "; the layer has no bead"
-    parts = [p for p in shapely.get_parts(_bare(nc, rows, section, width_mm)) if p.area > CRUMB * width_mm**2]
+    lines = np.asarray(shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2)), object)
+    bare = section.difference(ground(lines, width_mm))
+    parts = [p for p in shapely.get_parts(bare) if p.area > CRUMB * width_mm**2]
     if not parts:
         return "", "; no gap"
     largest = max(parts, key=lambda p: float(p.area))
     centre = largest.representative_point()
     text = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at ({centre.x:.3f}, {centre.y:.3f})"
     return nc.where(_nearest(nc, rows, centre)), text
-
-
-def motion_chords(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
-    """Chord (n,) of each motion."""
-    return np.asarray(
-        shapely.linestrings(np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)), dtype=np.object_
-    )
-
-
-# -- bare parts ----------------------------------------------------------------------------------------
 
 
 def widest_part(

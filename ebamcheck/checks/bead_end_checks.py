@@ -7,50 +7,42 @@ A ramp is programmed by its length; what the pool sees is how long it takes, by 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import shapely
 from scipy.spatial import cKDTree
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.event_checks import retract_check
+from ebamcheck.checks.checks import PLACE_MM, VALUE_SHARE, count_check, limit_check, worst_check
 from ebamcheck.checks.metal import STEP_SHARE, wanted_region
-from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
+from ebamcheck.checks.state_checks import retract_check
 from ebamcheck.checks.value_checks import own_shares
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
+# Length by which a ramp is shorter or longer, since it ends with a block that is near.
 ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM
-"""Length by which a ramp is shorter or longer, since it ends with a block that is near."""
-
+# Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
+# it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all.
 MEAN_SPACINGS = 0.75
-"""Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
-it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all."""
-
+# Gap straight ahead of a single end, in bead widths: a line beside its own, which may fill what the end leaves, comes within 30 degrees
+# at 1.44 of them, at the default spacing.
 SINGLE_BEADS = 1.5
-"""Gap straight ahead of a single end, in bead widths: a line beside its own, which may fill what the end leaves, comes within 30 degrees
-at 1.44 of them, at the default spacing."""
-
+# Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a border
+# that it meets at an angle it is nearer than straight ahead.
 BORDER_BEADS = 0.8
-"""Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a
-border that it meets at an angle it is nearer than straight ahead."""
-
+# Length of a bead, in bead widths, under which it fills a spot, and its ends have no direction.
 LEAST_BEADS = 0.5
-"""Length of a bead, in bead widths, under which it fills a spot, and its ends have no direction."""
-
+# Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own.
 AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
-"""Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own."""
-
-REACH_BEADS = 2.5
-"""Distance, in bead widths, within which the next metal is looked for."""
-
-START, END, STARTS, ENDS = "a bead starts", "a bead ends", "beads start", "beads end"
+REACH_BEADS = 2.5  # Distance, in bead widths, within which the next metal is looked for
 
 
 def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check]:
@@ -78,9 +70,7 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     wanted, step = wanted * of_layer, step * of_layer + slack_w / process.power_w
     off = np.maximum(np.abs(share - wanted) - step, 0.0)
     off[np.isnan(share)] = np.nan
-    found = worst_check(
-        "power", nc, rows, off, VALUE_SHARE, "of the power set", "deviation of the beam power"
-    )
+    found = worst_check("power", nc, rows, off, VALUE_SHARE, "of the power set", "")
     highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
     within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + VALUE_SHARE) + slack_w
     text = f"{highest:g} W in the program, {process.power_w:g} W set"
@@ -89,7 +79,7 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     if process.ramps_beam:
         lowest = float(np.nanmin(nc.power_w[rows], initial=highest))
         text += f", ramps from {lowest:g} W over {process.ramp_up_mm:g} mm and to it over {process.crater_fill_mm:g} mm"
-    return Check("power", found.passed and within, found.value, VALUE_SHARE, found.unit, found.where, text)
+    return replace(found, passed=found.passed and bool(within), text=text)
 
 
 def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Floats]:
@@ -129,10 +119,18 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
     rise, fall = _times(nc.power_w[rows], time_s, beads.bead)
     long = beads.total(nc.lengths[rows]) >= process.ramp_up_mm + process.crater_fill_mm
     slack_s = ROUNDING_MM / process.travel_speed_mm_s
-    faults = [
-        *_outside(nc, beads.first, rise, long, process.ramp_up_window_s, slack_s, "the beam rises to its full power in"),
-        *_outside(nc, beads.last, fall, long, process.crater_fill_window_s, slack_s, "the beam falls to the end of its bead in"),
-    ]  # fmt: skip
+    faults = []
+    for row, times_s, window_s, what in (
+        (beads.first, rise, process.ramp_up_window_s, "the beam rises to its full power in"),
+        (beads.last, fall, process.crater_fill_window_s, "the beam falls to the end of its bead in"),
+    ):
+        if window_s is not None:
+            low, high = window_s
+            # A bead that is shorter than both ramps may take less.
+            bad = (times_s > high + slack_s) | (long & (times_s < low - slack_s))
+            said = "{what} {t:.3g} s, allowed are {low:g} .. {high:g} s".format
+            each = zip(row[bad].tolist(), times_s[bad].tolist(), strict=True)
+            faults += [(first, said(what=what, t=t, low=low, high=high)) for first, t in each]
     faults.sort(key=lambda fault: fault[0])
     good = f"the beam rises in {rise.min():.3g} .. {rise.max():.3g} s and falls in {fall.min():.3g} .. {fall.max():.3g} s"
     return count_check("ramps in time", [(nc.where(row), what) for row, what in faults], good)
@@ -147,26 +145,6 @@ def _times(power_w: Floats, time_s: Floats, bead: Ints) -> tuple[Floats, Floats]
     ends[bead[full]] = full
     sums = np.concatenate([[0.0], np.cumsum(time_s)])
     return sums[begins] - sums[first], sums[stop] - sums[ends + 1]
-
-
-def _outside(
-    nc: NCProgram,
-    row: Ints,
-    times_s: Floats,
-    long: Bools,
-    window_s: tuple[float, float] | None,
-    slack_s: float,
-    what: str,
-) -> list[tuple[int, str]]:
-    """Beads whose time is outside of a window; one that is shorter than both ramps may take less."""
-    if window_s is None:
-        return []
-    low, high = window_s
-    bad = (times_s > high + slack_s) | (long & (times_s < low - slack_s))
-    return [
-        (int(row[k]), f"{what} {times_s[k]:.3g} s, allowed are {low:g} .. {high:g} s")
-        for k in np.flatnonzero(bad)
-    ]
 
 
 def _overlap(nc: NCProgram, config: Config) -> Check:
@@ -198,9 +176,6 @@ def _parts_of_lines(nc: NCProgram) -> Check:
     return worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
 
 
-# -- gaps ahead of ends --------------------------------------------------------------------------------
-
-
 def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
     """Check that hatch beads start and end next to other metal, or at the border of the part."""
     bead_mm = config.process.bead_width_mm
@@ -210,24 +185,20 @@ def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
     most = np.where(ends["free"], BORDER_BEADS, SINGLE_BEADS) * bead_mm
     single = (ends["straight_mm"] / most).to_numpy()
     k = int(np.argmax(single))
-    row, layer, gap, limit = (
-        int(ends["row"].iloc[k]),
-        int(ends["layer"].iloc[k]),
-        float(ends["straight_mm"].iloc[k]),
-        float(most[k]),
-    )
-    what = "the border of the part" if ends["free"].iloc[k] else "other metal"
-    text = f"{START if ends['start'].iloc[k] else END} {gap:.4g} mm before {what}"
+    at, limit = ends.iloc[k], float(most[k])
+    row, layer, gap = int(at["row"]), int(at["layer"]), float(at["straight_mm"])
+    what = "the border of the part" if at["free"] else "other metal"
+    text = f"a bead {'starts' if at['start'] else 'ends'} {gap:.4g} mm before {what}"
     groups = _means(ends, config)
     worst = groups.iloc[int(np.argmax(groups["gap_mm"] / groups["limit_mm"]))]
     if worst["gap_mm"] / worst["limit_mm"] > single[k]:
         gap, limit, row = float(worst["gap_mm"]), float(worst["limit_mm"]), int(worst["row"])
         layer = int(nc.layer[row])
-        text = f"{int(worst['count'])} {STARTS if worst['start'] else ENDS} {gap:.4g} mm before other metal on average"
+        text = f"{int(worst['count'])} beads {'start' if worst['start'] else 'end'} {gap:.4g} mm before other metal on average"
     at = ends.loc[ends["row"] == row].iloc[0]
-    return Check(
-        "ends of beads", gap <= limit, gap, limit, "mm", nc.where(row), text, layer, float(at["x_mm"]), float(at["y_mm"])
-    )  # fmt: skip
+    return limit_check(
+        "ends of beads", gap, limit, "mm", text, nc.where(row), layer, (at["x_mm"], at["y_mm"])
+    )
 
 
 def most_on_average_mm(count: Floats, config: Config) -> Floats:
@@ -283,14 +254,12 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         owner = np.concatenate([a, b])
         way = at - inner
         way /= np.maximum(np.hypot(way[:, 0], way[:, 1]), np.finfo(float).tiny)[:, None]
-        near = _near(place[mine], at, reach_mm)
-        other = mine[near[1]]
-        own = (bead[other] == bead[owner[near[0]]]) & (np.abs(along[other] - along[owner[near[0]]]) < bead_mm)
-        end, others = near[0][~own], place[other[~own]]
-        gap = _ahead(at, way, end, others, AHEAD)
-        straight = _ahead(at, way, end, others, STRAIGHT)
-        section = wanted_region(layers.section(k), config)
-        border = _border_ahead(at, way, section, reach_mm)
+        pairs = cKDTree(at).sparse_distance_matrix(cKDTree(place[mine]), reach_mm, output_type="ndarray")
+        end, other = pairs["i"], mine[pairs["j"]]
+        own = (bead[other] == bead[owner[end]]) & (np.abs(along[other] - along[owner[end]]) < bead_mm)
+        end, others = end[~own], place[other[~own]]
+        gap, straight = (_ahead(at, way, end, others, slope) for slope in (AHEAD, STRAIGHT))
+        border = _border_ahead(at, way, wanted_region(layers.section(k), config), reach_mm)
         return pd.DataFrame({
             "gap_mm": np.minimum(gap, reach_mm), "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
             "row": row[owner], "layer": np.full(owner.size, k), "x_mm": at[:, 0], "y_mm": at[:, 1],
@@ -298,12 +267,6 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
 
     found = [layer for layer in run_each(of_layer, range(len(layers))) if layer is not None]
     return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
-
-
-def _near(places: Floats, at: Floats, reach_mm: float) -> tuple[Ints, Ints]:
-    """Pairs of ends `at` (n, 2) and places within a distance."""
-    pairs = cKDTree(at).sparse_distance_matrix(cKDTree(places), reach_mm, output_type="ndarray")
-    return pairs["i"], pairs["j"]
 
 
 def _ahead(at: Floats, way: Floats, end: Ints, place: Floats, slope: float) -> Floats:

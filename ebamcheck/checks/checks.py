@@ -1,4 +1,7 @@
-"""How checks of a program are made together, and how the worst place of many becomes one check."""
+"""How checks of a program are made together, and how the worst place of many becomes one check; tolerances and remedies.
+
+The tolerances are those that no setting makes: the decimals of a program, and what fits and sections may be off by.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +10,121 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.numeric.kernels import run_in_order
-from ebamcheck.numeric.rings import Bools, Ints
-from ebamcheck.result import Check as Check
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
+from ebamcheck.settings.config import Config
 
-CheckGroup = Callable[[], Sequence[Check]]
-"""Checks that are made together."""
+PLACE_MM = 1e-3  # Places and heights nearer than this are one: three decimals are the fewest of a program
+TWO_PLACES_MM = 2.0 * PLACE_MM  # Distance of two places of which each is rounded to the decimals of a program
+VALUE_SHARE = 1e-3  # Share by which a printed value may be off: volts, milliamperes, feeds, wire speeds
+# The same of a figure at the border of a window: process values are printed with six decimals, wire speeds with the fewest.
+WINDOW_SHARE = 1e-5
+PRINTED = 1e-6  # Decimals of a process value, of a wait, and of heights in comments
+# Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to.
+PATH_TOLERANCE_MM = 1e-3
+# Contour path against the section: the fit of the curves and the roundness of the inset's corners.
+SECTION_TOLERANCE_MM = 0.05
+# Metal of a bead over what is asked for: the decimals of wire speed and feed, and nothing else.
+WIRE_TOLERANCE = 0.01
+# Lines nearer than this, along one another, are one line laid twice: far under any spacing.
+SAME_LINE_MM = 0.01
+# Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord.
+COLLINEAR_MM = 1e-3
+# Width up to which a slit is what rounding left of a face that two bodies share: far under any gap that a bead leaves open.
+SLIT_MM = 1e-3
+# Direction of a line of a few tenths of a millimetre whose ends are rounded to the program's decimals.
+DIRECTION_ROUNDING_DEG = 0.01
+LIMIT_ROUNDING_MM = 1e-9  # Rounding of a curve's extreme
+SAME_SIZE = 1e-4  # Share of its size by which a part may be off: coordinates of an STL file have seven digits
+# Share of the greatest section by which those of the mesh and of a slicer differ only where bodies overlap, or it is open.
+SAME_AREA = 1e-3
+# Wire changes between blocks, whose ends are rounded, and which other curve forms place elsewhere by so much.
+WIRE_PLACE_MM = 0.2
+
+# What to do about a check that fails: texts that several checks, and findings, have in common.
+AGAIN = (
+    "make the program again (ebamcheck run); a text that was edited by hand is checked with ebamcheck verify"
+)
+PROFILE = "set the machine's own codes in the templates (ebamcheck config, section machine)"
+PLACE = "move the part (part.direction, the work offset), or set the machine's travel (machine.travel_max_mm)"
+NARROWER = (
+    "use a narrower bead (process.bead_width_mm, with layers.layer_height_mm as it is and a process.current_ma that goes with "
+    "the square of the width)"
+)
+COARSE = f"allow for machining (process.machining_allowance_mm), {NARROWER}, or build in another direction (part.direction)"
+# Of a wall that no bead of the process is narrow enough for.
+TOO_THIN = (
+    "allow for machining (process.machining_allowance_mm), make the wall thicker in the model, or build in another direction "
+    "(part.direction)"
+)
+FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
+HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
+HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
+NARROW = f"fill or widen it in the model, set a least width under it (process.least_hole_mm, least_wall_mm), or {NARROWER}"
+FLAT = (
+    "machine it afterwards and close it in the model, or lay thinner layers (layers.layer_height_mm), build in another direction "
+    "(part.direction), or set a least width under it (process.least_hole_mm, least_wall_mm)"
+)
+LEVELS = (
+    "choose layers.layer_height_mm so that level faces fall on borders of layers, move those faces in the model, or, for metal "
+    "that is too much, allow for machining (process.machining_allowance_mm)"
+)
+COOL = 'wait and lower the power (process.interpass = "both"), or raise process.interpass_limit_k'
+MISTAKE = "no setting mends it: this program has a mistake in reading, slicing, layers or heat model; report it with the part"
+OFF_MESH = (
+    f"mend the mesh, or the slicer, where the gate input or agreement is shut; where both are open, {MISTAKE}"
+)
+WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
+MELT = (
+    "make the program again; where it has the full power already, raise process.current_ma, or lay less metal in a second "
+    "(process.travel_speed_mm_s, layers.layer_height_mm)"
+)
+WARMER = "shorten the wait (make the program again), preheat (preheat.when), or lower process.least_entry_temperature_k"
+HOTTER = "more passes or current (preheat.most_passes, preheat.current_ma), a shorter wait (preheat.soak_s), or a lower target_k"
+CALMER = "fewer passes (preheat.passes), less current (preheat.current_ma), or a greater preheat.over_k"
+EVENER = "a narrower preheat.spacing_mm, preheat.pattern 'crossed', a longer preheat.soak_s, or a greater evenness_k"
+WIDER = "a wider beam (preheat.spot_mm, preheat.defocus), less current (preheat.current_ma), or more speed (preheat.speed_mm_s)"
+OVERHANG = (
+    "build in another direction (part.direction), support it in the model, or, for a slope within a bead's width, set the angle "
+    "that your process can build (process.largest_overhang_deg)"
+)
+SHORTER = (
+    "write fewer blocks (machine.curve_form, machine.line_tolerance_mm), or raise machine.program_limit_mb"
+)
+FEED = "set the feed within machine.feed_min_mm_s and machine.feed_max_mm_s (process.travel_speed_mm_s)"
+STEPS = "make the program again for this profile (ebamcheck run), whose increments are machine.*_increment_*"
+RAMPS = "change the length of the ramp (process.ramp_up_mm, process.crater_fill_mm) or its window"
+SEAMS = "spread the seams (process.seam_shift_mm), or lower process.least_seam_distance_mm"
+SECTORS = "turn the hatch (scan.first_angle_deg), or widen process.travel_sectors_deg"
+AWAY = "move the part away from the places of process.keep_out, or turn it (part.direction)"
+SPOOL = "begin with a fuller spool (machine.spool_kg), or stop before layers (machine.optional_stop) to put on another"
+CATHODE = "begin with a new cathode (machine.cathode_h), or stop before layers (machine.optional_stop) to put in another"
+HIGHER_OR_AWAY = (
+    "raise machine.safe_height_mm and machine.clearance_mm, or move what stands in the way (process.keep_out)"
+)
+HIGHER = "raise machine.safe_height_mm and machine.clearance_mm"
+SUPPORT = "build in another direction (part.direction), or support the overhang in the model"
+WIRE = f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}"
+ENDS = f"{HATCH}; a text that was edited by hand is made again (ebamcheck run)"
+LEVEL = f"give layers of one height (layers.layer_height_mm), then {AGAIN}"
+# Of a check that a plugin brought.
+OTHERWISE = "look at that line of the program, and at the settings that the text names"
+
+Faults = list[tuple[str, str]]  # Where (``FILE:line``), and what
 
 
-def checks_of(groups: Sequence[CheckGroup]) -> list[Check]:
+def smooth_tolerance_mm(config: Config) -> float:
+    """Distance of the path from a smooth section that was sliced and fitted anew.
+
+    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
+    """
+    curves = config.curves
+    return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
+
+
+def checks_of(groups: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
     """Make all groups of checks, on all threads; results come in the order of the groups.
 
     The last group begins first: the long ones stand at the end.
@@ -26,8 +134,8 @@ def checks_of(groups: Sequence[CheckGroup]) -> list[Check]:
     return [check for group in reversed(found) for check in group]
 
 
-def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:
-    """Check that there is no fault; `places` are (where, what) of those there are, in order."""
+def count_check(name: str, places: Faults, good: str) -> Check:
+    """Check that there is no fault; `places` are those there are, in order."""
     if not places:
         return Check(name, True, 0.0, 0.0, "faults", "", good)
     where, what = places[0]
@@ -35,17 +143,14 @@ def count_check(name: str, places: list[tuple[str, str]], good: str) -> Check:
     return Check(name, False, float(len(places)), 0.0, "faults", where, what + more)
 
 
-def row_faults(nc: NCProgram, rows: Bools | Ints, what: str) -> list[tuple[str, str]]:
-    """Places of motions that are wrong for the same reason."""
-    index = np.flatnonzero(rows) if np.asarray(rows).dtype == np.bool_ else np.asarray(rows)
-    return [(nc.where(int(row)), what) for row in index]
-
-
-def lines_of(nc: NCProgram, rows: Ints) -> list[tuple[int, int]]:
-    """File and line, from 1, of motions: each once, in the order of the text."""
-    lines = 1 + int(nc.line[rows].max(initial=0))
-    file, line = np.divmod(np.unique(nc.file[rows].astype(np.int64) * lines + nc.line[rows]), lines)
-    return list(zip(file.tolist(), line.tolist(), strict=True))
+def limit_check(
+    name: str, value: float, limit: float, unit: str, text: str, where: str = "", layer: int | None = None,
+    at: Sequence[float] | Floats = (), remedy: str = "",
+) -> Check:  # fmt: skip
+    """Check that the worst value, found at X and Y `at`, is not over its limit; one that is no number is."""
+    x_mm, y_mm = (float(at[0]), float(at[1])) if len(at) else (None, None)
+    passed, value = bool(value <= limit), float(value)
+    return Check(name, passed, value, limit, unit, where, text, layer, x_mm, y_mm, remedy=remedy)
 
 
 def worst_check(
@@ -57,34 +162,40 @@ def worst_check(
         return Check(name, True, 0.0, limit, unit, "", f"{what}: nothing to check")
     known = np.where(np.isnan(values), np.inf, values)
     worst = int(np.argmax(known))
-    value = float(known[worst])
-    told = f"at most {value:.6g} {unit}" if np.isfinite(value) else "not known"
-    return Check(
-        name,
-        value <= limit,
-        value,
-        limit,
-        unit,
-        nc.where(int(rows[worst])),
-        f"{what}: {told}",
-    )
+    told = f"at most {known[worst]:.6g} {unit}" if np.isfinite(known[worst]) else "not known"
+    return limit_check(name, known[worst], limit, unit, f"{what}: {told}", nc.where(int(rows[worst])))
 
 
-def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> list[tuple[str, str]]:
-    """Places of events that break a rule, in their order, and what there is to say of each.
+def row_faults(nc: NCProgram, rows: Bools | Ints, what: str, *values: ArrayLike) -> Faults:
+    """Motions that are wrong for the same reason; `values` (n,) each of them are filled into what there is to say."""
+    index = np.flatnonzero(rows) if np.asarray(rows).dtype == np.bool_ else np.asarray(rows)
+    each = zip(index.tolist(), *(np.asarray(column).tolist() for column in values), strict=True)
+    return [(nc.where(row), what.format(*filled)) for row, *filled in each]
 
-    Parameters
-    ----------
-    rules
-        Which events (E,) break it, and a text into which their ``name``, ``value`` and what they ``said`` behind their begin are
-        filled, or a function of the event. Of an event that breaks several, the first rule is named first.
+
+def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> Faults:
+    """Events (E,) that break rules, in their order, each with a text or a function of the event.
+
+    Their ``name``, ``value`` and what they ``said`` behind their begin are filled into a text. Of an event that breaks several rules,
+    the first one is named first.
     """
     found = sorted((i, n) for n, (which, _) in enumerate(rules) for i in np.flatnonzero(which).tolist())
-    return [(nc.where_event(i), _said(nc, i, rules[n][1])) for i, n in found]
+    e, faults = nc.events, []
+    for i, n in found:
+        text = rules[n][1]
+        what = text(i) if callable(text) else text.format(name=e.name[i], value=e.value[i], said=e.said(i))
+        faults.append((nc.where_event(i), what))
+    return faults
 
 
-def _said(nc: NCProgram, event: int, text: str | Callable[[int], str]) -> str:
-    if callable(text):
-        return text(event)
-    events = nc.events
-    return text.format(name=events.name[event], value=events.value[event], said=events.said(event))
+def place_of(file: SourceFile, offset: int) -> str:
+    """``FILE:line`` of a byte of a file."""
+    line = file.data.count(b"\n", 0, offset) + 1
+    return f"{file.name}:{line}"
+
+
+def lines_of(nc: NCProgram, rows: Ints) -> list[tuple[int, int]]:
+    """File and line, from 1, of motions: each once, in the order of the text."""
+    lines = 1 + int(nc.line[rows].max(initial=0))
+    file, line = np.divmod(np.unique(nc.file[rows].astype(np.int64) * lines + nc.line[rows]), lines)
+    return list(zip(file.tolist(), line.tolist(), strict=True))

@@ -11,37 +11,25 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
-from ebamcheck.checks.tolerances import PLACE_MM
+from ebamcheck.checks.checks import PLACE_MM
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.control import control
-from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram
+from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, Beads, NCProgram
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
+# Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before.
 HOP_SPACINGS = 2.0
-"""Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before."""
-
-PLACES = 32
-"""Places on each motion without support that are looked at."""
-
+PLACES = 32  # Places on each motion without support that are looked at
+# Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding.
 WHOLLY = 0.99
-"""Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding."""
-
-STEP_MM = 0.5
-"""Curved beads are looked at as straight parts of at most this length."""
-
-CELLS_PER_BEAD = 6
-"""Cells across a bead: its border is known to half a millimetre for a bead of 6 mm."""
-
-MOST_CELLS = 16_000_000
-"""Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones."""
-
-NO_HEIGHT = KeepOut.model_fields["z_mm"].default
-"""Heights of a keep-out zone for which nobody gave any."""
+STEP_MM = 0.5  # Curved beads are looked at as straight parts of at most this length
+CELLS_PER_BEAD = 6  # Cells across a bead: its border is known to half a millimetre for a bead of 6 mm
+MOST_CELLS = 16_000_000  # Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones
+NO_HEIGHT = KeepOut.model_fields["z_mm"].default  # Heights of a keep-out zone for which nobody gave any
 
 
 def clearance_checks(
@@ -49,18 +37,14 @@ def clearance_checks(
 ) -> list[Check]:
     """Run a program over what stands, and check what it meets; where `layers` have metal under a bead, metal has to stand."""
     beads = nc.beads
-    below = _below(nc, z_of, config.base_mm)
+    # Z (B,) of the layer below each motion; what stands for the first one, and 0 outside of layers.
+    tops = z_of if z_of.size else nc.layer_heights
+    under = np.concatenate([[config.base_mm], tops])
+    below = np.nan_to_num(np.where(nc.layer >= 0, under[np.minimum(nc.layer, tops.size)], 0.0))
     found = run_over(nc, beads, below, config, HOP_SPACINGS * config.process.hatch_spacing_mm)
     in_air = beads_in_the_air(nc, beads, found.bare_mm, below, config.process.bead_width_mm)
     support = _in_the_air(nc, beads, in_air) or _support(nc, beads, found, config, layers)
     return [_collision(nc, found), _clearance(nc, found, config), support]
-
-
-def _below(nc: NCProgram, z_of: Floats, base_mm: float) -> Floats:
-    """Z (B,) of the layer below that of each motion; what stands for the first one, and 0 outside of layers."""
-    tops = z_of if z_of.size else nc.layer_heights
-    under = np.concatenate([[base_mm], tops])
-    return np.nan_to_num(np.where(nc.layer >= 0, under[np.minimum(nc.layer, tops.size)], 0.0))
 
 
 def _collision(nc: NCProgram, found: Standing) -> Check:
@@ -68,17 +52,13 @@ def _collision(nc: NCProgram, found: Standing) -> Check:
     depth = np.stack([found.into_mm, found.head_mm, found.under_mm])
     rows = np.flatnonzero(depth.max(axis=0) > 0.0)
     if not rows.size:
-        return Check(
-            "collision", True, 0.0, 0.0, "mm", "", "tip and head stay clear of plate, clamps and beads"
-        )
+        good = "tip and head stay clear of plate, clamps and beads"
+        return Check("collision", True, 0.0, 0.0, "mm", "", good)
     row = int(rows[0])
     which = int(np.argmax(depth[:, row]))
-    worst = float(depth[which, row])
-    what = (
-        f"the tip goes {worst:.4g} mm into what stands",
-        f"the head goes {worst:.4g} mm into what stands",
-        f"the tip goes {worst:.4g} mm under the beads before and after it",
-    )[which]
+    who = "head" if which == 1 else "tip"
+    where = "under the beads before and after it" if which == 2 else "into what stands"
+    what = f"the {who} goes {depth[which, row]:.4g} mm {where}"
     return Check("collision", False, float(depth.max()), 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
 
 
@@ -171,11 +151,8 @@ def beads_in_the_air(
     result = np.zeros(len(beads), np.bool_)
     for k in np.unique(layer[alone]).tolist():
         mine = np.flatnonzero(layer == k)
-        under = np.flatnonzero(
-            (layer != k)
-            & (beads.first < beads.first[mine[0]])
-            & (top >= below_mm[beads.first[mine[0]]] - PLACE_MM)
-        )
+        first = beads.first[mine[0]]
+        under = np.flatnonzero((layer != k) & (beads.first < first) & (top >= below_mm[first] - PLACE_MM))
         stands = _metal(nc, beads, under, width_mm)
         for island in shapely.get_parts(_metal(nc, beads, mine, width_mm)):
             # What a first bead lies on may be a clamp, too: an island with a bead that lies on something is none.
@@ -237,7 +214,8 @@ def run_over(nc: NCProgram, beads: Beads, below_mm: Floats, config: Config, hop_
         float(control(nc.dialect).rapids_apart),
     )  # fmt: skip
     ground = _Ground(np.full(shape, config.base_mm), fixed, around, origin, cell, tall)
-    _run(columns_of(nc), _Beads(beads.first, beads.last, floor, below_mm), ground, tool, out)
+    path = Columns(nc.kind, nc.start, nc.end, nc.coefficients, nc.arc, np.nan_to_num(nc.lengths))
+    _run(path, _Beads(beads.first, beads.last, floor, below_mm), ground, tool, out)
     return Standing(*out)
 
 
@@ -288,7 +266,7 @@ def standing_of(
 
 
 class Columns(NamedTuple):
-    """Columns of a program's motions, as :class:`~ebamcheck.nc.motions.NCProgram` has them."""
+    """Columns of a program's motions, as NCProgram has them; motions of unknown length have none."""
 
     kind: Ints
     start: Floats
@@ -298,34 +276,24 @@ class Columns(NamedTuple):
     length: Floats
 
 
-def columns_of(nc: NCProgram) -> Columns:
-    """Columns of a program for kernels; motions of unknown length have none."""
-    return Columns(nc.kind, nc.start, nc.end, nc.coefficients, nc.arc, np.nan_to_num(nc.lengths))
-
-
 class _Beads(NamedTuple):
     """Where beads begin and end, and heights around each motion (B,)."""
 
     first: Ints
     last: Ints
-    floor: Floats
-    """Z of the lower of the beads before and after."""
+    floor: Floats  # Z of the lower of the beads before and after
     below: Floats
 
 
 class _Ground(NamedTuple):
     """What stands, (rows, columns) each."""
 
-    top: Floats
-    """Beads; it changes while the program runs."""
-    fixed: Floats
-    """Clamps."""
-    around: Floats
-    """Clamps grown by the radius of the head."""
+    top: Floats  # Beads; it changes while the program runs
+    fixed: Floats  # Clamps
+    around: Floats  # Clamps grown by the radius of the head
     origin: Floats
     cell: float
-    tallest: float
-    """Height of the tallest clamp."""
+    tallest: float  # Height of the tallest clamp
 
 
 class _Tool(NamedTuple):
@@ -336,8 +304,7 @@ class _Tool(NamedTuple):
     above: float
     clearance: float
     hop: float
-    apart: float
-    """1 where the axes of a rapid may arrive one after the other, else 0."""
+    apart: float  # 1 where the axes of a rapid may arrive one after the other, else 0
 
 
 @kernel
@@ -371,43 +338,20 @@ def _highest(top: Floats, fixed: Floats, x: float, y: float, radius: float, enou
 
 
 @kernel
-def _under(top: Floats, fixed: Floats, x: float, y: float) -> float:
-    """Height under a place; beside the grid there is the base plate."""
-    rows, columns = top.shape
-    i, j = math.floor(x), math.floor(y)
-    if i < 0 or j < 0 or i >= columns or j >= rows:
-        return 0.0
-    return float(max(top[j, i], fixed[j, i]))
-
-
-@kernel
-def _lay(path: Columns, m: int, ground: _Ground, radius: float) -> None:
-    """Raise the cells under a bead to its height."""
-    rows, columns = ground.top.shape
-    z = path.end[m, 2]
-    parts = max(1, math.ceil(path.length[m] / ground.cell))
-    for p in range(parts + 1):
-        x, y = place_on(path, m, p / parts)
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-            return
-        x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
-        for j in range(max(0, math.floor(y - radius)), min(rows, math.floor(y + radius) + 1)):
-            for i in range(max(0, math.floor(x - radius)), min(columns, math.floor(x + radius) + 1)):
-                dx, dy = i + 0.5 - x, j + 0.5 - y
-                if dx * dx + dy * dy <= radius * radius and ground.top[j, i] < z:
-                    ground.top[j, i] = z
-
-
-@kernel
 def _touch(
     ground: _Ground, tool: _Tool, x: float, y: float, z: float, highest: float, m: int, out: Floats
 ) -> float:
-    """Note how deep tip and head go into what stands at a place (cells); the height under it."""
-    under = _under(ground.top, ground.fixed, x, y)
+    """Note how deep tip and head go into what stands at a place (cells); the height under it, beside the grid that of the base plate."""
+    rows, columns = ground.top.shape
+    i, j = math.floor(x), math.floor(y)
+    under, around = 0.0, 0.0
+    if 0 <= i < columns and 0 <= j < rows:
+        under = float(max(ground.top[j, i], ground.fixed[j, i]))
+        around = float(max(ground.top[j, i], ground.around[j, i]))
     if under > z + PLACE_MM:
         out[0, m] = max(out[0, m], under - z)
     bottom = z + tool.above
-    depth = _under(ground.top, ground.around, x, y) - bottom
+    depth = around - bottom
     if highest > bottom + PLACE_MM:
         depth = max(depth, _highest(ground.top, ground.top, x, y, tool.head, np.inf) - bottom)
     if depth > PLACE_MM:
@@ -416,59 +360,9 @@ def _touch(
 
 
 @kernel
-def _meet(
-    path: Columns, m: int, below: float, ground: _Ground, tool: _Tool, highest: float, out: Floats
-) -> None:
-    """Look at what one motion of a bead meets, and what it lies on."""
-    z = min(path.start[m, 2], path.end[m, 2])
-    support = below - PLACE_MM
-    parts = max(1, math.ceil(path.length[m] / ground.cell))
-    for p in range(parts):
-        x, y = place_on(path, m, (p + 0.5) / parts)
-        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-            return
-        x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
-        under = _touch(ground, tool, x, y, z, highest, m, out)
-        if under >= support:
-            continue
-        if _highest(ground.top, ground.fixed, x, y, tool.bead, support) < support:
-            if out[5, m] == 0.0:
-                out[6, m] = p / parts
-            out[5, m] += path.length[m] / parts
-            out[7, m] = (p + 1.0) / parts
-
-
-@kernel
-def _meet_in_box(
-    path: Columns, m: int, z: float, ground: _Ground, tool: _Tool, highest: float, out: Floats
-) -> float:
-    """Look at what a rapid may meet within the box around its ends; the most that it lacks of the clearance there, mm."""
-    start, end = path.start[m], path.end[m]
-    columns = max(1, math.ceil(abs(end[0] - start[0]) / ground.cell))
-    rows = max(1, math.ceil(abs(end[1] - start[1]) / ground.cell))
-    worst = 0.0
-    for j in range(rows + 1):
-        for i in range(columns + 1):
-            x = (start[0] + (end[0] - start[0]) * i / columns - ground.origin[0]) / ground.cell
-            y = (start[1] + (end[1] - start[1]) * j / rows - ground.origin[1]) / ground.cell
-            _touch(ground, tool, x, y, z, highest, m, out)
-            worst = max(
-                worst, _highest(ground.top, ground.fixed, x, y, tool.bead, np.inf) + tool.clearance - z
-            )
-    return float(worst)
-
-
-@kernel
 def _travel(
-    path: Columns,
-    m: int,
-    floor: float,
-    ground: _Ground,
-    tool: _Tool,
-    highest: float,
-    low_mm: float,
-    out: Floats,
-) -> float:
+    path: Columns, m: int, floor: float, ground: _Ground, tool: _Tool, highest: float, low_mm: float, out: Floats,
+) -> float:  # fmt: skip
     """Look at what one travel meets; for how long travel has run under the clearance by then, mm."""
     start, end = path.start[m], path.end[m]
     # Axes that move at once need not arrive at once: the lower end counts for the whole way.
@@ -483,7 +377,17 @@ def _travel(
         out[2, m] = floor - z
     way = math.hypot(end[0] - start[0], end[1] - start[1])
     if tool.apart > 0.0 and path.kind[m] == RAPID and start[0] != end[0] and start[1] != end[1]:
-        lacks = _meet_in_box(path, m, z, ground, tool, highest, out)
+        # The rapid may go anywhere in the box around its ends.
+        columns = max(1, math.ceil(abs(end[0] - start[0]) / ground.cell))
+        rows = max(1, math.ceil(abs(end[1] - start[1]) / ground.cell))
+        lacks = 0.0
+        for j in range(rows + 1):
+            for i in range(columns + 1):
+                x = (start[0] + (end[0] - start[0]) * i / columns - ground.origin[0]) / ground.cell
+                y = (start[1] + (end[1] - start[1]) * j / rows - ground.origin[1]) / ground.cell
+                _touch(ground, tool, x, y, z, highest, m, out)
+                top = _highest(ground.top, ground.fixed, x, y, tool.bead, np.inf)
+                lacks = max(lacks, top + tool.clearance - z)
         low_mm = low_mm + way if lacks > PLACE_MM else 0.0
         if low_mm > tool.hop + PLACE_MM:
             out[3, m] = max(out[3, m], lacks)
@@ -507,19 +411,47 @@ def _travel(
 
 @kernel
 def _run(path: Columns, beads: _Beads, ground: _Ground, tool: _Tool, out: Floats) -> None:
-    """Run all motions; `out` (8, B) are the columns of :class:`Standing`."""
+    """Run all motions; `out` (8, B) are the columns of :class:`Standing`. A bead meets what stood before it, and is laid then."""
+    rows, columns = ground.top.shape
     highest, low_mm, bead, row = 0.0, 0.0, 0, 0
     while row < path.kind.size:
-        if bead < beads.first.size and row == beads.first[bead]:
-            stop = beads.last[bead] + 1
-            for m in range(row, stop):
-                _meet(path, m, beads.below[m], ground, tool, highest, out)
-            for m in range(row, stop):
-                _lay(path, m, ground, tool.bead)
-                if path.end[m, 2] > highest:
-                    highest = path.end[m, 2]
-            row, low_mm = stop, 0.0
-            bead += 1
-        else:
+        if bead >= beads.first.size or row != beads.first[bead]:
             low_mm = _travel(path, row, beads.floor[row], ground, tool, highest, low_mm, out)
             row += 1
+            continue
+        stop = beads.last[bead] + 1
+        for m in range(row, stop):
+            z = min(path.start[m, 2], path.end[m, 2])
+            support = beads.below[m] - PLACE_MM
+            parts = max(1, math.ceil(path.length[m] / ground.cell))
+            for p in range(parts):
+                x, y = place_on(path, m, (p + 0.5) / parts)
+                if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+                    break
+                x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
+                under = _touch(ground, tool, x, y, z, highest, m, out)
+                if under >= support:
+                    continue
+                if _highest(ground.top, ground.fixed, x, y, tool.bead, support) < support:
+                    if out[5, m] == 0.0:
+                        out[6, m] = p / parts
+                    out[5, m] += path.length[m] / parts
+                    out[7, m] = (p + 1.0) / parts
+        radius = tool.bead
+        for m in range(row, stop):
+            z = path.end[m, 2]
+            parts = max(1, math.ceil(path.length[m] / ground.cell))
+            for p in range(parts + 1):
+                x, y = place_on(path, m, p / parts)
+                if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+                    break
+                x, y = (x - ground.origin[0]) / ground.cell, (y - ground.origin[1]) / ground.cell
+                for j in range(max(0, math.floor(y - radius)), min(rows, math.floor(y + radius) + 1)):
+                    for i in range(max(0, math.floor(x - radius)), min(columns, math.floor(x + radius) + 1)):
+                        dx, dy = i + 0.5 - x, j + 0.5 - y
+                        if dx * dx + dy * dy <= radius * radius and ground.top[j, i] < z:
+                            ground.top[j, i] = z
+            if path.end[m, 2] > highest:
+                highest = path.end[m, 2]
+        row, low_mm = stop, 0.0
+        bead += 1

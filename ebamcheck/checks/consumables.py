@@ -7,43 +7,42 @@ can be replaced at a stop before a layer, if the program has such stops (``machi
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import shapely
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.text_heat import motion_seconds
+from ebamcheck.json_values import plain
+from ebamcheck.mesh.inspection import inspect
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-SPOOL, CATHODE = "wire on the spool", "life of the cathode"
-"""Names of the checks."""
-
+SPOOL, CATHODE = "wire on the spool", "life of the cathode"  # Names of the checks
+# What is done before a layer for which they do not last.
 NEW = {SPOOL: "on a new spool", CATHODE: "in a new cathode"}
-"""What is done before a layer for which they do not last."""
-
+# Name, words, unit and setting of each, as Consumed has them.
 WORDS = {
     SPOOL: (SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"),
     CATHODE: (CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"),
 }
-"""Name, words, unit and setting of each, as :class:`Consumed` has them."""
-
-KG_MM3 = 1e-9
-"""Cubic metres in a cubic millimetre, for densities in kg/m3."""
-
+KG_MM3 = 1e-9  # Cubic metres in a cubic millimetre, for densities in kg/m3
 HOUR_S = 3600.0
-
-TOLD_LAYERS = 6
-"""Layers that a text names; of more the number."""
+SAME_MASS = 1e-9  # Of the greater mass: sums in another order
+TOLD_LAYERS = 6  # Layers that a text names; of more the number
 
 
 @dataclass(frozen=True)
 class Spent:
-    """What the layers below took of the spool and of the cathode that are in use, and what was put on new before the last of them."""
+    """What the layers below took of spool and cathode in use, and what was put on new before the last of them."""
 
     wire_kg: float = 0.0
     beam_h: float = 0.0
@@ -96,8 +95,7 @@ class Consumed:
         )
 
 
-FRESH = Spent()
-"""Nothing: a program from the plate up begins with a full spool and a new cathode."""
+FRESH = Spent()  # Nothing: a program from the plate up begins with a full spool and a new cathode
 
 
 def spent_after(found: Sequence[Consumed]) -> Spent:
@@ -161,19 +159,13 @@ def _preheating_h(nc: NCProgram, config: Config) -> Floats:
 
 
 def _used(
-    nc: NCProgram,
-    config: Config,
-    amounts: tuple[Floats, Floats],
-    holds: float,
-    name: str,
-    spent: float,
+    nc: NCProgram, config: Config, amounts: tuple[Floats, Floats], holds: float, name: str, spent: float
 ) -> Consumed:
-    """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing.
-
-    A time that nobody knows is endless.
-    """
+    """What is used up by motions (B,) and before layers (L,), and where a new one is needed or missing."""
+    # A time that nobody knows is endless.
     by_motion, before = amounts
-    layer, count = _layer_of(nc), before.size
+    # A motion between layers is of that before, one before all of the first.
+    layer, count = np.maximum.accumulate(np.maximum(nc.layer, 0)).astype(np.int64), before.size
     used = np.where(np.isnan(by_motion), np.inf, by_motion)
     in_layer = before + np.bincount(layer, used, minlength=count)
     changes, ends_in, in_use = _changes(in_layer.tolist(), holds, config.machine.optional_stop, spent)
@@ -213,14 +205,6 @@ def _changes(
     return tuple(changes), None, used
 
 
-def _layer_of(nc: NCProgram) -> Ints:
-    """Layer of each motion (B,); of one between layers that before it, of one before all the first."""
-    return np.maximum.accumulate(np.maximum(nc.layer, 0)).astype(np.int64)
-
-
-# -- totals --------------------------------------------------------------------------------------------
-
-
 def layer_pauses_s(nc: NCProgram) -> Floats:
     """Time that the program waits before each layer and within it, (L,) s: a wait is of the layer of the metal after it.
 
@@ -257,17 +241,84 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     wire_mm = np.asarray(total(wire, always))
     return pd.DataFrame(
         {
-            "layer": np.arange(count),
-            "file": nc.layer_files,
-            "z_mm": nc.layer_heights,
+            "layer": np.arange(count), "file": nc.layer_files, "z_mm": nc.layer_heights,
             "motions": np.bincount(nc.layer[inside], minlength=count),
             "contour_mm": total(length, nc.deposit & (nc.ring >= 0)),
-            "hatch_mm": total(length, nc.deposit & (nc.island >= 0)),
-            "travel_mm": total(length, ~nc.deposit),
-            "deposit_s": total(time, nc.deposit),
-            "travel_s": total(time, ~nc.deposit),
-            "pause_s": layer_pauses_s(nc),
-            "wire_mm": wire_mm,
-            "wire_kg": wire_mm * 1e-3 * area_m2 * config.material.density_kg_m3,
+            "hatch_mm": total(length, nc.deposit & (nc.island >= 0)), "travel_mm": total(length, ~nc.deposit),
+            "deposit_s": total(time, nc.deposit), "travel_s": total(time, ~nc.deposit), "pause_s": layer_pauses_s(nc),
+            "wire_mm": wire_mm, "wire_kg": wire_mm * 1e-3 * area_m2 * config.material.density_kg_m3,
         }
-    )
+    )  # fmt: skip
+
+
+# -- parts of a plate -------------------------------------------------------------------------------------
+
+
+def plate_record(part: Part, config: Config, program: NCProgram | None = None) -> list[dict[str, Any]]:
+    """One entry a part of a plate, with its wire and layers where the program is known; none where there is but one part."""
+    if not isinstance(part, PlatePart):
+        return []
+    laid = _laid(part, program, config) if program is not None else [{}] * len(part.members)
+    records = []
+    for member, of_program in zip(part.members, laid, strict=True):
+        mesh = part.member(member)
+        # fmt: off
+        records.append({
+            "name": member.name, "source": member.source, "sha256": member.sha256, "mesh_sha256": mesh.sha256,
+            "units": member.units, "units_from": member.units_from, "direction": list(member.direction),
+            "place_at_mm": list(member.place_at_mm), "rotate_deg": member.rotate_deg,
+            "lower_mm": mesh.bounds[0].tolist(), "upper_mm": mesh.bounds[1].tolist(), "verdict": inspect(mesh).verdict,
+            "volume_mm3": mesh.volume, "part_kg": mesh.volume * KG_MM3 * config.material.density_kg_m3, **of_program,
+        })
+        # fmt: on
+    return records
+
+
+def member_of(part: PlatePart, points: Floats) -> Ints:
+    """Part (N,) to which each of (N, 2) points belongs: the one whose convex outline is nearest."""
+    tree = shapely.STRtree(np.array(part.outlines(), object))
+    found: Ints = np.asarray(tree.nearest(shapely.points(points)), np.int64)
+    return found
+
+
+def _laid(part: PlatePart, nc: NCProgram, config: Config) -> list[dict[str, Any]]:
+    """Mass and layers of the metal that a program lays for each part."""
+    seconds = motion_seconds(nc, config)
+    rows = np.flatnonzero(nc.wire & nc.deposit & (nc.layer >= 0))
+    count = len(part.members)
+    if not rows.size:
+        return [{"wire_kg": 0.0, "layers": 0}] * count
+    # Parts keep apart and their outlines are convex, so that the middle of a chord lies in the outline of its part.
+    owner = member_of(part, 0.5 * (nc.start[rows, :2] + nc.end[rows, :2]))
+    wire_mm = seconds[rows] * np.nan_to_num(nc.wire_mm_s[rows])
+    area_mm2 = math.pi * config.process.wire_diameter_mm**2 / 4.0
+    mass_kg = np.bincount(owner, wire_mm, count) * area_mm2 * KG_MM3 * config.material.density_kg_m3
+    layers = [len(np.unique(nc.layer[rows[owner == k]])) for k in range(count)]
+    return [{"wire_kg": float(mass_kg[k]), "layers": layers[k]} for k in range(count)]
+
+
+def plate_checks(
+    part: Part, config: Config, program: NCProgram | None, recorded: Sequence[Mapping[str, Any]] | None, where: str,
+) -> list[Check]:  # fmt: skip
+    """Work the entries of a plate out again and hold them against a record; none for a single part."""
+    found = plate_record(part, config, program)
+    if not found and not recorded:
+        return []
+    recorded = recorded or []
+    alike = len(found) == len(recorded)
+    faults = [] if alike else [f"{len(recorded)} parts are recorded, the plate has {len(found)}"]
+    for entry, said in zip(found, recorded, strict=False):
+        faults += [
+            f"{entry['name']}: {key} is recorded as {said.get(key)!r}, found {value!r}"
+            for key, value in plain(entry).items()
+            if not _same(said.get(key), value)
+        ]
+    text = faults[0] if faults else f"file, place and mass of {len(found)} parts are those recorded"
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return [Check("plate", not faults, float(len(faults)), 0.0, "faults", where, text + more)]
+
+
+def _same(said: Any, found: Any) -> bool:
+    if isinstance(found, float) and isinstance(said, int | float):
+        return math.isclose(said, found, rel_tol=SAME_MASS, abs_tol=1e-12)
+    return bool(said == found)

@@ -10,14 +10,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.checks import PLACE_MM, count_check
 from ebamcheck.checks.header_checks import Truth, status_check
 from ebamcheck.checks.state_checks import machine_state_checks
 from ebamcheck.checks.text_checks import text_checks
-from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.nc.codes import BEAM_VALUES
 from ebamcheck.nc.motions import RAPID, NCProgram
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 COLUMNS = ("kind", "feed_mm_min", "beam", "wire", "power_w", "wire_mm_s")
@@ -30,9 +29,8 @@ def entry_check(
 ) -> Check:
     """Check a program that begins at a layer, from 1, against the whole one; it is to be called `validated` as that is."""
     faults = list(_faults(whole, entry, layer, z_mm, config, Truth(validated)))
-    return count_check(
-        "entry", faults, f"{len(entry)} motions from layer {layer} on are those of the whole program"
-    )
+    good = f"{len(entry)} motions from layer {layer} on are those of the whole program"
+    return count_check("entry", faults, good)
 
 
 def _faults(
@@ -49,22 +47,15 @@ def _faults(
         return
     offset = len(whole) - len(entry)
     before = np.flatnonzero(whole.deposit[:offset])
-    if not abs(entry.end[laid[0], 2] - z_mm) <= PLACE_MM or (
-        before.size and not whole.end[before[-1], 2] < z_mm - PLACE_MM
-    ):
-        yield (
-            entry.where(int(laid[0])),
-            f"begins at Z {entry.end[laid[0], 2]:g}, layer {layer} lies at {z_mm:g}",
-        )
+    first, lower = int(laid[0]), before.size and not whole.end[before[-1], 2] < z_mm - PLACE_MM
+    if not abs(entry.end[first, 2] - z_mm) <= PLACE_MM or lower:
+        yield entry.where(first), f"begins at Z {entry.end[first, 2]:g}, layer {layer} lies at {z_mm:g}"
     yield from _other_motions(whole, entry, offset)
-    yield from _other_events(whole, entry, offset, int(laid[0]))
-    yield from _way_in(entry, int(laid[0]), z_mm, config)
-    first = int(laid[0])
+    yield from _other_events(whole, entry, offset, first)
+    yield from _way_in(entry, first, z_mm, config)
     if not _same(entry.start[first], whole.start[first + offset]).all():
-        yield (
-            entry.where(first),
-            "the first bead begins at another place than in the whole program, or at one that nothing has given",
-        )
+        what = "the first bead begins at another place than in the whole program, or at one that nothing has given"
+        yield entry.where(first), what
 
 
 def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[tuple[str, str]]:
@@ -88,18 +79,16 @@ def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[
 
 
 def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -> Iterator[tuple[str, str]]:
-    """First wait, switch or value from the first bead on that the whole program does not have there, or has otherwise.
-
-    Motions alone tell nothing of waits, without which the part is too warm where the next bead comes.
-    """
+    """First wait, switch or value from the first bead on that the whole program does not have there, or has otherwise."""
+    # Motions alone tell nothing of waits, without which the part is too warm where the next bead comes.
     at = [np.flatnonzero(nc.events.row >= row) for nc, row in ((entry, first), (whole, first + offset))]
     for name in VALUES:
-        mine, other = (_set_by(nc, row, name) for nc, row in ((entry, first), (whole, first + offset)))
+        # What was set last before the motion; NaN where nothing was.
+        both = ((entry, first), (whole, first + offset))
+        mine, other = (nc.events.chosen(nc.events.row <= row).set_before(name)[-1:] for nc, row in both)
         if not _same(mine, other).all():
-            yield (
-                entry.where(first),
-                f"{name} is {mine[0]:g} at the first bead, {other[0]:g} in the whole program",
-            )
+            what = f"{name} is {mine[0]:g} at the first bead, {other[0]:g} in the whole program"
+            yield entry.where(first), what
     count = min(at[0].size, at[1].size)
     a, b = entry.events.chosen(at[0][:count]), whole.events.chosen(at[1][:count])
     alike = (a.row + offset == b.row) & _same(a.value, b.value)
@@ -116,11 +105,6 @@ def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -
         yield place, f"lacks {whole.events.name[at[1][count]]} in place of nothing"
 
 
-def _set_by(nc: NCProgram, row: int, name: str) -> Floats:
-    """Value (1,) that was set last before a motion; NaN where none was."""
-    return nc.events.chosen(nc.events.row <= row).set_before(name)[-1:]
-
-
 def _same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray((a == b) | (np.isnan(a) & np.isnan(b)) if a.dtype.kind == "f" else a == b)
 
@@ -135,9 +119,7 @@ def _way_in(entry: NCProgram, first: int, z_mm: float, config: Config) -> Iterat
     if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
         yield entry.beginning, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
     low = np.fmin(entry.start[way[1:], 2], entry.end[way[1:], 2]) < rise
-    aside = ~(
-        (entry.start[way[1:], :2] == entry.end[way[1:], :2])
-        & (entry.end[way[1:], :2] == entry.start[first, :2])
-    ).all(axis=1)
+    start, end = entry.start[way[1:], :2], entry.end[way[1:], :2]
+    aside = ~((start == end) & (end == entry.start[first, :2])).all(axis=1)
     for row in way[1:][low & aside][:1].tolist():
         yield entry.where(row), f"goes below Z {rise:g} elsewhere than over the first bead"

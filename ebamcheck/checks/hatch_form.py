@@ -14,49 +14,34 @@ import numpy as np
 import shapely
 from shapely.ops import substring
 
-from ebamcheck.checks.checks import Check, count_check
-from ebamcheck.checks.tolerances import TWO_PLACES_MM
+from ebamcheck.checks.checks import TWO_PLACES_MM, count_check
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
 
-LINES, CROSSINGS = "hatch lines", "crossings"
-"""Names of the checks."""
-
-CHORD_MM = 0.5
-"""Chords of curved beads."""
-
-PARALLEL = 1e-3
-"""Sine of the angle between lines of one direction."""
-
+LINES, CROSSINGS = "hatch lines", "crossings"  # Names of the checks
+CHORD_MM = 0.5  # Chords of curved beads
+PARALLEL = 1e-3  # Sine of the angle between lines of one direction
+# Share of a bead's length along one direction from which on it is taken for lines to and fro.
 TO_AND_FRO = 1.0 / 3.0
-"""Share of a bead's length along one direction from which on it is taken for lines to and fro."""
-
+# Neighbouring lines to and fro are at most this many spacings apart; a bead that comes back further away follows a wall.
 WIDEST_SPACINGS = 1.3
-"""Neighbouring lines to and fro are at most this many spacings apart; a bead that comes back further away follows a wall."""
-
+# Cosine of the angle between two motions of a bead from which on it turns back on its own track. A turn of 1.5 spacings between lines
+# that are two thirds of a spacing apart, the least that a plan leaves, comes to 26 degrees.
 LEAST_TURN = -math.cos(math.radians(15.0))
-"""Cosine of the angle between two motions of a bead from which on it turns back on its own track. A turn of 1.5 spacings between
-lines that are two thirds of a spacing apart, the least that a plan leaves, comes to 26 degrees."""
-
+# Cosine of the angle of a joint that is a bend, not a turn, and how many of them in a row show that a bead follows a wall: a line that is
+# out of its place has two.
 GENTLE, MANY = 0.5, 3
-"""Cosine of the angle of a joint that is a bend, not a turn, and how many of them in a row show that a bead follows a wall: a line
-that is out of its place has two."""
-
 FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
-
-AT_ONCE = 1_000_000
-"""Pairs of lines that are held at once."""
+AT_ONCE = 1_000_000  # Pairs of lines that are held at once
 
 
 def form_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the form of all hatch beads, and that no bead crosses itself or another of its layer."""
     return [_lines(nc, config), _crossings(nc, 0.5 * config.process.bead_width_mm)]
-
-
-# -- lines to and fro -------------------------------------------------------------------------------
 
 
 def _lines(nc: NCProgram, config: Config) -> Check:
@@ -69,9 +54,8 @@ def _lines(nc: NCProgram, config: Config) -> Check:
             UNEVEN: "lies nearer to the line before than the others of its bead, or further away",
             BACK: "turns back on the track of the one before"}  # fmt: skip
     faults = [(nc.where(int(starts[at[i]])), f"this motion {said[int(state[i])]}") for i in known.tolist()]
-    return count_check(
-        LINES, faults, f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
-    )
+    good = f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
+    return count_check(LINES, faults, good)
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
@@ -113,7 +97,10 @@ def _forms(start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
     if way.shape[1] < 3:
         return np.where(back >= 0, BACK, FINE), back
     parallel = _parallel(way, length)
-    main, most = _main_lines(parallel, length)
+    # The longest line of the direction that most of a bead has, and how much of it that is, mm.
+    share = np.cumsum(np.where(parallel, length[:, None, :], 0.0), axis=2)[..., -1]
+    most = share.max(axis=1)
+    main = np.where(share == most[:, None], length, -1.0).argmax(axis=1)
     bead = np.arange(main.size)
     along, longest = parallel[bead, main], TURN_SPACINGS * spacing + TWO_PLACES_MM
     to = start - start[bead, main][:, None]
@@ -155,19 +142,10 @@ def _turned_back(way: Floats, length: Floats) -> Bools:
     return back
 
 
-def _main_lines(parallel: Bools, length: Floats) -> tuple[Ints, Floats]:
-    """Longest line (m,) of the direction that most of a bead has, and how much of it that is (m,) mm."""
-    along = np.cumsum(np.where(parallel, length[:, None, :], 0.0), axis=2)[..., -1]
-    most = along.max(axis=1)
-    return np.where(along == most[:, None], length, -1.0).argmax(axis=1), most
-
-
 def _skew(parallel: Bools, along: Bools, short: Bools, aside: Bools) -> Bools:
-    """Lines (m, n) that are neither along the main line, nor along any other, nor a turn between two.
-
-    Short motions before the first line along it and behind the last one follow a wall or fill a bare spot, and lie as that
-    does; but a single one that goes half a spacing aside is a turn whose line is missing.
-    """
+    """Lines (m, n) that are neither along the main line, nor along any other, nor a turn between two."""
+    # Short motions before the first line along it and behind the last one follow a wall or fill a bare spot, and lie as that does; but a
+    # single one that goes half a spacing aside is a turn whose line is missing.
     count = along.shape[1]
     index, low = np.arange(count), along.argmax(axis=1)[:, None]
     high = count - 1 - along[:, ::-1].argmax(axis=1)[:, None]
@@ -206,18 +184,11 @@ def _before(which: Bools) -> Ints:
     return np.concatenate([np.full((len(which), 1), -1), index[:, :-1]], axis=1)
 
 
-# -- crossings ----------------------------------------------------------------------------------------
-
-
 def _crossings(nc: NCProgram, pool_mm: float) -> Check:
-    """Places where a hatch bead runs across itself or another of its layer: metal on metal.
-
-    A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
-    """
-    metal = (
-        nc.deposit & (nc.kind != RAPID) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
-    )
-    rows = np.flatnonzero(metal & (nc.layer >= 0))
+    """Places where a hatch bead runs across itself or another of its layer: metal on metal."""
+    # A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
+    known = np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    rows = np.flatnonzero(nc.deposit & (nc.kind != RAPID) & known & (nc.layer >= 0))
     bead = nc.beads.group
 
     layers = range(len(nc.layer_files)) if rows.size else ()

@@ -12,33 +12,26 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.checks.checks import Check, count_check
-from ebamcheck.checks.tolerances import PRINTED
+from ebamcheck.checks.checks import PRINTED, Faults, count_check, limit_check, place_of
 from ebamcheck.nc.control import control
 from ebamcheck.nc.conventions import comment, header_lines
 from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED, ProgramFiles, mark_validated
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 
+# Lines of the header that do not follow from the settings and the program's own text.
 FREE = ("SOFTWARE", "SETTINGS SHA-256")
-"""Lines of the header that do not follow from the settings and the program's own text."""
-
+# Lines that follow from the program's own text, or are known of it.
 OF_THE_TEXT = ("LAYERS", "PART SHA-256", "SETTINGS SHA-256")
-"""Lines that follow from the program's own text, or are known of it."""
-
-TOLD, LETTERS = 3, 12
-"""Differing settings that are told, and letters of a hash."""
-
+TOLD, LETTERS = 3, 12  # Differing settings that are told, and letters of a hash
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
-
 MEGABYTE = 1e6
-
+# What a program that is validated says of itself, and what a file loses when it is marked.
 MARK, NOT = b"VALIDATED", b"NOT "
-"""What a program that is validated says of itself, and what a file loses when it is marked."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +41,10 @@ class Truth:
     validated: bool | None = None
     part_sha256: str | None = None
     settings_sha256: str | None = None
+    # Hash of settings that were given by someone, who need not have those that the program was made with.
     given_sha256: str | None = None
-    """Hash of settings that were given by someone, who need not have those that the program was made with."""
+    # Which of the settings given are not those that the program was made with, where both are known, in words.
     differences: tuple[str, ...] = ()
-    """Which of the settings given are not those that the program was made with, where both are known, in words."""
 
 
 def header_checks(
@@ -61,25 +54,17 @@ def header_checks(
 
     `heights` (L,) are those of the cuts; None where they are not known.
     """
-    layers = _layers(nc, None if heights is None else np.asarray(heights, np.float64), config)
-    return [
-        status_check(nc, truth),
-        count_check(
-            "header",
-            [*_other_control(nc, config), *_header(nc, config, truth), *layers],
-            f"true{_other_settings(nc, truth)}",
-        ),
-        _size(nc, config),
-    ]
+    faults = [*_header(nc, config, truth), *_layers(nc, heights, config)]
+    # Settings that name no control name the default one.
+    if config.machine.control not in (nc.dialect, MachineSettings.model_fields["control"].default):
+        what = f"is read as one of {nc.dialect}, machine.control is {config.machine.control}"
+        faults.insert(0, (f"{nc.files[0].name}:1", what))
+    header = count_check("header", faults, f"true{_other_settings(nc, truth)}")
+    return [status_check(nc, truth), header, _size(nc, config)]
 
 
 def status_check(nc: NCProgram, truth: Truth) -> Check:
-    """Check that every file says the same of its status, and what is known of it."""
-    return count_check("status", _status(nc, truth), "the same in every file, and as recorded")
-
-
-def _status(nc: NCProgram, truth: Truth) -> list[tuple[str, str]]:
-    """Status of every file that has one: all are to say the same, and what was recorded."""
+    """Check that every file that has a status says the same, and what was recorded of it."""
     said = [(file, *_status_of(file)) for file in nc.files]
     told = [(file, status, line) for file, status, line in said if status is not None]
     faults = [
@@ -87,17 +72,15 @@ def _status(nc: NCProgram, truth: Truth) -> list[tuple[str, str]]:
         for file, status, _ in said
         if status is None and _LAYER.search(file.data) is not None
     ]
-    if not told:
-        return faults
-    wanted = truth.validated
-    if wanted is None:
-        wanted = 2 * sum(status for _, status, _ in told) > len(told)
-    word = "VALIDATED" if wanted else "NOT VALIDATED"
-    return faults + [
-        (f"{file.name}:{line}", f"says {'VALIDATED' if status else 'NOT VALIDATED'}, the program is {word}")
+    most = 2 * sum(status for _, status, _ in told) > len(told)
+    wanted = most if truth.validated is None else truth.validated
+    words = {True: "VALIDATED", False: "NOT VALIDATED"}
+    faults += [
+        (f"{file.name}:{line}", f"says {words[status]}, the program is {words[wanted]}")
         for file, status, line in told
         if status != wanted
     ]
+    return count_check("status", faults, "the same in every file, and as recorded")
 
 
 def _status_of(file: SourceFile) -> tuple[bool | None, int]:
@@ -109,38 +92,23 @@ def _status_of(file: SourceFile) -> tuple[bool | None, int]:
     return found[0] == b"VALIDATED", head.count(b"\n", 0, found.start()) + 1
 
 
-def _header(nc: NCProgram, config: Config, truth: Truth) -> list[tuple[str, str]]:
+def _header(nc: NCProgram, config: Config, truth: Truth) -> Faults:
     layers = len(nc.layer_files)
     told = sum(len(_LAYER.findall(file.data)) for file in nc.files)
     if nc.header.get("LAYERS") == str(told):
         layers = told  # a layer without a bead is no level of Z
     known = header_lines(config, control(nc.dialect), layers)
-    wanted = {key: _printed(key, value, nc.dialect) for key, value in known.items() if key not in FREE} | {
-        "PART SHA-256": truth.part_sha256,
-        "SETTINGS SHA-256": truth.settings_sha256,
-    }
-    return [
-        (_line_of(nc.files[0], key), f"says {key}: {nc.header[key]}, {_by(key)} {value}")
-        for key, value in wanted.items()
-        if value is not None and key in nc.header and nc.header[key] != value
-    ]
-
-
-def _other_control(nc: NCProgram, config: Config) -> list[tuple[str, str]]:
-    """A program in another language than that of the control which the settings name; they name the default one if they name none."""
-    if config.machine.control in (nc.dialect, MachineSettings.model_fields["control"].default):
-        return []
-    return [
-        (
-            f"{nc.files[0].name}:1",
-            f"is read as one of {nc.dialect}, machine.control is {config.machine.control}",
-        )
-    ]
-
-
-def _by(key: str) -> str:
-    """Where the value comes from that a line of the header is held against."""
-    return "in truth it is" if key in OF_THE_TEXT else "by the settings it is"
+    # As they stand in a comment of the control, which has no reserved characters and ends with its block.
+    said = {key: control(nc.dialect).comment_text(comment(f"{key}: {value}")) for key, value in known.items()}
+    wanted = {key: line.removeprefix(f"; {key}:").strip() for key, line in said.items() if key not in FREE}
+    hashes = {"PART SHA-256": truth.part_sha256, "SETTINGS SHA-256": truth.settings_sha256}
+    faults, file = [], nc.files[0]
+    for key, value in (wanted | hashes).items():
+        if value is not None and nc.header.get(key, value) != value:
+            by = "in truth it is" if key in OF_THE_TEXT else "by the settings it is"
+            where = place_of(file, max(file.data.find(f"{key}:".encode("ascii", "replace")), 0))
+            faults.append((where, f"says {key}: {nc.header[key]}, {by} {value}"))
+    return faults
 
 
 def _other_settings(nc: NCProgram, truth: Truth) -> str:
@@ -157,47 +125,27 @@ def _other_settings(nc: NCProgram, truth: Truth) -> str:
     )
 
 
-def _printed(key: str, value: str, name: str) -> str:
-    """A value as it stands in a comment of a control, which has no reserved characters and ends with its block."""
-    return control(name).comment_text(comment(f"{key}: {value}")).removeprefix(f"; {key}:").strip()
-
-
-def _line_of(file: SourceFile, key: str) -> str:
-    """``FILE:line`` of a line of the header."""
-    return _place(file, max(file.data.find(f"{key}:".encode("ascii", "replace")), 0))
-
-
-def _place(file: SourceFile, offset: int) -> str:
-    """``FILE:line`` of a byte."""
-    line = file.data.count(b"\n", 0, offset) + 1
-    return f"{file.name}:{line}"
-
-
-def _layers(nc: NCProgram, heights: Floats | None, config: Config) -> list[tuple[str, str]]:
+def _layers(nc: NCProgram, heights: ArrayLike | None, config: Config) -> Faults:
     """Comments at the head of layers: their number, in the order in which they come, their cut and their Z."""
-    found = [(file, layer) for file in _in_order(nc) for layer in _LAYER.finditer(file.data)]
-    z = None if heights is None else deposition_heights(heights, config.layer_height_mm, config.base_mm)
-    faults = []
+    # Files in the order in which they run, the main one first.
+    files, suffix = {file.name: file for file in nc.files}, control(nc.dialect).subprogram_suffix
+    called = [f"{nc.events.said(i)}{suffix}" for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist()]
+    order = [nc.files[0], *(files[name] for name in dict.fromkeys(called) if name in files)]
+    found = [(file, layer) for file in order for layer in _LAYER.finditer(file.data)]
+    cuts = np.asarray(() if heights is None else heights, np.float64)
+    z, faults = deposition_heights(cuts, config.layer_height_mm, config.base_mm), []
     for k, (file, layer) in enumerate(found):
         said = f"layer {int(layer[1])} of {int(layer[2])}"
         true = f"layer {k + 1} of {len(found)}"
         wrong = said != true
-        if not wrong and layer[3] and heights is not None and z is not None and k < heights.size:
-            off_mm = max(abs(float(layer[3]) - heights[k]), abs(float(layer[4]) - z[k]))
+        if not wrong and layer[3] and k < cuts.size:
+            off_mm = max(abs(float(layer[3]) - cuts[k]), abs(float(layer[4]) - z[k]))
             wrong = off_mm > PRINTED
             said += f" cut at {float(layer[3]):.6f} mm, Z {float(layer[4]):.6f} mm"
-            true += f" cut at {heights[k]:.6f} mm, Z {z[k]:.6f} mm"
+            true += f" cut at {cuts[k]:.6f} mm, Z {z[k]:.6f} mm"
         if wrong:
-            faults.append((_place(file, layer.start()), f"says {said}, it is {true}"))
+            faults.append((place_of(file, layer.start()), f"says {said}, it is {true}"))
     return faults
-
-
-def _in_order(nc: NCProgram) -> list[SourceFile]:
-    """Files in the order in which they run, the main one first."""
-    files = {file.name: file for file in nc.files}
-    suffix = control(nc.dialect).subprogram_suffix
-    called = [f"{nc.events.said(i)}{suffix}" for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist()]
-    return [nc.files[0], *(files[name] for name in dict.fromkeys(called) if name in files)]
 
 
 def _size(nc: NCProgram, config: Config) -> Check:
@@ -211,10 +159,7 @@ def _size(nc: NCProgram, config: Config) -> Check:
         text += "; the profile sets no limit (machine.program_limit_mb)"
         return Check("size on the control", True, megabytes, megabytes, "MB", "", text)
     where = "" if megabytes <= limit else f"{nc.files[0].name}:1"
-    return Check("size on the control", megabytes <= limit, megabytes, limit, "MB", where, text)
-
-
-# -- the mark of a validated program -------------------------------------------------------------------
+    return limit_check("size on the control", megabytes, limit, "MB", text, where)
 
 
 def marked_validated(files: ProgramFiles) -> ProgramFiles:

@@ -23,31 +23,19 @@ from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
-RADIATION_W_MM2K4 = 5.670374e-14
-"""Stefan-Boltzmann constant (CODATA 2018), by square millimetre."""
-
+RADIATION_W_MM2K4 = 5.670374e-14  # Stefan-Boltzmann constant (CODATA 2018), by square millimetre
+# Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and emissivity
+# of an alloy are known no better.
 MODELS_SHARE = 0.1
-"""Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and
-emissivity of an alloy are known no better."""
-
+# By so many kelvins they may differ in any case: how far metal cools from its melting point until the next bead is not a matter of the
+# limit (49 K at most, of five shapes, four alloys and limits from 423 K up).
 MODELS_K = 60.0
-"""By so many kelvins they may differ in any case: how far metal cools from its melting point until the next bead is not a matter of
-the limit (49 K at most, of five shapes, four alloys and limits from 423 K up)."""
-
-PLATE_CELLS = 6
-"""Cells of the base plate."""
-
-STEPS = 24
-"""Steps of every time, growing evenly: what is uneven evens out at first."""
-
+PLATE_CELLS = 6  # Cells of the base plate
+STEPS = 24  # Steps of every time, growing evenly: what is uneven evens out at first
+# Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down.
 SINGLE_LAYERS, MOST_CELLS = 48, 128
-"""Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down."""
-
-HOTTEST_K = 6000.0
-"""End of the data; what is hotter has those of the end."""
-
-SUMMED = 4000
-"""Temperatures in the sum of the heat that melts: less than a kelvin apart."""
+HOTTEST_K = 6000.0  # End of the data; what is hotter has those of the end
+SUMMED = 4000  # Temperatures in the sum of the heat that melts: less than a kelvin apart
 
 
 def highest_entry_k(config: Config) -> float:
@@ -59,11 +47,8 @@ def highest_entry_k(config: Config) -> float:
     process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return min(process.interpass_limit_k, material.solidus_k)
-    return (
-        material.solidus_k
-        if process.interpass == "off"
-        else min(material.interpass_limit_k, material.solidus_k)
-    )
+    cooled = process.interpass != "off"
+    return min(material.interpass_limit_k, material.solidus_k) if cooled else material.solidus_k
 
 
 def may_differ_k(config: Config) -> float:
@@ -255,19 +240,12 @@ class _Column:
 
 @kernel
 def _follow(
-    kelvin: Floats,
-    cells: tuple[Floats, Floats, Floats],
-    tables: tuple[Floats, Floats],
-    ambient: float,
-    cooled: bool,
-    time: float,
-    power: float,
-) -> None:
-    """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end.
-
-    Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
-    conductivity, W/mm K, at every kelvin; the uppermost cell takes up `power`, W.
-    """
+    kelvin: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats], ambient: float, cooled: bool,
+    time: float, power: float,
+) -> None:  # fmt: skip
+    """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end."""
+    # Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
+    # conductivity, W/mm K, at every kelvin; the uppermost cell takes up `power`, W.
     for step in range(STEPS):
         span = (2 * step + 1) / STEPS**2 * time
         end, whole = kelvin.copy(), kelvin.copy()
@@ -281,19 +259,11 @@ def _follow(
 
 @kernel
 def _step(
-    kelvin: Floats,
-    data_at: Floats,
-    cells: tuple[Floats, Floats, Floats],
-    tables: tuple[Floats, Floats],
-    ambient: float,
-    cooled: bool,
-    time: float,
-    power: float,
-) -> None:
-    """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step.
-
-    Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.
-    """
+    kelvin: Floats, data_at: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats],
+    ambient: float, cooled: bool, time: float, power: float,
+) -> None:  # fmt: skip
+    """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step."""
+    # Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.
     height, area, shining = cells
     content, conductivity = tables
     count = kelvin.size
@@ -326,10 +296,8 @@ def _step(
 
 
 def _shining_mm2(laid: Floats) -> Floats:
-    """Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs.
-
-    The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
-    """
+    """Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs."""
+    # The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
     height, area, outer, inner, holes = laid.T
     filled = area + holes
     seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)

@@ -10,63 +10,68 @@ from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.bead_end_checks import ramp_power
-from ebamcheck.checks.checks import Check, count_check, event_faults
-from ebamcheck.checks.heat_again import (
-    MODELS_K,
-    BeadHeat,
-    entries_k,
-    highest_entry_k,
-    may_differ_k,
-)
-from ebamcheck.checks.text_heat import (
-    TextBeads,
-    sections_of_text,
-    text_beads,
-    text_bed_k,
-    text_shapes,
-)
-from ebamcheck.checks.tolerances import PRINTED, VALUE_SHARE
+from ebamcheck.checks.checks import PRINTED, VALUE_SHARE, count_check, event_faults
+from ebamcheck.checks.heat_again import MODELS_K, BeadHeat, entries_k, highest_entry_k, may_differ_k
+from ebamcheck.checks.text_heat import TextBeads, sections_of_text, text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
-from ebamcheck.nc.increments import power_slack_w
+from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import Interpass
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-INTERPASS, AGAIN = "interpass temperature", "balance of the heat"
-"""Names of two checks."""
-
+INTERPASS, AGAIN = "interpass temperature", "balance of the heat"  # Names of two checks
+# Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the balance of
+# a text, which knows one temperature a section, and the plan differ by less (by 64 K at most, of 50 parts and settings).
 ROOM, ROOM_K, PERCENT = 0.85, 80.0, 0.01
-"""Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the
-balance of a text, which knows one temperature a section, and the plan differ by less (by 64 K at most, of 50 parts and settings)."""
-
+# Mark of a figure that is clipped to the boiling point.
 OVER_RANGE = "over the model's range: metal would boil"
-"""Mark of a figure that is clipped to the boiling point."""
-
-COLD = "least entry temperature"
-"""Name of the check."""
-
+COLD = "least entry temperature"  # Name of the check
+# Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less. Plans
+# wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and settings,
+# 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56.
 WARM_SHARE = 0.6
-"""Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less.
-Plans wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and
-settings, 0.82 in the demo part. There, two minutes too many leave 0.66 to 0.70, five leave 0.51 to 0.56."""
 
 
 def wait_check(nc: NCProgram, config: Config, heat: Interpass | None) -> Check:
-    """Check the waits before layers, contours, islands and further beads: those of the plan, or without one the least between layers."""
-    return _waits(nc, text_beads(nc, config), config, heat)
+    """Check the waits before layers, contours, islands and further beads: exactly those of the plan; without one the least between layers."""
+    beads = text_beads(nc, config)
+    least_s = config.process.layer_pause_s
+    first = beads.enters_layer & (np.arange(len(beads)) > 0)
+    faults = [(nc.where_event(event), what) for event, what in beads.stray]
+    events, longest_s = nc.events, config.process.longest_wait_s
+    out = (events.kind == Kind.WAIT) & ~((events.value >= 0.0) & (events.value <= longest_s))
+    what = f"waits {{value:g}} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)"
+    faults += event_faults(nc, (out, what))
+    if heat is None:
+        wanted = np.where(first, least_s, 0.0)
+        bad = beads.wait_s < wanted - PRINTED
+        if config.process.interpass in ("off", "power"):
+            bad |= beads.wait_s > wanted + PRINTED
+    else:
+        wanted = np.where(beads.ring >= 0, _of(heat.ring_wait_s, beads.layer), 0.0)
+        inner = beads.island >= 0
+        wanted[inner] = _of(heat.island_wait_s, beads.island[inner])
+        wanted[beads.inner] = _of(heat.inner_wait_s, beads.island[beads.inner])
+        wanted[first] = _of(heat.wait_s, beads.layer[first]) + np.where(inner, wanted, 0.0)[first]
+        wanted[:1] = np.where(inner, wanted, 0.0)[:1]
+        bad = np.abs(beads.wait_s - wanted) > PRINTED
+    for n in np.flatnonzero(bad).tolist():
+        what = f"waits {beads.wait_s[n]:g} s before {beads.named(n)} in place of {wanted[n]:g} s"
+        faults.append((nc.where(int(beads.row[n])), what))
+    within = float(beads.wait_s[~first].sum())
+    good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
+    return count_check("layer pause", faults, good)
 
 
 def heat_checks(
-    nc: NCProgram,
-    config: Config,
-    sections: Sequence[BaseGeometry] | None,
-    before: HeatColumn | None = None,
+    nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     witness: Sequence[BaseGeometry] | None = None,
-) -> list[Check]:
+) -> list[Check]:  # fmt: skip
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
 
     Without `sections` those count that the contours of the program enclose; `witness` are those of the second balance. Of a program that
@@ -79,11 +84,8 @@ def heat_checks(
         return [melting]
     bed_k, _ = text_bed_k(beads, config, shapes, before, known[0] if known else None)
     checked = beads.enters_layer if config.process.interpass_at == "layer" else np.ones(len(beads), np.bool_)
-    checks = [
-        melting,
-        _entries(nc, beads, bed_k, checked, config),
-        cold_check(nc, beads, bed_k, checked, config),
-    ]
+    entries = _entries(nc, beads, bed_k, checked, config)
+    checks = [melting, entries, cold_check(nc, beads, bed_k, checked, config)]
     own = sections_of_text(nc, config, witness or sections)
     if before is None and not beads.scans and own:
         checks.append(_again(nc, beads, own, config))
@@ -145,57 +147,16 @@ def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometr
     np.maximum.at(hottest_k, beads.layer, bed_k - config.process.ambient_temperature_k)
     rise_k = highest_entry_k(config) - config.process.ambient_temperature_k
     allowed_k = min(ROOM * rise_k, rise_k - ROOM_K)
-    # The balance spreads heat over all of a section. Pieces that do not touch, as parts of a plate, keep theirs: the least of them
-    # may be as much hotter as it is smaller.
-    hottest_k *= [_concentration(section, config) for section in known]
+    # The balance spreads heat over all of a section. Pieces that do not touch, as parts of a plate, keep theirs: the least of them that
+    # is no mere spot may be as much hotter as it is smaller, but takes no more than its share of the layer's.
+    for k, section in enumerate(known):
+        pieces = shapely.area(shapely.get_parts(section))
+        pieces = pieces[pieces >= config.process.bead_width_mm**2]
+        hottest_k[k] *= min(pieces.sum() / pieces.min(), pieces.size) if pieces.size else 1.0
     # What lies below does not get hotter with the layer's own power: all of it counts as if it did.
     with np.errstate(divide="ignore", invalid="ignore"):
         could_have_more = hottest_k * (shares + PERCENT) / shares < allowed_k
     return np.where(could_have_more, 1.0, shares)
-
-
-def _concentration(section: BaseGeometry, config: Config) -> float:
-    """Area of a section over that of its least piece which is no mere spot, and the number of these at most; 1 without any.
-
-    All heat goes into a piece while it is built, but no more than its share of the layer's.
-    """
-    pieces = shapely.area(shapely.get_parts(section))
-    pieces = pieces[pieces >= config.process.bead_width_mm**2]
-    return min(float(pieces.sum() / pieces.min()), float(pieces.size)) if pieces.size else 1.0
-
-
-def _waits(nc: NCProgram, beads: TextBeads, config: Config, heat: Interpass | None) -> Check:
-    """Wait before every bead, exactly as planned; without a plan, before every layer but the first, at least so long."""
-    least_s = config.process.layer_pause_s
-    first = beads.enters_layer & (np.arange(len(beads)) > 0)
-    faults = [(nc.where_event(event), what) for event, what in beads.stray]
-    events, longest_s = nc.events, config.process.longest_wait_s
-    out = (events.kind == Kind.WAIT) & ~((events.value >= 0.0) & (events.value <= longest_s))
-    what = f"waits {{value:g}} s, a wait is from 0 to {longest_s:g} s (process.longest_wait_s)"
-    faults += event_faults(nc, (out, what))
-    if heat is None:
-        wanted = np.where(first, least_s, 0.0)
-        bad = beads.wait_s < wanted - PRINTED
-        if config.process.interpass in ("off", "power"):
-            bad |= beads.wait_s > wanted + PRINTED
-    else:
-        wanted = np.where(beads.ring >= 0, _of(heat.ring_wait_s, beads.layer), 0.0)
-        inner = beads.island >= 0
-        wanted[inner] = _of(heat.island_wait_s, beads.island[inner])
-        wanted[beads.inner] = _of(heat.inner_wait_s, beads.island[beads.inner])
-        wanted[first] = _of(heat.wait_s, beads.layer[first]) + np.where(inner, wanted, 0.0)[first]
-        wanted[:1] = np.where(inner, wanted, 0.0)[:1]
-        bad = np.abs(beads.wait_s - wanted) > PRINTED
-    faults += [
-        (
-            nc.where(int(beads.row[n])),
-            f"waits {beads.wait_s[n]:g} s before {beads.named(n)} in place of {wanted[n]:g} s",
-        )
-        for n in np.flatnonzero(bad).tolist()
-    ]
-    within = float(beads.wait_s[~first].sum())
-    good = f"waits {beads.wait_s[first].sum():.6g} s between layers and {within:.6g} s within them"
-    return count_check("layer pause", faults, good)
 
 
 def _of(values: Floats, number: Ints) -> Floats:
@@ -223,18 +184,12 @@ def _entries(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, con
     return Check(INTERPASS, not over, figure_k, limit_k, "K", nc.where(int(beads.row[worst])), text)
 
 
-def _again(
-    nc: NCProgram,
-    beads: TextBeads,
-    sections: Sequence[BaseGeometry],
-    config: Config,
-) -> Check:
+def _again(nc: NCProgram, beads: TextBeads, sections: Sequence[BaseGeometry], config: Config) -> Check:
     """The same temperature by a second balance, against the limit and what two of them may differ by."""
     ambient_k, limit_k = config.process.ambient_temperature_k, highest_entry_k(config)
     most_k = limit_k + may_differ_k(config)
-    heat = BeadHeat(
-        beads.layer, beads.move_s + beads.wait_s, beads.time_s, beads.energy_j * config.material.absorptivity
-    )
+    heat_j = beads.energy_j * config.material.absorptivity
+    heat = BeadHeat(beads.layer, beads.move_s + beads.wait_s, beads.time_s, heat_j)
     if not len(beads):
         return Check(AGAIN, True, 0.0, most_k, "K", "", "nothing is laid")
     steps = np.diff(nc.layer_heights, prepend=config.base_mm)
@@ -247,18 +202,14 @@ def _again(
         f"surface at {figure_k:.0f} K{mark} when {beads.named(bead)} is entered, by a second balance of the heat; "
         f"{limit_k:.0f} K is the limit, and {most_k - limit_k:.0f} K more is what balances may differ by"
     )
-    return Check(
-        AGAIN, bool(bed_k[bead] <= most_k), figure_k, most_k, "K", nc.where(int(beads.row[bead])), text
-    )
+    where = nc.where(int(beads.row[bead]))
+    return Check(AGAIN, bool(bed_k[bead] <= most_k), figure_k, most_k, "K", where, text)
 
 
 def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
     """Temperature clipped to the boiling point, and the mark of one that was over it."""
     boiling_k = config.material.boiling_k
     return (temperature_k, "") if temperature_k <= boiling_k else (boiling_k, f" ({OVER_RANGE})")
-
-
-# -- cold entries ----------------------------------------------------------------------------------
 
 
 def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
@@ -275,14 +226,10 @@ def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
     before_k = np.concatenate([[ambient_k], bed_k[:-1]])[: len(beads)]
     warm_k = np.minimum(before_k, highest_entry_k(config)) - ambient_k
     least_k = ambient_k + np.minimum(WARM_SHARE * warm_k, warm_k - MODELS_K)
-    return np.where(_waited(beads, config), least_k, -np.inf)
-
-
-def _waited(beads: TextBeads, config: Config) -> Bools:
-    """Which beads (P,) are waited for longer than the settings ask, with no preheating after the wait."""
-    asked_s = np.where(beads.enters_layer, config.process.layer_pause_s, 0.0)
+    asked_s = np.where(beads.enters_layer, process.layer_pause_s, 0.0)
     preheated = beads.enters_layer & np.isin(beads.layer, list(beads.scans))
-    return np.asarray((beads.wait_s > asked_s + PRINTED) & ~preheated)
+    waited = (beads.wait_s > asked_s + PRINTED) & ~preheated
+    return np.where(waited, least_k, -np.inf)
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:

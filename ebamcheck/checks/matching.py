@@ -7,23 +7,26 @@ track that it should have followed. A bead without a track is one that nobody pl
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.shapes import shape_distance
-from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, TWO_PLACES_MM
-from ebamcheck.nc.beads import Beads
+from ebamcheck.checks.checks import PATH_TOLERANCE_MM, TWO_PLACES_MM, count_check, worst_check
+from ebamcheck.geometry.nearest import nearest, segments_along, square_between, tree_over
 from ebamcheck.nc.inputs import TrackColumns
-from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.motions import Beads, NCProgram
 from ebamcheck.nc.roles import nearest_layer
+from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 
+# Distance of layers in the space in which ends are compared: no bead is like one of another layer.
 APART_MM = 1e6
-"""Distance of layers in the space in which ends are compared: no bead is like one of another layer."""
+CLOSER = 1.0 - 1e-9  # Share of a square under which a distance is the smaller one, however both are rounded
+MOST_STEPS = 16  # Segments that are walked along from one place to the next; what is farther is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,31 +49,18 @@ def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
     ends = np.hstack([path.start[known], path.end[path.track_starts[known + 1] - 1]])
     found = np.hstack([nc.start[beads.first, :2], nc.end[beads.last, :2]])
-    found_layer = (
-        nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else np.zeros(len(beads), np.int64)
-    )
-    if (
-        len(found) == len(ends)
-        and (layer == found_layer).all()
-        and (np.abs(found - ends) <= TWO_PLACES_MM).all()
-    ):
+    none = np.zeros(len(beads), np.int64)
+    found_layer = nearest_layer(nc.end[beads.first, 2], path.z) if path.z.size else none
+    alike = len(found) == len(ends) and (layer == found_layer).all()
+    if alike and (np.abs(found - ends) <= TWO_PLACES_MM).all():
         pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
     else:
         pick, again = _pairs(_placed(found, found_layer), _placed(ends, layer))
     track = np.where(pick >= 0, np.append(known, -1)[pick], -1)
     result = Matching(beads, track, again, path)
     turn, goes_on = _marks(nc, result)
-    size = len(nc)
-    return (
-        replace(
-            nc,
-            ring=beads.spread(np.append(path.ring, -1)[track], size),
-            island=beads.spread(np.append(path.island, -1)[track], size),
-            turn=turn,
-            goes_on=goes_on,
-        ),
-        result,
-    )
+    ring, island = (beads.spread(np.append(of, -1)[track], len(nc)) for of in (path.ring, path.island))
+    return replace(nc, ring=ring, island=island, turn=turn, goes_on=goes_on), result
 
 
 def _placed(ends: Floats, layer: Ints) -> Floats:
@@ -127,9 +117,6 @@ def _by_nearness(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> Non
             taken[pick[i]] = True
 
 
-# -- motions -----------------------------------------------------------------------------------------
-
-
 def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
     """Turns and further parts of lines, (B,) both: those of the segments that motions follow."""
     turn, goes_on = np.zeros(len(nc), np.bool_), np.zeros(len(nc), np.bool_)
@@ -169,22 +156,13 @@ def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints
     return np.asarray(away.argmin(axis=1), np.int64)
 
 
-# -- checks ------------------------------------------------------------------------------------------
-
-
 def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
     """Check that every bead was planned, that none is missing or comes twice or too early, and that all hatch keeps to its track."""
-    return [_bead_faults(nc, match), _hatch_path(nc, match)]
-
-
-def _bead_faults(nc: NCProgram, match: Matching) -> Check:
     beads, track, path = match.beads, match.track, match.path
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     faults = [(int(beads.first[i]), "a bead that nobody planned") for i in np.flatnonzero(track < 0).tolist()]
-    faults += [
-        (int(beads.first[i]), f"{_named(path, int(track[i]))} is laid a second time")
-        for i in np.flatnonzero(match.again).tolist()
-    ]
+    again = np.flatnonzero(match.again).tolist()
+    faults += [(int(beads.first[i]), f"{_named(path, int(track[i]))} is laid a second time") for i in again]
     once = np.flatnonzero((track >= 0) & ~match.again)
     wrong = np.flatnonzero(track[once] != np.sort(track[once]))
     if wrong.size:
@@ -196,7 +174,8 @@ def _bead_faults(nc: NCProgram, match: Matching) -> Check:
         faults.append((row, f"{_named(path, t)} is missing"))
     faults.sort(key=lambda fault: fault[0])
     places = [(nc.where(row) if len(nc) else f"{nc.files[0].name}:1", what) for row, what in faults]
-    return count_check("beads as planned", places, f"{known.size} beads, each once and in its order")
+    good = f"{known.size} beads, each once and in its order"
+    return [count_check("beads as planned", places, good), _hatch_path(nc, match)]
 
 
 def _named(path: TrackColumns, track: int) -> str:
@@ -223,3 +202,65 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     found = np.flatnonzero(away >= 0.0)
     what = "distance of hatch and turns from their plan"
     return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)
+
+
+# -- distance of paths as shapes ---------------------------------------------------------------------------
+
+
+@kernel
+def _farthest(places: Floats, polyline: Floats, known_mm: float) -> tuple[Ints, Floats]:
+    """Nearest segment (n,) of a polyline to each place and its distance (n,), for the farthest places."""
+    # Both follow the same way, so that the segment near a place is a step or two from that of the place before. A place that is nearer to
+    # it than another one is to the polyline, or than `known_mm`, is not the farthest: what was found of it is enough, and no nearer
+    # segment is looked for.
+    ring = tree_over(segments_along(polyline, False))
+    segment = np.zeros(len(places), np.int64)
+    away = np.empty(len(places))
+    guess, most = 0, known_mm
+    for i in range(len(places)):
+        guess, square = _followed(polyline, guess, places[i, 0], places[i, 1])
+        segment[i], away[i] = guess, math.sqrt(square)
+        if square < CLOSER * most * most:
+            continue
+        found = nearest(ring, places[i, 0], places[i, 1], guess)
+        guess = found.segment
+        segment[i], away[i] = found.segment, found.distance
+        most = max(most, found.distance)
+    return segment, away
+
+
+@kernel
+def _followed(polyline: Floats, start: int, x: float, y: float) -> tuple[int, float]:
+    """Segment up to which a polyline comes nearer to a place from `start` on, else down from it; square of its distance."""
+    segment, square = start, _square(polyline, start, x, y)
+    for step in (1, -1):
+        for _ in range(MOST_STEPS):
+            there = np.inf
+            if 0 <= segment + step < len(polyline) - 1:
+                there = _square(polyline, segment + step, x, y)
+            if not there <= square:
+                break
+            segment, square = segment + step, there
+        if segment != start:
+            break
+    return segment, square
+
+
+@kernel
+def _square(polyline: Floats, i: int, x: float, y: float) -> float:
+    """Square of the distance of a place from a segment."""
+    return square_between(x, y, polyline[i, 0], polyline[i, 1], polyline[i + 1, 0], polyline[i + 1, 1])
+
+
+def shape_distance(driven: Floats, wanted: Floats) -> Floats:
+    """Largest distance of paths (A, n, 2) and (E, m, 2) as shapes, both ways, (A,) at the motion of the first where it is.
+
+    It is that of the motion from the other path, and of what lies nearest to the motion there: exact for the largest, and no more than
+    that for the others.
+    """
+    path, target = np.ascontiguousarray(driven).reshape(-1, 2), np.ascontiguousarray(wanted).reshape(-1, 2)
+    _, away = _farthest(path, target, 0.0)
+    result = away.reshape(len(driven), -1).max(axis=1)
+    segment, missed = _farthest(target, path, float(result.max(initial=0.0)))
+    np.maximum.at(result, segment // driven.shape[1], missed)
+    return np.asarray(result)

@@ -18,9 +18,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
+from ebamcheck.checks.checks import PLACE_MM, SAME_AREA, limit_check
 from ebamcheck.checks.part_file import file_check
-from ebamcheck.checks.tolerances import PLACE_MM, SAME_AREA
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
 from ebamcheck.layers.stack import Layers
@@ -30,47 +29,34 @@ from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
 
+# Sections from which the volume of a layer is summed where the mesh has none of its own: bodies that overlap.
 CUTS_OF_A_LAYER = 16
-"""Sections from which the volume of a layer is summed where the mesh has none of its own: bodies that overlap."""
-
-CUTS_AT_ONCE = 512
-"""Sections that are held at once for that."""
-
+CUTS_AT_ONCE = 512  # Sections that are held at once for that
+# Area, seen from above, of the floor and of the roof of what is looked at: over the rounding of upright walls.
 LEAST_MM2 = 0.05
-"""Area, seen from above, of the floor and of the roof of what is looked at: over the rounding of upright walls."""
-
-MOST_SPANS = 4
-"""Most heights between two cuts at which the mesh is cut once more."""
-
-FINEST = 1e-6
-"""Share of the part's size by which heights differ that are the same."""
-
+MOST_SPANS = 4  # Most heights between two cuts at which the mesh is cut once more
+FINEST = 1e-6  # Share of the part's size by which heights differ that are the same
+# Lines over the width of a bead: two or more cross every hole and every wall that may be built.
 LINES_PER_BEAD = 2.0
-"""Lines over the width of a bead: two or more cross every hole and every wall that may be built."""
-
+# Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that.
 MOST_LINES = 400
-"""Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that."""
-
+# Share of their distance by which lines lie beside whole ones: sides of parts lie at round numbers.
 OFF_GRID = 0.381966
-"""Share of their distance by which lines lie beside whole ones: sides of parts lie at round numbers."""
-
-AT_ONCE = 2_000_000
-"""Cut facets that are held at once."""
-
+AT_ONCE = 2_000_000  # Cut facets that are held at once
+# Remedy where listed layers do not begin on what stands.
 ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
-"""Remedy where listed layers do not begin on what stands."""
 
 
 class Solid(NamedTuple):
     """The check of the layers against the solid, and where they are furthest off."""
 
     check: Check
-    z_mm: float
-    """Height in the part of the gravest level face of a check that fails; NaN without one."""
+    z_mm: float  # Height in the part of the gravest level face of a check that fails; NaN without one
 
     def tells_of(self, z_mm: float) -> bool:
         """Whether the check has told that the metal is off at that height of the part."""
@@ -80,29 +66,43 @@ class Solid(NamedTuple):
 def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     """Check that the layers neither add to the solid, or to one part of a plate, nor leave out of it more than `process.mass_tolerance`."""
     limit, cuts = config.process.mass_tolerance, np.asarray(layers.heights)
+
+    def solid(share: float, text: str, layer: int | None = None, z_mm: float = np.nan) -> Solid:
+        check = limit_check("metal of the solid", share, limit, "of the part", text, layer=layer)
+        return Solid(check, z_mm)
+
     if not len(cuts) or not layers.areas().any():
-        return Solid(
-            Check("metal of the solid", False, np.inf, limit, "of the part", "", "no layer has metal"), np.nan
-        )
+        return solid(np.inf, "no layer has metal")
     if len(cuts) == 1 and _of_some_layers(config):
         # A layer that is made alone, at a height that was measured, is what that height makes it.
-        text = "one layer of the part says nothing of the solid"
-        return Solid(Check("metal of the solid", True, 0.0, limit, "of the part", "", text), np.nan)
+        return solid(0.0, "one layer of the part says nothing of the solid")
     borders = layer_borders(part, cuts, config)
-    parts = [(mesh, areas, name) for mesh, areas, name in _parts(part, layers)]
+    parts = list(_parts(part, layers))
     found = [_rule(mesh, cuts, borders, areas, config) for mesh, areas, _ in parts]
     k = int(np.argmax([rule.share for rule in found]))
-    rule, text = found[k], _summed(found[k], parts[k][2])
+    rule, whole = found[k], max(found[k].solid_mm3, 1e-9)
+    text = (
+        f"layers of one section each add {100.0 * rule.added_mm3 / whole:.2f} % to the metal of the solid{parts[k][2]} "
+        f"and leave {100.0 * rule.lacking_mm3 / whole:.2f} % of it out"
+    )
     if rule.share <= limit:
-        return Solid(Check("metal of the solid", True, rule.share, limit, "of the part", "", text), np.nan)
+        return solid(rule.share, text)
     layer, z_mm = None, np.nan
     if rule.faces:
-        z_mm = rule.faces[0].z_mm
+        face = rule.faces[0]
+        z_mm, does = face.z_mm, "goes beyond" if face.added_mm > 0.0 else "ends before"
         layer = min(int(np.searchsorted(borders, z_mm, side="right")) - 1, len(cuts) - 1)
-        text += f", most {_face(rule)}"
-    if not any(_overlap(mesh, cuts, areas) for mesh, areas, _ in parts):
-        text += _proposed(part, config)
-    return Solid(Check("metal of the solid", False, rule.share, limit, "of the part", "", text, layer), z_mm)
+        share = 100.0 * face.area_mm2 * abs(face.added_mm) / whole
+        text += f", most at the level face of {face.area_mm2:.0f} mm2 at z = {face.z_mm:.3f} mm of the part: it lies within a layer, "
+        text += f"and the metal {does} it by {abs(face.added_mm):.2f} mm, {share:.2f} %"
+    # A layer height near the one that is set with which the part passes.
+    if not _of_some_layers(config) and not any(_overlap(mesh, cuts, areas) for mesh, areas, _ in parts):
+        near = nearest_fitting(part, config)
+        if near is not None:
+            text += (
+                f"; layers of {near.height_mm:g} mm (layers.layer_height_mm) leave {100.0 * near.share:.2f} %"
+            )
+    return solid(rule.share, text, layer, z_mm)
 
 
 def of_mesh(part: Part, layers: Layers, config: Config) -> list[Check]:
@@ -163,35 +163,10 @@ def _summed_volumes(part: Part, borders: Floats) -> Floats:
     """Volume between heights (n + 1,), (n,) mm3, from many sections."""
     steps = (np.arange(CUTS_OF_A_LAYER) + 0.5) / CUTS_OF_A_LAYER
     heights = (borders[:-1, None] + np.diff(borders)[:, None] * steps).ravel()
-    areas = [
-        slice_part(part, heights[k : k + CUTS_AT_ONCE]).areas() for k in range(0, heights.size, CUTS_AT_ONCE)
-    ]
+    blocks = (heights[k : k + CUTS_AT_ONCE] for k in range(0, heights.size, CUTS_AT_ONCE))
+    areas = [slice_part(part, block).areas() for block in blocks]
     mean = np.concatenate(areas).reshape(-1, CUTS_OF_A_LAYER).mean(axis=1)
     return np.asarray(mean * np.diff(borders), np.float64)
-
-
-def _summed(rule: LayerRule, named: str) -> str:
-    whole = max(rule.solid_mm3, 1e-9)
-    return (
-        f"layers of one section each add {100.0 * rule.added_mm3 / whole:.2f} % to the metal of the solid{named} "
-        f"and leave {100.0 * rule.lacking_mm3 / whole:.2f} % of it out"
-    )
-
-
-def _face(rule: LayerRule) -> str:
-    """The gravest face in words."""
-    face = rule.faces[0]
-    does = "goes beyond" if face.added_mm > 0.0 else "ends before"
-    share = 100.0 * face.area_mm2 * abs(face.added_mm) / max(rule.solid_mm3, 1e-9)
-    return f"at the level face of {face.area_mm2:.0f} mm2 at z = {face.z_mm:.3f} mm of the part: it lies within a layer, and the metal {does} it by {abs(face.added_mm):.2f} mm, {share:.2f} %"
-
-
-def _proposed(part: Part, config: Config) -> str:
-    """A layer height with which the part passes, in words; empty where none was found near the one that is set."""
-    found = None if _of_some_layers(config) else nearest_fitting(part, config)
-    if found is None:
-        return ""
-    return f"; layers of {found.height_mm:g} mm (layers.layer_height_mm) leave {100.0 * found.share:.2f} %"
 
 
 # -- between the cuts ----------------------------------------------------------------------------------
@@ -211,21 +186,13 @@ class Lost(NamedTuple):
 
 def between_check(part: Part, layers: Layers, config: Config) -> Check:
     """Check that no opening and no metal is lost between two cuts that is smaller than a least that is set; of others it tells."""
-    if config.layers.heights_mm or config.base_mm > 0.0:
-        return Check(
-            "between the cuts", True, 0.0, 0.0, "features", "", "the settings say which layers there are"
-        )
+    name = "between the cuts"
+    if _of_some_layers(config):
+        return Check(name, True, 0.0, 0.0, "features", "", "the settings say which layers there are")
     found = sorted(lost_features(part, layers, config), key=lambda lost: min(lost.high_mm, lost.wide_mm))
     if not found:
-        return Check(
-            "between the cuts",
-            True,
-            0.0,
-            0.0,
-            "features",
-            "",
-            "no opening and no metal lies between two cuts alone",
-        )
+        good = "no opening and no metal lies between two cuts alone"
+        return Check(name, True, 0.0, 0.0, "features", "", good)
     process = config.process
     least = {False: process.least_hole_mm, True: process.least_wall_mm}
     broken = [f for f in found if min(f.high_mm, f.wide_mm) < (least[f.is_wall] or 0.0)]
@@ -237,19 +204,8 @@ def between_check(part: Part, layers: Layers, config: Config) -> Check:
     )
     if broken:
         text += f"; {'process.least_wall_mm' if first.is_wall else 'process.least_hole_mm'} allows none under {least[first.is_wall]:.3g} mm"
-    layer = max(first.below, 0)
-    return Check(
-        "between the cuts",
-        not broken,
-        float(len(broken or found)),
-        0.0,
-        "features",
-        "",
-        text,
-        layer,
-        first.x_mm,
-        first.y_mm,
-    )
+    count, layer = float(len(broken or found)), max(first.below, 0)
+    return Check(name, not broken, count, 0.0, "features", "", text, layer, first.x_mm, first.y_mm)
 
 
 def lost_features(part: Part, layers: Layers, config: Config) -> Iterator[Lost]:
@@ -258,9 +214,8 @@ def lost_features(part: Part, layers: Layers, config: Config) -> Iterator[Lost]:
     turning = dict(_turning(part, cuts))
     bottom, top = (float(z) for z in part.bounds[:, 2])
     near = FINEST * (top - bottom)
-    cut_at = np.unique(
-        [bottom + near, top - near, *(0.5 * (a + b) for spans in turning.values() for a, b in spans)]
-    )
+    middles = [0.5 * (a + b) for spans in turning.values() for a, b in spans]
+    cut_at = np.unique([bottom + near, top - near, *middles])
     cut = dict(zip(cut_at.tolist(), _sections(slice_part(part, cut_at)), strict=True)) if turning else {}
     # The part's own bottom and top are no cuts, but tell what is open there.
     sections = [cut[bottom + near], *_sections(layers), cut[top - near]] if turning else []
@@ -273,11 +228,8 @@ def lost_features(part: Part, layers: Layers, config: Config) -> Iterator[Lost]:
         known: dict[bool, BaseGeometry] = {False: shapely.Polygon(), True: shapely.Polygon()}
         for low_mm, high_mm in spans:
             z_mm = 0.5 * (low_mm + high_mm)
-            regions = {
-                False: shapely.difference(within, cut[z_mm]),
-                True: shapely.difference(cut[z_mm], around),
-            }
-            for is_wall, region in regions.items():
+            regions = shapely.difference(within, cut[z_mm]), shapely.difference(cut[z_mm], around)
+            for is_wall, region in zip((False, True), regions, strict=True):
                 for piece in shapely.get_parts(region):
                     if piece.area <= LEAST_MM2 or shapely.intersects(piece, known[is_wall]):
                         continue
@@ -379,9 +331,7 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     text = f"section of layer {layer + 1} and mesh differ at ({x_mm:.3f}, {y_mm:.3f})"
     if np.isfinite(worst):
         text += f", {worst:.4g} mm from the border of the section"
-    return Check(
-        "sections of the mesh", worst <= limit, worst, limit, "mm", "", text, layer, float(x_mm), float(y_mm)
-    )
+    return limit_check("sections of the mesh", worst, limit, "mm", text, "", layer, (x_mm, y_mm))
 
 
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
@@ -389,55 +339,47 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
 
     Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are.
     """
-    if config.base_mm > 0.0 and len(cuts) and not _is_uneven(cuts):
+    # Cuts of layers of several heights do not tell where each of them begins.
+    uneven = len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > PLACE_MM)
+    if config.base_mm > 0.0 and len(cuts) and not uneven:
         first = float(cuts[1] - cuts[0]) if len(cuts) > 1 else config.layer_height_mm
         check = layer_check(part, float(cuts[0]), config.base_mm, first)
         by_user = bool(config.layers.heights_mm) and not check.passed
         return replace(check, remedy=ON_WHAT_STANDS) if by_user else check
-    if config.layers.heights_mm or config.base_mm > 0.0:
-        return Check(
-            "layers of the part", True, 0.0, PLACE_MM, "mm", "", "the settings say which layers there are"
-        )
+    if _of_some_layers(config):
+        good = "the settings say which layers there are"
+        return Check("layers of the part", True, 0.0, PLACE_MM, "mm", "", good)
     low_mm, top_mm = part.bounds[:, 2].tolist()
     high = config.layer_height_mm
     tops = deposition_heights(cuts, high)
-    off = {
-        "a layer is not as high as the settings say": float(np.abs(np.diff(tops, prepend=0.0) - high).max())
-    }
+    heights = float(np.abs(np.diff(tops, prepend=0.0) - high).max())
+    off = {"a layer is not as high as the settings say": heights}
     if len(cuts) > 1:
         middles = np.abs(cuts - low_mm - (np.arange(len(cuts)) + 0.5) * high)
-        ends = abs(low_mm + float(tops[-1]) - top_mm) - 0.5 * high
-        off |= {
-            "a layer is not cut at its middle": float(middles.max()),
-            f"the last layer ends beside the top of the part, at {top_mm - low_mm:.3f} mm, by more than half a layer": ends,
-        }
-    what = max(off, key=lambda name: off[name])
-    value = max(off[what], 0.0)
+        off["a layer is not cut at its middle"] = float(middles.max())
+        last = f"the last layer ends beside the top of the part, at {top_mm - low_mm:.3f} mm, by more than half a layer"
+        off[last] = abs(low_mm + float(tops[-1]) - top_mm) - 0.5 * high
     good = f"{counted(len(cuts), 'layer')} of {high:.4g} mm from the bottom of the part to its top"
+    return _furthest_off(off, good)
+
+
+def _furthest_off(off_mm: dict[str, float], good: str) -> Check:
+    """Check of the layers by what is furthest off, by name."""
+    what = max(off_mm, key=lambda name: off_mm[name])
+    value = max(off_mm[what], 0.0)
     text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"
     return Check("layers of the part", value <= PLACE_MM, value, PLACE_MM, "mm", "", text)
-
-
-def _is_uneven(cuts: Floats) -> bool:
-    """Whether cuts (L,) are of layers of several heights: those do not tell where each of them begins."""
-    return len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > PLACE_MM)
 
 
 def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
     """Check that a layer on what stands, at Z `base_mm`, is cut at its middle, and does not begin over the top of the part."""
     low_mm, top_mm = part.bounds[:, 2].tolist()
-    off = {
-        "the layer is not cut at its middle": abs(cut_mm - low_mm - base_mm - 0.5 * thickness_mm),
-        f"the layer begins over the top of the part, at {top_mm - low_mm:.3f} mm": base_mm
-        - (top_mm - low_mm),
-    }
+    over = f"the layer begins over the top of the part, at {top_mm - low_mm:.3f} mm"
+    middle_mm = abs(cut_mm - low_mm - base_mm - 0.5 * thickness_mm)
+    off = {"the layer is not cut at its middle": middle_mm, over: base_mm - (top_mm - low_mm)}
     if math.isnan(cut_mm):
         off = {"the layer has no cut of its own": np.inf}
-    what = max(off, key=lambda name: off[name])
-    value = max(off[what], 0.0)
-    good = f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle"
-    text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"
-    return Check("layers of the part", value <= PLACE_MM, value, PLACE_MM, "mm", "", text)
+    return _furthest_off(off, f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle")
 
 
 # -- lines -------------------------------------------------------------------------------------------
@@ -453,9 +395,7 @@ def _different(
     for some in _blocks(facets, heights):
         mesh = _of_mesh(facets, heights, some, axis, lines)
         ours = [_of_section(sections[k], k, axis, lines) for k in range(some.start, some.stop)]
-        layer, line, place = (
-            np.concatenate([getattr(c, name) for c in (mesh, *ours)]) for name in ("layer", "line", "place")
-        )
+        layer, line, place, _ = (np.concatenate(column) for column in zip(mesh, *ours, strict=True))
         solid = np.concatenate([mesh.change, *(np.zeros_like(c.change) for c in ours)])
         drawn = np.concatenate([np.zeros_like(mesh.change), *(c.change for c in ours)])
         order = np.lexsort((place, line, layer))
@@ -497,9 +437,7 @@ def _of_mesh(facets: _Facets, heights: Floats, some: range, axis: int, lines: Fl
     cut = np.flatnonzero(last > first)
     count = (last - first)[cut]
     corners = part.vertices[part.faces[np.repeat(cut, count)]]
-    layer = (
-        np.arange(len(corners)) - np.repeat(np.cumsum(count) - count, count) + np.repeat(first[cut], count)
-    )
+    layer = np.arange(len(corners)) - np.repeat(np.cumsum(count) - count - first[cut], count)
     begin, end = np.zeros((len(corners), 2)), np.zeros((len(corners), 2))
     for k in range(3):
         p, q = corners[:, k], corners[:, (k + 1) % 3]

@@ -44,46 +44,32 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 
-STEP_SHARE = 1.0 / 12.0
-"""Distance of the places at which metal is laid, over the bead width: half a cell."""
-
+STEP_SHARE = 1.0 / 12.0  # Distance of the places at which metal is laid, over the bead width: half a cell
+# Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds.
 CLOSED = 0.5
-"""Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds."""
-
+# Lines that a zone may have more or less than its width over the spacing: the border of a zone runs through a line.
 HALF_LINE = 0.5
-"""Lines that a zone may have more or less than its width over the spacing: the border of a zone runs through a line."""
-
+# Width of a window of the layer's metal, in bead widths: four lines, of which a missing one is a quarter of the metal.
 WINDOW_BEADS = 3.0
-"""Width of a window of the layer's metal, in bead widths: four lines, of which a missing one is a quarter of the metal."""
-
+# Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. All layers together
+# have the metal of the part: where sections taper, what their rims lack heaps up inside of them, and no wire levels it. So all between
+# the layer's height and this is asked for; how far the surface may heap up is a check of its own (`surface`).
 TO_LEVEL, MOST_TO_LEVEL = 0.3, 0.2
-"""Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. All layers
-together have the metal of the part: where sections taper, what their rims lack heaps up inside of them, and no wire levels it. So
-all between the layer's height and this is asked for; how far the surface may heap up is a check of its own (``surface``)."""
-
-AT_LIMIT = 0.01
-"""A bead within this of the least or greatest wire cannot have less, or more."""
-
+AT_LIMIT = 0.01  # A bead within this of the least or greatest wire cannot have less, or more
+# Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours.
 LEAST_OWN = 0.3
-"""Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours."""
-
-AT_ONCE = 8
-"""Layers whose metal is held at a time; they are measured on all threads."""
-
-FIELD_FILE = "deposit_worst.parquet"
-"""Name of the field of the worst layer in a run folder."""
-
+AT_ONCE = 8  # Layers whose metal is held at a time; they are measured on all threads
+FIELD_FILE = "deposit_worst.parquet"  # Name of the field of the worst layer in a run folder
 HOLE_COLUMNS = ("layer", "x_mm", "y_mm", "width_mm", "covered")
+# Names of the zones of a layer: deep_cells, the others, and the worst window.
 ZONES = ("inside", "edge", "zone")
-"""Names of the zones of a layer: :func:`deep_cells`, the others, and the worst window."""
-
+# Figures of the zones of a layer that has none.
 NO_ZONES = {
     "inside": math.nan, "edge": math.nan,
     **{f"{zone}_{column}": math.nan for zone in ZONES for column in ("settled", "owed")},
     **{f"{zone}_mm2": 0.0 for zone in ZONES},
     "zone_tolerance": math.nan, "zone_x_mm": math.nan, "zone_y_mm": math.nan,
 }  # fmt: skip
-"""Figures of the zones of a layer that has none."""
 
 
 def wire_section_mm2(config: Config) -> float:
@@ -143,40 +129,28 @@ class Asked:
 
 @dataclass(frozen=True, eq=False)
 class Deposit:
-    """What the metal of a program comes to.
+    """What the metal of a program comes to."""
 
-    Parameters
-    ----------
-    layers
-        One row a layer: ``layer``, ``z_mm``, ``wanted_mm3``, ``laid_mm3``, ``outside_mm3`` (beside section and allowance),
-        ``inside_mm2`` and ``edge_mm2`` (cells of :func:`deep_cells`, and the others), ``inside`` and ``edge`` (mean height of the
-        metal there over that of the layer; NaN without any), ``inside_settled`` and ``edge_settled`` (the same when the metal has
-        levelled), ``zone_settled``, ``zone_mm2`` and ``zone_tolerance`` of the worst window, ``inside_owed`` ... ``zone_owed`` (the
-        height that would make the surface right), ``low_mm`` and ``high_mm`` (the surface under its height where beads run or
-        could, and over it anywhere, when the layer is done), ``reach_mm`` (how far from the section there is metal of
-        :data:`~ebamcheck.metal.surface.FILM`), ``wall_mm`` (the thinnest wall under a bead, on layers with too much metal beside
-        them; else NaN), and where these five are, ``zone_x_mm`` ... ``wall_y_mm``.
-    first_row
-        (L,) first motion of each layer that lays metal, -1 without one.
-    holes
-        Holes of sections of which metal covers more than :data:`CLOSED`, without what stands in them: ``layer``, ``x_mm``, ``y_mm``
-        (middle of the widest place), ``width_mm`` (of the greatest disc that fits in) and ``covered`` (share of the area).
-    fields, worst
-        Layers that were asked for, and the worst one, by their index; the layer of which surface, reach or a window comes nearest
-        to its limit, or is furthest over it, -1 without any.
-    surface, narrow
-        What the program leaves; openings and walls of the part that are narrower than beads can build.
-    asked
-        Wire of the beads by their places, layer by layer, where that was asked for.
-    """
-
+    # One row a layer: `layer`, `z_mm`, `wanted_mm3`, `laid_mm3`, `outside_mm3` (beside section and allowance), `inside_mm2` and
+    # `edge_mm2` (cells of deep_cells, and the others), `inside` and `edge` (mean height of the metal there over that of the layer; NaN
+    # without any), `inside_settled` and `edge_settled` (the same when the metal has levelled), `zone_settled`, `zone_mm2` and
+    # `zone_tolerance` of the worst window, `inside_owed` ... `zone_owed` (the height that would make the surface right), `low_mm` and
+    # `high_mm` (the surface under its height where beads run or could, and over it anywhere, when the layer is done), `reach_mm` (how far
+    # from the section there is metal of FILM), `wall_mm` (the thinnest wall under a bead, on layers with too much metal beside them; else
+    # NaN), and where these five are, `zone_x_mm` ... `wall_y_mm`.
     layers: pd.DataFrame
-    first_row: Ints
+    first_row: Ints  # (L,) first motion of each layer that lays metal, -1 without one
+    # Holes of sections of which metal covers more than CLOSED, without what stands in them: `layer`, `x_mm`, `y_mm` (middle of the widest
+    # place), `width_mm` (of the greatest disc that fits in) and `covered` (share of the area).
     holes: pd.DataFrame
+    # Layers that were asked for, and the worst one, by their index; the layer of which surface, reach or a window comes nearest to its
+    # limit, or is furthest over it, -1 without any.
     fields: dict[int, LayerField]
     worst: int
+    # What the program leaves; openings and walls of the part that are narrower than beads can build.
     surface: Surface
     narrow: tuple[NarrowFeature, ...]
+    # Wire of the beads by their places, layer by layer, where that was asked for.
     asked: tuple[Asked, ...] = ()
 
 
@@ -204,14 +178,9 @@ class _Laid(NamedTuple):
 
 
 def deposit(
-    nc: NCProgram,
-    layers: Layers,
-    z_of: Floats,
-    config: Config,
-    keep: Collection[int] = (),
-    stands: Surface | None = None,
-    asked: bool = False,
-) -> Deposit:
+    nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = (),
+    stands: Surface | None = None, asked: bool = False,
+) -> Deposit:  # fmt: skip
     """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
 
     The layers lie at `z_of` (L,) in the program, the lowest on the surface `stands`, or level. The fields of the layers `keep` are
@@ -431,13 +400,8 @@ def deep_cells(inside: Bools, bead_cells: float) -> Bools:
 
 
 def zone_figures(
-    target: Target,
-    laid_mm: Floats,
-    before_mm: Floats,
-    parts: tuple[Bools, Bools],
-    thickness_mm: float,
-    process: ProcessSettings,
-) -> dict[str, float]:
+    target: Target, laid_mm: Floats, before_mm: Floats, parts: tuple[Bools, Bools], thickness_mm: float, process: ProcessSettings
+) -> dict[str, float]:  # fmt: skip
     """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows.
 
     `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below.
@@ -471,11 +435,8 @@ def zone_figures(
     row, column = (int(at[k]) for at in np.nonzero(inside))
     x_mm, y_mm = (target.origin + (np.array([column, row]) + 0.5) * target.step_mm).tolist()
     values = zip(("settled", "owed", "mm2", "tolerance"), (height, missing, mm2, allowed), strict=True)
-    return (
-        found
-        | {f"zone_{name}": float(field[k]) for name, field in values}
-        | {"zone_x_mm": x_mm, "zone_y_mm": y_mm}
-    )
+    worst = {f"zone_{name}": float(field[k]) for name, field in values}
+    return found | worst | {"zone_x_mm": x_mm, "zone_y_mm": y_mm}
 
 
 def zone_off(height: ArrayLike, owed: ArrayLike) -> Floats:

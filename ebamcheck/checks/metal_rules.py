@@ -14,7 +14,7 @@ import pandas as pd
 import shapely
 from scipy import ndimage
 
-from ebamcheck.checks.checks import Check
+from ebamcheck.checks.checks import COARSE, TOO_THIN, limit_check
 from ebamcheck.checks.metal import (
     AT_LIMIT,
     LEAST_OWN,
@@ -26,72 +26,52 @@ from ebamcheck.checks.metal import (
     zone_off,
 )
 from ebamcheck.checks.narrow_features import narrow_bead
-from ebamcheck.checks.remedies import COARSE, TOO_THIN
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
 
+# Name of the check of openings and walls of the part that are narrower than a least that is set.
 NARROW = "narrow features"
-"""Name of the check of openings and walls of the part that are narrower than a least that is set."""
-
+# Names of the checks of the metal of all beads together, in their order.
 DEPOSIT_CHECKS = (
     "metal", "metal of layers", "metal outside", "reach of metal", "holes", NARROW, "height inside", "height at edges",
     "height of layers", "height of zones", "surface",
 )  # fmt: skip
-"""Names of the checks of the metal of all beads together, in their order."""
-
 WIRE_OF_BEADS, LAID_ONCE = "wire of beads", "metal laid once"
-
+# Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off.
 LEAST_SPOTS = 1.0
-"""Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off."""
-
+# A single layer may have so many times the share of metal outside that the whole program may.
 LAYER_OUTSIDE = 3.0
-"""A single layer may have so many times the share of metal outside that the whole program may."""
-
 OF_LAYER = "of the layer's metal"
-
+# Zones of a layer under this many squared bead widths do not count for the mean over all layers.
 LEAST_ZONE = 25.0
-"""Zones of a layer under this many squared bead widths do not count for the mean over all layers."""
-
-MEAN_ZONES = ("inside", "edge")
-"""Zones that have a mean over all layers."""
-
-HIGHEST = 0.35
-"""Share of a layer to which wrong wire that comes back in every layer may add up."""
-
+MEAN_ZONES = ("inside", "edge")  # Zones that have a mean over all layers
+HIGHEST = 0.35  # Share of a layer to which wrong wire that comes back in every layer may add up
+# Share of the height of a single line that its neighbours take when it levels, by a Gaussian of half a bead width: what comes back in
+# every layer adds up to one over this.
 LEVELLED = 0.43
-"""Share of the height of a single line that its neighbours take when it levels, by a Gaussian of half a bead width: what comes back in
-every layer adds up to one over this."""
-
+# Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames,
+# rings, tapers and meshes, as they are planned, are all within it.
 MOST = HIGHEST * LEVELLED
-"""Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames, rings,
-tapers and meshes, as they are planned, are all within it."""
-
+# Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place.
 HATCH_ROOM = 1.2
-"""Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place."""
-
+# Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is higher
+# than between them, and higher still where islands meet.
 HEAPED = 0.2
-"""Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is
-higher than between them, and higher still where islands meet."""
-
+# Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled along
+# the bead. Between two of them limit and error change by less than a tenth.
 SPANS = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(14))
-"""Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled
-along the bead. Between two of them limit and error change by less than a tenth."""
-
-LEAST_BEADS = 0.1
-"""Length of a bead, in bead widths, under which it has hardly a place of its own."""
-
-MOST_METAL = 1.5
-"""Metal of a spot over that of the layer: half a bead more than all."""
-
+LEAST_BEADS = 0.1  # Length of a bead, in bead widths, under which it has hardly a place of its own
+MOST_METAL = 1.5  # Metal of a spot over that of the layer: half a bead more than all
+# Bead widths of the stretch of a bead over which the metal is averaged: more than what ends, turns and borders of islands pile up in one
+# place.
 STRETCH_BEADS = 3.0
-"""Bead widths of the stretch of a bead over which the metal is averaged: more than what ends, turns and borders of islands pile
-up in one place."""
 
 
 # -- metal of all beads together ----------------------------------------------------------------------
@@ -99,38 +79,27 @@ up in one place."""
 
 @dataclass(frozen=True)
 class MetalBelow:
-    """Sums over the layers that stand: with them, what holds for a whole part holds for one that is half built.
+    """Sums over the layers that stand: with them, what holds for a whole part holds for one that is half built."""
 
-    Parameters
-    ----------
-    layers
-        Layers with metal, which were laid.
-    wanted_mm3, laid_mm3, outside_mm3
-        Metal that they were to have, have, and have beside the part.
-    zone_mm2, zone_layers_mm2
-        By :data:`MEAN_ZONES`: area that counts, and the same times the height of its metal in layers.
-    """
-
-    layers: int = 0
-    wanted_mm3: float = 0.0
+    layers: int = 0  # Layers with metal, which were laid
+    wanted_mm3: float = 0.0  # Metal that they were to have, have, and have beside the part
     laid_mm3: float = 0.0
     outside_mm3: float = 0.0
+    # By MEAN_ZONES: area that counts, and the same times the height of its metal in layers.
     zone_mm2: tuple[float, float] = (0.0, 0.0)
     zone_layers_mm2: tuple[float, float] = (0.0, 0.0)
 
     def and_layers(self, table: pd.DataFrame, process: ProcessSettings) -> MetalBelow:
         """Return the sums with further layers, rows of :attr:`ebamcheck.checks.metal.Deposit.layers`."""
         solid = _with_metal(table)
-        area, height = [], []
+        area, height = list(self.zone_mm2), list(self.zone_layers_mm2)
         for k, zone in enumerate(MEAN_ZONES):
             wide = solid[_is_wide(solid, zone, process)]
             mm2 = wide[f"{zone}_mm2"].to_numpy(np.float64)
-            area.append(self.zone_mm2[k] + float(mm2.sum()))
-            height.append(self.zone_layers_mm2[k] + float((mm2 * wide[zone].to_numpy(np.float64)).sum()))
-        wanted, laid, outside = (
-            getattr(self, name) + float(solid[name].sum())
-            for name in ("wanted_mm3", "laid_mm3", "outside_mm3")
-        )
+            area[k] += float(mm2.sum())
+            height[k] += float((mm2 * wide[zone].to_numpy(np.float64)).sum())
+        names = ("wanted_mm3", "laid_mm3", "outside_mm3")
+        wanted, laid, outside = (getattr(self, name) + float(solid[name].sum()) for name in names)
         layers = self.layers + len(solid)
         return MetalBelow(layers, wanted, laid, outside, (area[0], area[1]), (height[0], height[1]))
 
@@ -156,12 +125,9 @@ def deposit_checks(
 ) -> list[Check]:
     """Check the metal of a program, see :func:`ebamcheck.checks.metal.deposit`.
 
-    Parameters
-    ----------
-    below
-        The metal that stands under the program: what holds for a whole part has to hold for it and the program together. None:
-        nothing stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it
-        is not known; that layer is then held to the limits of a single one alone.
+    What holds for a whole part has to hold for the metal `below` and the program together. None: nothing stands there or, under the
+    only layer of a program that does not begin on the plate (``layers.base_mm``), it is not known; that layer is then held to the
+    limits of a single one alone.
     """
     solid = _with_metal(found.layers)
     if not len(solid):
@@ -170,16 +136,9 @@ def deposit_checks(
     built = (below or MetalBelow()).and_layers(solid, config.process)
     metal = _Metal(nc, found, config, solid, built, alone)
     return [
-        _whole(metal),
-        _of_layers(metal),
-        _outside(metal),
-        _reach(metal),
-        _holes(metal),
-        _narrow(metal),
-        _zone(metal, "inside", "height inside"),
-        _zone(metal, "edge", "height at edges"),
-        _of_zones(metal, MEAN_ZONES, "height of layers"),
-        _of_zones(metal, ("zone",), "height of zones"),
+        *(check(metal) for check in (_whole, _of_layers, _outside, _reach, _holes, _narrow)),
+        *(_zone(metal, *of) for of in (("inside", "height inside"), ("edge", "height at edges"))),
+        *(_of_zones(metal, *of) for of in ((MEAN_ZONES, "height of layers"), (("zone",), "height of zones"))),
         _surface(metal),
     ]
 
@@ -227,8 +186,7 @@ class _Metal:
         """Check whose worst layer is row `k`; with what to do about its thinnest `wall`, where it is over its limit."""
         more, remedy = self._of_wall(k) if wall and not figure <= limit else ("", "")
         where = self.where(int(self.solid["layer"].iloc[k]))
-        passed = bool(figure <= limit)
-        return Check(name, passed, float(figure), limit, unit, where, text + more, remedy=remedy)
+        return limit_check(name, figure, limit, unit, text + more, where, remedy=remedy)
 
     def _of_wall(self, k: int) -> tuple[str, str]:
         """What a bead takes that is as narrow as the thinnest wall of a layer, and what to do; empty where beads fit its walls."""
@@ -250,8 +208,7 @@ def _whole(metal: _Metal) -> Check:
     # Milligrams of a part under 0.1 kg: what shuts the gate has to show in the figures.
     decimals = 3 if built.wanted_mm3 * density >= 0.1 else 6
     laid, wanted = (f"{mm3 * density:.{decimals}f} kg" for mm3 in (built.laid_mm3, built.wanted_mm3))
-    text = f"{laid} of metal for {wanted} of part"
-    return Check("metal", off <= limit, off, limit, "of the part", "", text)
+    return limit_check("metal", off, limit, "of the part", f"{laid} of metal for {wanted} of part")
 
 
 def _of_layers(metal: _Metal) -> Check:
@@ -270,10 +227,8 @@ def _outside(metal: _Metal) -> Check:
     whole = max(built.outside_mm3, 0.0) / max(built.laid_mm3, 1e-9)
     share = np.divide(outside, laid, out=np.zeros_like(laid), where=laid > 0.0)
     k = int(np.argmax(share))
-    text = (
-        f"{100 * whole:.2f} % of the metal lies beside the part, most {100 * share[k]:.2f} % of a layer: "
-        f"{metal.named(k)}"
-    )
+    most = f"most {100 * share[k]:.2f} % of a layer: {metal.named(k)}"
+    text = f"{100 * whole:.2f} % of the metal lies beside the part, {most}"
     # The figure is that of the whole or of the layer, whichever comes nearer to its own limit.
     if not metal.alone and whole * LAYER_OUTSIDE >= share[k] - 1e-9:
         return metal.judged("metal outside", k, whole, limit, "of the metal", text, wall=True)
@@ -350,10 +305,8 @@ def _of_zones(metal: _Metal, zones: tuple[str, ...], name: str) -> Check:
     for zone in zones:
         off = zone_off(metal.column(f"{zone}_settled"), metal.column(f"{zone}_owed"))
         limit = zone_limit(_tolerances(metal, zone), metal.column(f"{zone}_mm2"), process)
-        rows += [
-            (off[k] / limit[k], int(k), zone, off[k], limit[k])
-            for k in np.flatnonzero(np.isfinite(off / limit))
-        ]
+        known = np.flatnonzero(np.isfinite(off / limit))
+        rows += [(off[k] / limit[k], int(k), zone, off[k], limit[k]) for k in known]
     if not rows:
         return Check(name, True, 0.0, process.edge_tolerance, "of the height", "", "no layer has metal")
     _, k, zone, off, limit = max(rows)
@@ -368,10 +321,8 @@ def _surface(metal: _Metal) -> Check:
     low, high = metal.column("low_mm"), metal.column("high_mm")
     side, values = ("low", low) if low.max() > high.max() else ("high", high)
     k = int(np.argmax(values))
-    text = (
-        f"the surface comes to lie {values[k]:.2f} mm too {side}: {metal.named(k, side)}"
-        f" (over all layers {low.max():.2f} mm too low to {high.max():.2f} mm too high)"
-    )
+    every = f"over all layers {low.max():.2f} mm too low to {high.max():.2f} mm too high"
+    text = f"the surface comes to lie {values[k]:.2f} mm too {side}: {metal.named(k, side)} ({every})"
     return metal.judged("surface", k, values[k], metal.config.process.largest_unevenness_mm, "mm", text)
 
 
@@ -397,19 +348,16 @@ def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
     A contour may change its wire along itself, and is judged over every span of :data:`SPANS`; a hatch bead has one wire, and is
     judged as a whole, and where its wire changes.
     """
-    if config.base_mm > 0.0:
+    if config.base_mm > 0.0 or not found.asked:
         text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
+        text = text if config.base_mm > 0.0 else "no bead has a place of its own"
         return Check(WIRE_OF_BEADS, True, 0.0, MOST, "of the wire", "", text)
-    if not found.asked:
-        return Check(WIRE_OF_BEADS, True, 0.0, MOST, "of the wire", "", "no bead has a place of its own")
     judged = run_each(lambda asked: _worst_span(nc, asked, config.process.bead_width_mm), found.asked)
     worst = max((span for span, _ in judged), key=lambda span: span.over)
     said = f"over {worst.length_mm:.3g} mm a bead has {1.0 + worst.off:.3g} times the wire that its place asks for"
-    x_mm, y_mm = (float(v) for v in nc.start[worst.row, :2])
-    return Check(
-        WIRE_OF_BEADS, abs(worst.off) <= worst.limit, abs(worst.off), worst.limit, "of the wire", nc.where(worst.row),
-        f"{sum(beads for _, beads in judged)} beads; {said}", int(nc.layer[worst.row]), x_mm, y_mm,
-    )  # fmt: skip
+    text, layer = f"{sum(beads for _, beads in judged)} beads; {said}", int(nc.layer[worst.row])
+    where, at = nc.where(worst.row), nc.start[worst.row, :2]
+    return limit_check(WIRE_OF_BEADS, abs(worst.off), worst.limit, "of the wire", text, where, layer, at)
 
 
 def most_off(length_mm: Floats, bead_mm: float) -> Floats:
@@ -475,18 +423,18 @@ class _Sums:
         span = np.ascontiguousarray((self._sums[stop] - self._sums[first]).T)
         laid, least, most, length = span[:3], span[3:6], span[6:9], np.maximum(span[11], np.finfo(float).tiny)
         own, limit = np.clip(span[9] / length, LEAST_OWN, 1.0) * length, span[10] / length
-        over, under = (_share_off(laid, asked, own) for asked in (most, least))
+
+        def share_off(asked: Floats) -> Floats:
+            """How far spans (3, m) are over what is asked for, by each of the three ways."""
+            base = np.vstack([asked[:2], own])
+            with np.errstate(divide="ignore", invalid="ignore"):
+                # A bead that no area is nearest to, or over nothing, has more than any limit.
+                return np.where(base > 0.0, (laid - asked) / base, np.where(laid > 0.0, np.inf, 0.0))
+
+        over, under = share_off(most), share_off(least)
         under[2] -= np.where(on_contour[first], 0.0, HEAPED)
         high, low = over.min(axis=0), under.max(axis=0)
         return np.where((high > 0.0) & (limit > -0.5), high, np.where((low < 0.0) & (limit < 0.5), low, 0.0))
-
-
-def _share_off(laid: Floats, asked: Floats, own: Floats) -> Floats:
-    """How far spans (3, m) are over what is asked for, by each of the three ways."""
-    base = np.vstack([asked[:2], own])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # A bead that no area is nearest to, or over nothing, has more than any limit.
-        return np.where(base > 0.0, (laid - asked) / base, np.where(laid > 0.0, np.inf, 0.0))
 
 
 def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[Ints, Ints, Floats]:
@@ -527,12 +475,7 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
     Where beads overlap they get less wire, so that every spot has about the metal of the layer. A bead more, or one laid again,
     brings a spot 0.7 times that, where beads lie 0.7 widths apart. Spots count where the section is at least two bead widths wide:
     contours around less than that lie in each other, and the feeder cannot give as little wire as they would need; the metal of such
-    layers is judged as a whole.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers`.
+    layers is judged as a whole. The `layers` lie at Z `z_of` (L,).
     """
     rows = nc.beads.rows
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & nc.deposit[rows] & nc.wire[rows]]
@@ -549,14 +492,9 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
     if not found:
         return Check(LAID_ONCE, True, 0.0, MOST_METAL, "of the layer", "", "no layer lays metal")
     worst = max(found, key=lambda spot: spot.metal)
-    text = (
-        f"a spot gets {worst.metal:.3g} times the metal of its layer: layer {worst.layer + 1}, "
-        f"at ({worst.x:.1f}, {worst.y:.1f})"
-    )
-    return Check(
-        LAID_ONCE, worst.metal <= MOST_METAL, worst.metal, MOST_METAL, "of the layer", nc.where(worst.row), text,
-        worst.layer, worst.x, worst.y,
-    )  # fmt: skip
+    text = f"a spot gets {worst.metal:.3g} times the metal of its layer: layer {worst.layer + 1}, at ({worst.x:.1f}, {worst.y:.1f})"
+    at, where = (worst.x, worst.y), nc.where(worst.row)
+    return limit_check(LAID_ONCE, worst.metal, MOST_METAL, "of the layer", text, where, worst.layer, at)
 
 
 def _fullest(

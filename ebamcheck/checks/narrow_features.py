@@ -33,31 +33,17 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s
 
+# Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none.
 FACING = math.cos(math.radians(40.0))
-"""Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none."""
-
-NO_WIDTH_MM = 1e-5
-"""Openings narrower than this are the rounding of coordinates."""
-
-STEPS = 4
-"""Places on a side over the length of the least width."""
-
+NO_WIDTH_MM = 1e-5  # Openings narrower than this are the rounding of coordinates
+STEPS = 4  # Places on a side over the length of the least width
+# Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle.
 ON_SIDE = np.array([0.02, 0.5, 0.98])
-"""Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle."""
-
-LONG = 2.0
-"""Length over width from which on a hole is called a slot."""
-
-TAPERS = 1.25
-"""Greatest width over the least from which on both are told."""
-
-LYING = 2.0
-"""Height over width up to which something that ends over and under is taken to lie on its side."""
-
+LONG = 2.0  # Length over width from which on a hole is called a slot
+TAPERS = 1.25  # Greatest width over the least from which on both are told
+LYING = 2.0  # Height over width up to which something that ends over and under is taken to lie on its side
 Kind = Literal["hole", "slot", "gap", "notch", "wall"]
-
-CRUMB = 0.25
-"""Thin pieces under this times the squared bead width are corners that a round bead never fills."""
+CRUMB = 0.25  # Thin pieces under this times the squared bead width are corners that a round bead never fills
 
 
 class Place(NamedTuple):
@@ -103,9 +89,7 @@ class NarrowFeature:
         if self.is_set:
             setting = "process.least_wall_mm" if self.is_wall else "process.least_hole_mm"
             return f"{setting} allows ({self.least_mm:.3g} mm)"
-        return (
-            f"beads can lay ({self.least_mm:.3g} mm)" if self.is_wall else f"a bead ({self.least_mm:.3g} mm)"
-        )
+        return f"{'beads can lay' if self.is_wall else 'a bead'} ({self.least_mm:.3g} mm)"
 
     def in_words(self) -> str:
         """Return kind and size.
@@ -163,13 +147,9 @@ def _features(
 
 
 def _lies(
-    group: list[tuple[int, Place]],
-    places: list[list[Place]],
-    sections: Sequence[BaseGeometry],
-    walls: bool,
-    least_mm: float,
+    group: list[tuple[int, Place]], places: list[list[Place]], sections: Sequence[BaseGeometry], walls: bool, least_mm: float,
     high_mm: float,
-) -> bool:
+) -> bool:  # fmt: skip
     """Whether narrow places are floor or roof of something that lies on its side, as a bore does, and that a ball of the least width fills."""
     layer, place = min(group, key=lambda one: one[1].narrowest_mm)
     point, radius = place.region.representative_point(), 0.5 * least_mm
@@ -216,7 +196,12 @@ def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: f
     if not parts.size:
         return None
     rings = np.asarray([ring for part in parts for ring in (part.exterior, *part.interiors)], object)
-    filled = _rounded(shapely.MultiPolygon(list(parts)), walls, least_mm)
+    # Opening of the section by a disc of the least width for walls, else its closing.
+    whole, radius = shapely.MultiPolygon(list(parts)), 0.5 * least_mm
+    if walls:
+        filled = shapely.buffer(inset(whole, radius), radius, quad_segs=ARC_SEGMENTS)
+    else:
+        filled = inset(shapely.buffer(whole, radius, quad_segs=ARC_SEGMENTS), radius)
     lost = _lost(parts, filled, walls)
     sides = _sides_of_rings(rings, max(least_mm / STEPS, shallow_mm))
     depth = distances(np.ascontiguousarray(sides.at), segments_of(filled.boundary))
@@ -224,14 +209,6 @@ def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: f
     if not deep.any():
         return None
     return _Narrowed(parts, rings, filled, lost, _Sides(sides.at[deep], sides.out[deep], sides.ring[deep]))
-
-
-def _rounded(whole: BaseGeometry, walls: bool, least_mm: float) -> BaseGeometry:
-    """Opening of a section by a disc of the least width for walls, else its closing."""
-    radius = 0.5 * least_mm
-    if walls:
-        return shapely.buffer(inset(whole, radius), radius, quad_segs=ARC_SEGMENTS)
-    return inset(shapely.buffer(whole, radius, quad_segs=ARC_SEGMENTS), radius)
 
 
 def _lost(parts: np.ndarray, filled: BaseGeometry, walls: bool) -> Bools:
@@ -262,10 +239,8 @@ def _sides_of_rings(rings: np.ndarray, step_mm: float) -> _Sides:
     along = along[side]
     out = np.column_stack([along[:, 1], -along[:, 0]]) / length[side, None]
     at = points[side, None] + ON_SIDE[:, None] * along[:, None]
-    count = len(ON_SIDE)
-    return _Sides(
-        at.reshape(-1, 2), np.repeat(out, count, axis=0), np.repeat(ring[side], count).astype(np.int64)
-    )
+    out, ring = (np.repeat(each, len(ON_SIDE), axis=0) for each in (out, ring[side].astype(np.int64)))
+    return _Sides(at.reshape(-1, 2), out, ring)
 
 
 class _Across(NamedTuple):
@@ -284,9 +259,8 @@ def _across(sides: _Sides, rings: np.ndarray, walls: bool, least_mm: float) -> _
     joined = np.flatnonzero(ring[1:] == ring[:-1])
     ends = np.stack([points[joined], points[joined + 1]], axis=1)
     ways = shapely.linestrings(np.stack([at, at + 1.001 * least_mm * ahead], axis=1))
-    way, side = shapely.STRtree(np.asarray(shapely.linestrings(ends), object)).query(
-        ways, predicate="intersects"
-    )
+    tree = shapely.STRtree(np.asarray(shapely.linestrings(ends), object))
+    way, side = tree.query(ways, predicate="intersects")
     a, run = ends[side, 0], ends[side, 1] - ends[side, 0]
     turned = ahead[way, 0] * run[:, 1] - ahead[way, 1] * run[:, 0]
     size = np.hypot(run[:, 0], run[:, 1])
@@ -299,12 +273,9 @@ def _across(sides: _Sides, rings: np.ndarray, walls: bool, least_mm: float) -> _
     faces = np.abs(turned[order]) >= FACING * size[order]
     faces &= (turned[order] < 0.0) != walls
     order = order[faces]
-    return _Across(
-        at[way[order]] + 0.5 * length[order, None] * ahead[way[order]],
-        length[order],
-        sides.ring[way[order]],
-        ring[joined][side[order]].astype(np.int64),
-    )
+    middle = at[way[order]] + 0.5 * length[order, None] * ahead[way[order]]
+    other = ring[joined][side[order]].astype(np.int64)
+    return _Across(middle, length[order], sides.ring[way[order]], other)
 
 
 def _measured(found: _Narrowed, walls: bool, least_mm: float) -> Iterator[Place]:
@@ -458,15 +429,10 @@ def narrow_bead(wall_mm: float, thickness_mm: float, config: Config) -> NarrowBe
     # Power for the wire goes with the width, power for the pool with its square: under this width the wire wins.
     melting_mm = bead_mm**2 * least_power_share(config, thickness_mm) / process.hatch_spacing_mm
     share = (wall_mm / bead_mm) ** 2
-    return NarrowBead(
-        wall_mm,
-        per_mm * wall_mm,
-        process.power_w * share,
-        process.current_ma * share,
-        thickness_mm,
-        {
-            "process.wire_speed_min_mm_s": process.wire_speed_min_mm_s / per_mm,
-            "process.line_energy_j_mm": bead_mm * (process.line_energy_j_mm[0] / energy) ** 0.5,
-            "the power that melts the wire (process.melting_efficiency, process.dilution)": melting_mm,
-        },
-    )
+    limits = {
+        "process.wire_speed_min_mm_s": process.wire_speed_min_mm_s / per_mm,
+        "process.line_energy_j_mm": bead_mm * (process.line_energy_j_mm[0] / energy) ** 0.5,
+        "the power that melts the wire (process.melting_efficiency, process.dilution)": melting_mm,
+    }
+    power_w, current_ma = process.power_w * share, process.current_ma * share
+    return NarrowBead(wall_mm, per_mm * wall_mm, power_w, current_ma, thickness_mm, limits)

@@ -20,29 +20,24 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.checks.checks import Check
-from ebamcheck.checks.tolerances import SAME_SIZE
+from ebamcheck.checks.checks import SAME_SIZE, limit_check
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.base import known_as
 from ebamcheck.settings.config import Config
 
+# Millimetres in one unit: the inch is exact since 1959. Written anew here.
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
-"""Millimetres in one unit: the inch is exact since 1959. Written anew here."""
-
+# Bytes before the first facet of a binary STL file, and a facet.
 HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-"""Bytes before the first facet of a binary STL file, and a facet."""
-
+# What is wrong with a part of which a corner of a facet is elsewhere.
 STANDS = "does not stand where direction, turn and place say for the one"
-"""What is wrong with a part of which a corner of a facet is elsewhere."""
-
-AT_ONCE = 500_000
-"""Facets that are held at once."""
-
+AT_ONCE = 500_000  # Facets that are held at once
+# Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid.
 FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.IGNORECASE)
-"""Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid."""
 
 
 class _MeshFile:
@@ -70,9 +65,8 @@ class _MeshFile:
             return (some * unit_mm for some in _facets_of(self.path))
         every, _, own, _ = read_facets(self.path)
         unit_mm = UNIT_MM[self._unit or own or "mm"]
-        return (
-            np.asarray(every[k : k + AT_ONCE], np.float64) * unit_mm for k in range(0, len(every), AT_ONCE)
-        )
+        starts = range(0, len(every), AT_ONCE)
+        return (np.asarray(every[k : k + AT_ONCE], np.float64) * unit_mm for k in starts)
 
 
 @dataclass(frozen=True)
@@ -119,10 +113,7 @@ def file_check(part: Part, config: Config) -> Check:
         text = f"the part {what} in {name}, but {value * size:.6g} mm beside that"
     else:
         text = f"the part {what} in {name}: {found[0]:.6g} mm high, {wanted[0]:.6g} mm in the file"
-    return Check("part of the file", value <= SAME_SIZE, value, SAME_SIZE, "of its size", "", text)
-
-
-# -- how it stands -----------------------------------------------------------------------------------
+    return limit_check("part of the file", value, SAME_SIZE, "of its size", text)
 
 
 def _bodies(part: Part, config: Config) -> list[_Body]:
@@ -164,10 +155,8 @@ def _beside_mm(part: Part, bodies: list[_Body], config: Config) -> float:
 
 
 def _standing(body: _Body) -> Iterator[Floats]:
-    """Corners (n, 3, 3) of the facets of a part where they are to stand.
-
-    The shortest turn that takes one direction to another is a half turn about the first and one about the middle between them.
-    """
+    """Corners (n, 3, 3) of the facets of a part where they are to stand."""
+    # The shortest turn that takes one direction to another is a half turn about the first and one about the middle between them.
     up = np.asarray(body.direction, np.float64) / np.linalg.norm(body.direction)
     middle = up + np.array([0.0, 0.0, 1.0])
     if np.linalg.norm(middle) > 1e-7:
@@ -193,9 +182,8 @@ def _standing(body: _Body) -> Iterator[Floats]:
 
 def _flat(facets: Floats, turn: Floats) -> tuple[NDArray[np.complex128], Floats]:
     """Corners of facets (n, 3, 3) after a turn, (n, 3) each: X + iY, and Z."""
-    x, y, z = (
-        facets[:, :, 0] * r[0] + facets[:, :, 1] * r[1] + facets[:, :, 2] * r[2] for r in turn.tolist()
-    )
+    a, b, c = (facets[:, :, axis] for axis in range(3))
+    x, y, z = (a * r[0] + b * r[1] + c * r[2] for r in turn.tolist())
     return x + 1j * y, z
 
 
@@ -217,18 +205,14 @@ class _Box:
         return complex(*(0.5 * (self.low[axis] + self.high[axis]) for axis in (0, 1)))
 
 
-# -- the file ----------------------------------------------------------------------------------------
-
-
 def _measured(facets: Iterable[Floats], direction: tuple[float, ...]) -> tuple[float, float, float]:
     """Length along a direction, mm, surface, mm2, and how high the middle of the surface lies, mm, of facets (n, 3, 3), mm."""
     up = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     low, high, surface, moment = np.inf, -np.inf, 0.0, 0.0
     for corners in facets:
         along = corners @ up
-        area = 0.5 * np.linalg.norm(
-            np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-        )
+        across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        area = 0.5 * np.linalg.norm(across, axis=1)
         low, high = min(low, float(along.min(initial=np.inf))), max(high, float(along.max(initial=-np.inf)))
         surface += float(area.sum())
         moment += float((area * along.mean(axis=1)).sum())

@@ -9,44 +9,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
-from ebamcheck.checks.shapes import shape_distance, spline_points
+from ebamcheck.checks.checks import PATH_TOLERANCE_MM, PLACE_MM, count_check, row_faults, worst_check
+from ebamcheck.checks.matching import shape_distance
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.tolerances import PATH_TOLERANCE_MM, PLACE_MM
 from ebamcheck.nc import motions
-from ebamcheck.nc.inputs import (
-    ARC,
-    LINE,
-    SPLINE,
-    CurveColumns,
-    ScanColumns,
-)
+from ebamcheck.nc.inputs import ARC, LINE, SPLINE, CurveColumns
 from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.settings.config import Config
+from ebamcheck.result import Check
 
-SAMPLES = 9
-"""Places on each span where programmed and fitted curve are compared at the same parameter."""
-
+SAMPLES = 9  # Places on each span where programmed and fitted curve are compared at the same parameter
+# Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit.
 CHORD_SHARE = 0.02
-"""Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit."""
-
-FLAT_ARC = 1e-12
-"""Sine of half the turn of an arc that is straight for numbers of 16 digits."""
+DEGREE = 3  # Of every spline piece
+FLAT_ARC = 1e-12  # Sine of half the turn of an arc that is straight for numbers of 16 digits
 
 
 @dataclass(frozen=True, eq=False)
 class FittedSpans:
     """Every straight segment, arc and knot span of the fitted rings, sampled; a program block is expected for each."""
 
-    ring: Ints
-    """(E,)"""
-    kind: Ints
-    """(E,) of the piece: line, spline or arc."""
-    points: Floats
-    """(E, n, 2) at equal steps of the parameter."""
+    ring: Ints  # (E,)
+    kind: Ints  # (E,) of the piece: line, spline or arc
+    points: Floats  # (E, n, 2) at equal steps of the parameter
 
 
 def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | None = None) -> FittedSpans:
@@ -81,11 +68,25 @@ def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | 
     return FittedSpans(np.concatenate(rings), np.concatenate(kinds), np.concatenate(found))
 
 
-def _arc(control: Floats, t: Floats) -> Floats:
-    """Points (n, 2) on the arc from the first to the last of three points, the second half-way.
+def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
+    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
 
-    The first spoke is turned about the centre, which is where the bisectors of both halves meet.
+    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50.
     """
+    span = np.flatnonzero(knots[1:] > knots[:-1])
+    first = span - DEGREE
+    place = [np.asarray(control)[first + k][:, None] for k in range(DEGREE + 1)]
+    for r in range(1, DEGREE + 1):
+        for k in range(DEGREE, r - 1, -1):
+            low, high = knots[first + k][:, None], knots[span + 1 + k - r][:, None]
+            share = ((at - low) / (high - low))[..., None]
+            place[k] = (1.0 - share) * place[k - 1] + share * place[k]
+    return np.asarray(place[DEGREE], np.float64)
+
+
+def _arc(control: Floats, t: Floats) -> Floats:
+    """Points (n, 2) on the arc from the first to the last of three points, the second half-way."""
+    # The first spoke is turned about the centre, which is where the bisectors of both halves meet.
     first, middle, last = control
     halves = np.array([middle - first, last - middle])
     middles = 0.5 * np.array([(middle + first) @ (middle - first), (last + middle) @ (last - middle)])
@@ -100,9 +101,6 @@ def _arc(control: Floats, t: Floats) -> Floats:
     return np.asarray(centre + turned)
 
 
-# -- contours --------------------------------------------------------------------------------------
-
-
 def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
     """Check that every contour ring ends where it starts; open paths are known from `curves` alone."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
@@ -113,9 +111,8 @@ def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
         closed = known & np.asarray(curves.closed)[np.where(known, ring, 0)] if len(curves.closed) else known
         first, last = first[closed], last[closed]
     gap = np.linalg.norm(nc.start[rows[first], :2] - nc.end[rows[last], :2], axis=1)
-    return worst_check(
-        "contours close", nc, rows[last], gap, PATH_TOLERANCE_MM, "mm", f"gap of {gap.size} rings"
-    )
+    what = f"gap of {gap.size} rings"
+    return worst_check("contours close", nc, rows[last], gap, PATH_TOLERANCE_MM, "mm", what)
 
 
 def contour_checks(subject: Subject) -> list[Check]:
@@ -128,50 +125,43 @@ def contour_checks(subject: Subject) -> list[Check]:
     assert curves is not None
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     count = len(curves.closed)
-    faults = _ring_faults(nc, curves, rows, subject.z_of)
+    breaks, filled = np.diff(rows, prepend=-2) > 1, np.flatnonzero(np.diff(curves.ring_starts) > 0)
+    z_of = subject.z_of[np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))]
+    faults = _group_faults(nc, rows, nc.ring, breaks, "contour ring", z_of, filled)
     rows = rows[nc.ring[rows] < count]
     spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
     faults += _turned_rings(nc, curves, rows, spans)
     distance, alike = _same_parameters(nc, rows, spans, count)
-    limit = PATH_TOLERANCE_MM + (
-        config.machine.line_tolerance_mm if _has_chords(nc, rows, curves, config) else 0.0
-    )
+    # Splines were written as lines or arcs by the settings, or because the control has nothing else.
+    carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
+    chords = not carried and (np.asarray(curves.kind) == SPLINE).any()
+    chords = chords or config.machine.curve_form in ("lines", "arcs")
+    limit = PATH_TOLERANCE_MM + (config.machine.line_tolerance_mm if chords else 0.0)
     rings = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
     motions_of, spans_of = _grouped(nc.ring[rows], count), _grouped(spans.ring, count)
 
     def work(start: int, stop: int) -> None:
         for ring in rings[start:stop]:
-            mine = motions_of[ring]
-            samples = _samples_for(spans.points[spans_of[ring]], CHORD_SHARE * limit)
-            dense = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring))
-            distance[mine] = _shape_distance(nc, rows[mine], dense.points)
+            mine, sampled = motions_of[ring], spans.points[spans_of[ring]]
+            # The chords of so many samples err by the second difference over 8.
+            bend = np.linalg.norm(np.diff(sampled, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
+            samples = 2 + int((SAMPLES - 1) * np.sqrt(bend / (CHORD_SHARE * limit)))
+            fitted = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring)).points
+            samples = SAMPLES if (nc.kind[rows[mine]] == STRAIGHT).all() else samples
+            driven = nc.evaluate(rows[mine], np.linspace(0.0, 1.0, samples)[None])
+            distance[mine] = shape_distance(driven, fitted) if len(fitted) else np.inf
 
     run_blocks(work, len(rings))
+    what = "distance from the fitted curve, both ways"
     return [
         count_check("contour rings", faults, f"{count} rings, each once, in its layer and in its direction"),
-        worst_check(
-            "contour path", nc, rows, distance, limit, "mm", "distance from the fitted curve, both ways"
-        ),
+        worst_check("contour path", nc, rows, distance, limit, "mm", what),
     ]
 
 
 def _grouped(ring: Ints, count: int) -> list[Ints]:
     """Places of each ring's own in a column, rising."""
     return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
-
-
-def _has_chords(nc: NCProgram, rows: Ints, curves: CurveColumns, config: Config) -> bool:
-    """Whether splines were written as lines or arcs: by the settings, or because the control has nothing else."""
-    carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
-    splines = (np.asarray(curves.kind) == SPLINE).any()
-    return config.machine.curve_form in ("lines", "arcs") or bool(splines and not carried)
-
-
-def _ring_faults(nc: NCProgram, curves: CurveColumns, rows: Ints, z_of: Floats) -> list[tuple[str, str]]:
-    layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))
-    filled = np.diff(curves.ring_starts) > 0
-    breaks = np.diff(rows, prepend=-2) > 1
-    return _group_faults(nc, rows, nc.ring, breaks, "contour ring", z_of[layer], np.flatnonzero(filled))
 
 
 def _turned_rings(
@@ -197,10 +187,8 @@ def _left_mm2(points: Floats) -> Floats:
 def _group_faults(
     nc: NCProgram, rows: Ints, group: Ints, breaks: Bools, what: str, z_of: Floats, wanted: Ints
 ) -> list[tuple[str, str]]:
-    """Rings or islands that are missing, come twice, are unknown, or lie at another Z than expected.
-
-    `breaks` (n,) is true where a motion begins a new group even if the one before has the same number.
-    """
+    """Rings or islands that are missing, come twice, are unknown, or lie at another Z than expected."""
+    # `breaks` (n,) is true where a motion begins a new group even if the one before has the same number.
     ids = group[rows]
     begins = np.flatnonzero(breaks | (np.diff(ids, prepend=-1) != 0))
     found = ids[begins]
@@ -212,9 +200,8 @@ def _group_faults(
         elif number in seen:
             faults.append((nc.where(row), f"{what} {number} comes a second time"))
         elif not abs(nc.end[row, 2] - z_of[number]) <= PLACE_MM:
-            faults.append(
-                (nc.where(row), f"{what} {number} at Z {nc.end[row, 2]:g} in place of {z_of[number]:g}")
-            )
+            at = f"Z {nc.end[row, 2]:g} in place of {z_of[number]:g}"
+            faults.append((nc.where(row), f"{what} {number} at {at}"))
         seen.add(number)
     for number in sorted(set(wanted.tolist()) - seen):
         after = rows[begins][found < number]
@@ -253,23 +240,6 @@ def _same_starts(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> B
     return same
 
 
-def _samples_for(points: Floats, tolerance_mm: float) -> int:
-    """Samples of each span whose chords err by at most `tolerance_mm`: the second difference over 8."""
-    bend = np.linalg.norm(np.diff(points, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
-    return 2 + int((SAMPLES - 1) * np.sqrt(bend / tolerance_mm))
-
-
-def _shape_distance(nc: NCProgram, rows: Ints, fitted: Floats) -> Floats:
-    """Largest distance between the motions of one ring and the fitted ring, both ways, for each motion."""
-    if not len(fitted):
-        return np.full(rows.size, np.inf)
-    samples = SAMPLES if (nc.kind[rows] == STRAIGHT).all() else fitted.shape[1]
-    return shape_distance(nc.evaluate(rows, np.linspace(0.0, 1.0, samples)[None]), fitted)
-
-
-# -- hatch -----------------------------------------------------------------------------------------
-
-
 def hatch_checks(subject: Subject) -> list[Check]:
     """Compare islands, their order and their vectors with the plan."""
     nc, plan, config = subject.nc, subject.plan, subject.config
@@ -277,7 +247,11 @@ def hatch_checks(subject: Subject) -> list[Check]:
     vectors = nc.vectors()
     rows = vectors["row"].to_numpy()
     driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
-    island, ends = _planned_lines(plan)
+    # The plan's own columns: what the writer takes of them is on trial.
+    island = np.asarray(plan.vectors.island, np.int64)
+    ends = np.stack(
+        [np.asarray(getattr(plan.vectors, name), np.float64) for name in ("x0", "y0", "x1", "y1")], axis=1
+    )
     rounded = np.round(ends, config.machine.printed_decimals)
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
     island, ends = island[kept], ends[kept]
@@ -298,12 +272,6 @@ def hatch_checks(subject: Subject) -> list[Check]:
     ]
 
 
-def _planned_lines(plan: ScanColumns) -> tuple[Ints, Floats]:
-    """Island (V,) and ends (V, 4) of the lines of a plan, by its own columns: what the writer takes of them is on trial."""
-    columns = [np.asarray(getattr(plan.vectors, name), np.float64) for name in ("x0", "y0", "x1", "y1")]
-    return np.asarray(plan.vectors.island, np.int64), np.stack(columns, axis=1)
-
-
 def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floats) -> Check:
     size = min(rows.size, len(ends))
     apart = np.abs(driven[:size] - ends[:size]).max(axis=1, initial=0.0)
@@ -321,26 +289,20 @@ def _vectors(nc: NCProgram, rows: Ints, driven: Floats, island: Ints, ends: Floa
     return worst_check(name, nc, rows, apart, PATH_TOLERANCE_MM, "mm", f"{rows.size} vectors as planned")
 
 
-# -- layers ----------------------------------------------------------------------------------------
-
-
 def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
     """Check the layers that are laid, in their order, against the Z (L,) expected and whether each is to have metal."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     calls = nc.events.row[(nc.events.kind == Kind.CALL) & (nc.events.file == 0)]
     part = np.searchsorted(calls, rows, side="right")
-    begins = rows[
-        np.flatnonzero((np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0))
-    ]
+    begins = rows[(np.diff(nc.layer[rows], prepend=-1) != 0) | (np.diff(part, prepend=-1) != 0)]
     laid, wanted = nc.layer[begins], np.flatnonzero(filled)
     size = min(laid.size, wanted.size)
     order = np.flatnonzero(laid[:size] != wanted[:size])
     off = np.abs(nc.end[begins, 2] - z_of[laid])
     faults = [(i, f"layer {laid[i] + 1} comes in place of layer {wanted[i] + 1}") for i in order[:1].tolist()]
-    faults += [
-        (i, f"layer {laid[i] + 1} at Z {nc.end[begins[i], 2]:g} in place of {z_of[laid[i]]:g}")
-        for i in np.flatnonzero(~(off <= PLACE_MM)).tolist()
-    ]
+    said = "layer {} at Z {:g} in place of {:g}".format
+    wrong = np.flatnonzero(~(off <= PLACE_MM)).tolist()
+    faults += [(i, said(laid[i] + 1, nc.end[begins[i], 2], z_of[laid[i]])) for i in wrong]
     faults.sort(key=lambda fault: fault[0])
     last = [_where_called(nc, int(begins[order[0] if order.size else -1]))] if begins.size else [""]
     count = Check(
@@ -367,6 +329,4 @@ def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     z = nc.layer_heights[nc.layer[rows]]
     off = (nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)
-    return [
-        (nc.where(int(row)), f"deposit at Z {nc.end[row, 2]:g} in a layer at another Z") for row in rows[off]
-    ]
+    return row_faults(nc, rows[off], "deposit at Z {:g} in a layer at another Z", nc.end[rows[off], 2])

@@ -14,9 +14,16 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults
+from ebamcheck.checks.checks import (
+    LIMIT_ROUNDING_MM,
+    Faults,
+    count_check,
+    event_faults,
+    limit_check,
+    row_faults,
+)
 from ebamcheck.checks.heat_again import MODELS_SHARE, plate_k
-from ebamcheck.checks.state_checks import extremes, modes_of_scans
+from ebamcheck.checks.state_checks import beyond_travel_mm, modes_of_scans
 from ebamcheck.checks.text_heat import (
     Scanned,
     scanned,
@@ -30,42 +37,26 @@ from ebamcheck.checks.text_heat import (
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.nc.codes import BEAM_VALUES, FOCUS
-from ebamcheck.nc.conventions import safe_end_mm
+from ebamcheck.nc.conventions import increments_of, safe_end_mm
 from ebamcheck.nc.files import layer_of_preheat
-from ebamcheck.nc.increments import increments_of
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.result import Check
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceK, spot_peak_k
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S
 
-VALUE_SHARE = 1e-3
-"""Share by which a printed value may be off."""
-
-PLACE_MM = 0.01
-"""How far beside the region a line may end: the decimals of the program."""
-
-ROUND_SHARE = 2e-3
-"""Share of the spot by which a rounding of chords may lie beside its circle."""
-
+VALUE_SHARE = 1e-3  # Share by which a printed value may be off
+PLACE_MM = 0.01  # How far beside the region a line may end: the decimals of the program
+ROUND_SHARE = 2e-3  # Share of the spot by which a rounding of chords may lie beside its circle
+# Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one.
 WIDEST = 1.5
-"""Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one."""
-
-SLIVER_MM = 0.1
-"""Lines across a narrower place may be left out."""
-
-ALONG_MM = 1e-3
-"""A line along an axis leaves it by no more: the decimals of a program, at their coarsest."""
-
+SLIVER_MM = 0.1  # Lines across a narrower place may be left out
+ALONG_MM = 1e-3  # A line along an axis leaves it by no more: the decimals of a program, at their coarsest
+# Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted.
 LENGTH_SHARE, MOST_PASSES = 0.02, 20000
-"""Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted."""
-
-
-AT_ONCE_S = 10.0
-"""Time that the second balance takes at once."""
-
-Faults = list[tuple[str, str]]
+AT_ONCE_S = 10.0  # Time that the second balance takes at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,21 +69,13 @@ class Known:
 
 
 def preheat_checks(
-    nc: NCProgram,
-    config: Config,
-    sections: Sequence[BaseGeometry] | None,
-    before: HeatColumn | None = None,
+    nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
-) -> list[Check]:
+) -> list[Check]:  # fmt: skip
     """Check the preheating scans of a program; nothing where the settings ask for none and it has none.
 
-    Parameters
-    ----------
-    sections
-        (L,) those of the layers; None: what the contours of the program enclose.
-    before, under
-        Heat of what stands when the program begins on a part that is half built, and its section; None: not known, and how often it
-        is scanned, and how warm it is then, are not judged.
+    Without `sections` (L,) those count that the contours of the program enclose. Where heat `before` and section `under` a program that
+    begins on a part that is half built are not known, how often it is scanned, and how warm it is then, are not judged.
     """
     if config.preheat.when == "off":
         if nc.preheating is None:
@@ -100,19 +83,24 @@ def preheat_checks(
         where = nc.preheating.beginning if len(nc.preheating) else f"{nc.files[0].name}:1"
         return [count_check("preheat calls", [(where, "preheats, and preheat.when is 'off'")], "")]
     known = Known(sections_of_text(nc, config, sections), before, under)
-    calls = count_check("preheat calls", list(_calls(nc, config)), "each right before its layer")
-    state = count_check(
-        "preheat state", list(_states(nc, config)), "out of focus, no wire, values as set, focus taken back"
-    )
-    path = count_check(
-        "preheat path", _paths(nc, config, known), "over the region, at its height, at its speed"
-    )
-    lines = _lines(nc, config, known)
+    state = "out of focus, no wire, values as set, focus taken back"
+    checks = [
+        count_check("preheat calls", list(_calls(nc, config)), "each right before its layer"),
+        count_check("preheat state", list(_states(nc, config)), state),
+        count_check(
+            "preheat path", _paths(nc, config, known), "over the region, at its height, at its speed"
+        ),
+        _lines(nc, config, known),
+    ]
     if config.base_mm > 0.0 and (before is None or under is None):
-        return [calls, state, path, lines]
+        return checks
     found = found_scans(nc, config, known)
-    judged = count_of(found, config), *temperatures_of(found, config), *temperature_again(found, config)
-    return [calls, state, path, lines, *judged]
+    return [
+        *checks,
+        count_of(found, config),
+        *temperatures_of(found, config),
+        *temperature_again(found, config),
+    ]
 
 
 # -- calls and state ---------------------------------------------------------------------------------
@@ -154,9 +142,8 @@ def _within_layers(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
         file, line = e.file[out], e.line[out]
         known = set(file.tolist())
         late, second = np.zeros(len(e), np.bool_), np.zeros(len(e), np.bool_)
-        late[out] = [
-            ((nc.file[beads] == f) & (nc.line[beads] < k)).any() for f, k in zip(file, line, strict=True)
-        ]
+        places = zip(file, line, strict=True)
+        late[out] = [((nc.file[beads] == f) & (nc.line[beads] < k)).any() for f, k in places]
         second[out] = [np.count_nonzero(file[: n + 1] == file[n]) == 2 for n in range(file.size)]
         yield from event_faults(
             scans,
@@ -211,13 +198,12 @@ def _events(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
         return wrong, lambda i: text.format(name, known[name][i], wanted[name])
 
     unset = on & np.isnan(known["current_ma"]) & np.isnan(known["power_w"])
+    at = "the beam is switched on in focus {:g}, preheat.defocus is {:g}"
     yield from event_faults(
         scans,
         (
             on & (focus[:-1] != settings.defocus),
-            lambda i: (
-                f"the beam is switched on in focus {np.nan_to_num(focus[i]):g}, preheat.defocus is {settings.defocus:g}"
-            ),
+            lambda i: at.format(np.nan_to_num(focus[i]), settings.defocus),
         ),
         (on & ~off[:-1], "the beam is switched on before beam and wire were commanded off"),
         *(other(name) for name in BEAM_VALUES),
@@ -244,20 +230,14 @@ def _paths(nc: NCProgram, config: Config, known: Known) -> Faults:
         return []
     faults: Faults = []
     bottoms = bottoms_of(nc, config)
-    low, high = extremes(scans)
-    limits = np.array(config.machine.travel_min_mm), np.array(config.machine.travel_max_mm)
-    beyond = np.nan_to_num(np.fmax(limits[0] - low, high - limits[1]), nan=-np.inf).max(axis=1)
-    faults += [
-        (scans.where(row), f"{value:g} mm beyond the travel")
-        for row, value in enumerate(beyond.tolist())
-        if value > 1e-9
-    ]
+    beyond = beyond_travel_mm(scans, config).max(axis=1)
+    far = beyond > LIMIT_ROUNDING_MM
+    faults += row_faults(scans, far, "{:g} mm beyond the travel", beyond[far])
     for k in np.unique(scans.layer).tolist():
         rows = np.flatnonzero(scans.layer == k)
         if not 0 <= k < len(sections) or sections[k].is_empty:
-            faults.append(
-                (scans.where(int(rows[0])), f"preheats before layer {k + 1}, which is none of the program")
-            )
+            what = f"preheats before layer {k + 1}, which is none of the program"
+            faults.append((scans.where(int(rows[0])), what))
             continue
         z_mm = safe_end_mm(float(bottoms[k]), config)
         if k == 0 and config.base_mm > 0.0 and known.under is None:
@@ -282,7 +262,7 @@ def _lines(nc: NCProgram, config: Config, known: Known) -> Check:
         if gap_mm > worst:
             worst, where, layer = gap_mm, scans.where(int(np.flatnonzero(scans.layer == k)[0])), k
     text = f"lines of the scan before layer {layer + 1} are up to {worst:.4g} mm apart, preheat.spacing_mm is {config.preheat.spacing_mm:g} mm"
-    return Check("preheat lines", worst <= limit_mm, worst, limit_mm, "mm", where, text)
+    return limit_check("preheat lines", worst, limit_mm, "mm", text, where)
 
 
 def _rows_off(
@@ -306,10 +286,8 @@ def _rows_off(
     outside = lit[~known | ~shapely.covers(near, lines)]
     if outside.size:
         x, y = scans.end[outside[0], :2].tolist()
-        yield (
-            scans.where(int(outside[0])),
-            f"the beam leaves what is to be preheated on its way to ({x:g}, {y:g})",
-        )
+        what = f"the beam leaves what is to be preheated on its way to ({x:g}, {y:g})"
+        yield scans.where(int(outside[0])), what
 
 
 def widest_gap_mm(region: BaseGeometry, start: Floats, end: Floats, config: Config) -> float:
@@ -376,11 +354,8 @@ def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
     on_plate = config.base_mm == 0.0
 
     def seen(k: int, column: HeatColumn | None) -> None:
-        if (
-            k >= len(sections)
-            or sections[k].is_empty
-            or (config.preheat.when == "plate" and (k or not on_plate))
-        ):
+        alone = config.preheat.when == "plate" and (k or not on_plate)
+        if k >= len(sections) or sections[k].is_empty or alone:
             return
         nothing = BeamWay(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
         way = scans.get(k, nothing)
@@ -388,7 +363,13 @@ def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
         if reached is None:
             return
         surface, on = reached
-        wanted = _passes_wanted(on, column, config) if column is None or _is_cold(column, config) else 0
+        cold = column is None
+        if column is not None:
+            # Colder than the target once its surface has had as long to even out as after a scan.
+            rested = column.copy()
+            rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
+            cold = rested.surface_k < config.preheat.target_k
+        wanted = _passes_wanted(on, column, config) if cold else 0
         found.append(Found(k, on, way, surface.read(), _passes(way, on, config), wanted, _place_of(nc, k)))
 
     if on_plate:
@@ -433,17 +414,15 @@ def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | N
     aside = (number // 2 if crossed else number) % 2
     y = y0 + (np.arange(count) + 0.5) * (y1 - y0) / count + 0.5 * settings.spacing_mm * aside
     across = [[(x0 - 1.0, at), (x1 + 1.0, at)] for at in y[y < y1].tolist()]
-    parts, row = shapely.get_parts(
-        shapely.intersection(turned, shapely.linestrings(across)), return_index=True
-    )
+    met = shapely.intersection(turned, shapely.linestrings(across))
+    parts, row = shapely.get_parts(met, return_index=True)
     whole = shapely.length(parts) > LEAST_LINE_MM
     row, x = row[whole], shapely.bounds(parts[whole]).reshape(-1, 4)[:, [0, 2]]
     x[row % 2 == 1] *= -1.0  # rows that are driven backwards
     x.sort(axis=1)
     order = np.lexsort((x[:, 0], row))
-    ends = np.stack(
-        [np.where(row % 2 == 1, -1.0, 1.0)[:, None] * x, np.repeat(y[row][:, None], 2, 1)], axis=2
-    )
+    sign = np.where(row % 2 == 1, -1.0, 1.0)[:, None]
+    ends = np.stack([sign * x, np.repeat(y[row][:, None], 2, 1)], axis=2)
     places = ends[order].reshape(-1, 2)[:, axes]
     lit = np.arange(max(len(places) - 1, 0)) % 2 == 0
     if here is not None and len(places):
@@ -455,9 +434,8 @@ def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | N
     ways = shapely.linestrings(np.stack([start, end], axis=1)[joins])
     lit[joins] = shapely.covers(shapely.buffer(region, 1e-6), ways)  # the rounding of a way along its border
     power_w = settings.current_ma * config.process.voltage_kv * lit
-    return BeamWay(
-        start, end, length / np.where(lit, settings.speed_mm_s, config.machine.rapid_mm_s), power_w
-    )
+    time_s = length / np.where(lit, settings.speed_mm_s, config.machine.rapid_mm_s)
+    return BeamWay(start, end, time_s, power_w)
 
 
 def _way_mm(way: BeamWay) -> float:
@@ -476,13 +454,6 @@ def _passes(way: BeamWay, on: Scanned, config: Config) -> int:
             return -1
         done, n = done + own, n + 1
     return -1
-
-
-def _is_cold(column: HeatColumn, config: Config) -> bool:
-    """Whether what stands is colder than the target once its surface has had as long to even out as after a scan."""
-    rested = column.copy()
-    rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
-    return rested.surface_k < config.preheat.target_k
 
 
 def _passes_wanted(on: Scanned, column: HeatColumn | None, config: Config) -> int:
@@ -507,10 +478,8 @@ def count_of(found: list[Found], config: Config) -> Check:
     faults, is_set = [], config.preheat.passes is not None
     by = "preheat.passes" if is_set else f"the fewest that come to preheat.target_k + {AIM_K:g} K"
     for scan in found:
-        room, before = (
-            0 if is_set or (scan.layer == 0 and config.base_mm == 0.0) else 1,
-            f"before layer {scan.layer + 1}",
-        )
+        before, on_plate = f"before layer {scan.layer + 1}", scan.layer == 0 and config.base_mm == 0.0
+        room = 0 if is_set or on_plate else 1
         if scan.passes < 0:
             faults.append((scan.where, f"{before} the way of the beam is not that of whole passes"))
         elif abs(scan.passes - scan.wanted) > room:
@@ -570,4 +539,4 @@ def temperature_again(found: list[Found], config: Config) -> list[Check]:
     limit_k = MODELS_SHARE * max(low_k - config.process.ambient_temperature_k, 0.0)
     text = f"the plate is preheated to {scan.after.mean_k:.0f} K, by a second balance of the heat to {low_k:.0f} K"
     text += f" .. {high_k:.0f} K" if high_k > low_k + 1.0 else ""
-    return [Check("preheat balance", off_k <= limit_k, off_k, limit_k, "K", scan.where, text)]
+    return [limit_check("preheat balance", off_k, limit_k, "K", text, scan.where)]

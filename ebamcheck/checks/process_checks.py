@@ -11,32 +11,23 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, worst_check
-from ebamcheck.checks.tolerances import DIRECTION_ROUNDING_DEG
+from ebamcheck.checks.checks import DIRECTION_ROUNDING_DEG, limit_check, worst_check
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process import KeepOut
 
+# Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter.
 DIRECTIONS = 17
-"""Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter."""
-
-KEEP_OUT_STEP_MM = 0.2
-"""Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um."""
-
-OUTLINE_STEP_MM = 0.25
-"""Places along the contours at which an overhang is measured."""
-
+KEEP_OUT_STEP_MM = 0.2  # Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um
+OUTLINE_STEP_MM = 0.25  # Places along the contours at which an overhang is measured
+# The same along all other beads: of a roof over a hole they tell whether it reaches too far, not how far.
 INNER_STEP_MM = 1.0
-"""The same along all other beads: of a roof over a hole they tell whether it reaches too far, not how far."""
-
+# Places of a layer that are asked first whether they reach out over the one below, those farthest from its beads.
 FIRST_ASKED = 16
-"""Places of a layer that are asked first whether they reach out over the one below, those farthest from its beads."""
-
-QUARTER_ROUND = 32
-"""Chords of a quarter of a circle: a reach of 6 mm errs by 2 um."""
+QUARTER_ROUND = 32  # Chords of a quarter of a circle: a reach of 6 mm errs by 2 um
 
 
 def process_checks(nc: NCProgram, config: Config) -> list[Check]:
@@ -47,9 +38,6 @@ def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     if config.process.keep_out:
         checks.append(_keep_out(nc, config))
     return checks
-
-
-# -- directions --------------------------------------------------------------------------------------
 
 
 def _sectors(nc: NCProgram, config: Config) -> Check:
@@ -86,15 +74,10 @@ def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float
     return least
 
 
-# -- places ------------------------------------------------------------------------------------------
-
-
 def _keep_out(nc: NCProgram, config: Config) -> Check:
-    """Depth to which the edge of a bead enters a zone, and length of a rapid within one.
-
-    Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
-    of what that has in common with the zone.
-    """
+    """Depth to which the edge of a bead enters a zone, and length of a rapid within one."""
+    # Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
+    # of what that has in common with the zone.
     rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
     lines = motion_lines(nc, rows)
     if control(nc.dialect).rapids_apart:
@@ -108,16 +91,13 @@ def _keep_out(nc: NCProgram, config: Config) -> Check:
         low = np.minimum(nc.start[rows, 2], nc.end[rows, 2])
         high = np.maximum(nc.start[rows, 2], nc.end[rows, 2])
         crosses = np.flatnonzero((low < zone.z_mm[1]) & (high > zone.z_mm[0]))
-        depth[crosses] = np.maximum(depth[crosses], _depths(zone, lines[crosses], reach[crosses]))
+        outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
+        away = np.asarray(shapely.distance(lines[crosses], outline))
+        inside = np.asarray(shapely.length(shapely.intersection(lines[crosses], outline)))
+        into = np.where(reach[crosses] > 0.0, np.maximum(reach[crosses] - away, 0.0), inside)
+        depth[crosses] = np.maximum(depth[crosses], into)
     names = ", ".join(zone.name for zone in config.process.keep_out)
     return worst_check("keep-out zones", nc, rows, depth, 0.0, "mm", f"within {names}")
-
-
-def _depths(zone: KeepOut, lines: NDArray[np.object_], reach: Floats) -> Floats:
-    outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
-    away = np.asarray(shapely.distance(lines, outline))
-    inside = np.asarray(shapely.length(shapely.intersection(lines, outline)))
-    return np.asarray(np.where(reach > 0.0, np.maximum(reach - away, 0.0), inside))
 
 
 def motion_lines(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
@@ -131,9 +111,6 @@ def motion_lines(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
         index, points = nc.lines(rows[curved], KEEP_OUT_STEP_MM)
         result[curved] = shapely.linestrings(points, indices=index)
     return result
-
-
-# -- seams -------------------------------------------------------------------------------------------
 
 
 def _seams(nc: NCProgram, config: Config) -> Check:
@@ -169,9 +146,6 @@ def seam_turns(nc: NCProgram) -> tuple[Ints, Floats]:
     return first, np.abs((turn + 180.0) % 360.0 - 180.0)
 
 
-# -- overhang ------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Laid:
     """Centre lines of the beads of a layer, as lines, sides (m, 4) and places (n, 2), and what its contours enclose."""
@@ -196,9 +170,8 @@ def overhang_check(nc: NCProgram, config: Config) -> Check:
     width_mm = config.process.bead_width_mm
     heights = nc.layer_heights
     worst, area, row, by_bead = 0.0, 0.0, -1, False
-    allowed = math.degrees(
-        math.atan2(allowed_reach_mm(config.layer_height_mm, config), config.layer_height_mm)
-    )
+    high_mm = config.layer_height_mm
+    allowed = math.degrees(math.atan2(allowed_reach_mm(high_mm, config), high_mm))
     below: Laid | None = None
     for k, laid in enumerate(_layers(nc)):
         rise = float(heights[k] - heights[k - 1]) if k else 0.0
@@ -211,13 +184,14 @@ def overhang_check(nc: NCProgram, config: Config) -> Check:
             area += over
             if row < 0 or angle / within > worst / allowed:
                 worst, allowed, by_bead = angle, within, away > width_mm
-                row = _nearest_row(nc, k, place)
+                rows = np.flatnonzero(nc.deposit & (nc.layer == k))
+                row = int(rows[np.nanargmin(np.linalg.norm(nc.end[rows, :2] - place, axis=1))])
         if laid.places.size:
             below = laid
     text = f"layers reach out by up to {worst:.4g} deg from the vertical over the one below"
     if worst > allowed:
         text += f", {area:.6g} mm2 of them " + ("farther than a bead is wide" if by_bead else "unsupported")
-    return Check("overhang", worst <= allowed, worst, allowed, "deg", nc.where(row) if row >= 0 else "", text)
+    return limit_check("overhang", worst, allowed, "deg", text, nc.where(row) if row >= 0 else "")
 
 
 def allowed_reach_mm(rise_mm: float, config: Config) -> float:
@@ -242,29 +216,19 @@ def _layers(nc: NCProgram) -> Iterator[Laid]:
     for k in range(len(contours)):
         here = nc.layer[rows] == k
         # Contours as a whole, so that metal has corners where they have; all other beads by motion.
-        rings = [_ring(contours.ring(r), closed=bool(contours.closed[r])) for r in contours.rings_of(k)]
-        rings = [ring for ring in rings if shapely.is_valid(ring)]
-        lines = shapely.MultiLineString([*rings, *_paths(nc, rows[here])])
+        points = [(contours.ring(r), contours.closed[r]) for r in contours.rings_of(k)]
+        rings = [shapely.LineString(np.vstack([at, at[:1]]) if closed else at) for at, closed in points]
+        index, at = nc.lines(rows[here], INNER_STEP_MM)
+        paths = np.asarray(shapely.linestrings(at, indices=index), object)
+        lines = shapely.MultiLineString([*(ring for ring in rings if shapely.is_valid(ring)), *paths])
         places = np.ascontiguousarray(shapely.get_coordinates(lines))
         yield Laid(lines, segments_of(lines), places, contours.section(k))
 
 
-def _ring(points: Floats, *, closed: bool) -> shapely.LineString:
-    return shapely.LineString(np.vstack([points, points[:1]]) if closed else points)
-
-
-def _paths(nc: NCProgram, rows: Ints) -> np.ndarray[tuple[int], np.dtype[np.object_]]:
-    """Return the path of each motion as a line, with its start."""
-    line, points = nc.lines(rows, INNER_STEP_MM)
-    return np.asarray(shapely.linestrings(points, indices=line), dtype=np.object_)
-
-
 def _reach(laid: Laid, below: Laid, allowed_mm: float, width_mm: float) -> tuple[float, Floats, float]:
-    """Distance of the farthest metal from that below, its place (2,), and the area (mm2) that is farther than allowed.
-
-    Centre lines reach out as far as the metal beside them, or farther: of a bridge's span half a bead stands on either side.
-    So metal is made of them only where they reach too far.
-    """
+    """Distance of the farthest metal from that below, its place (2,), and the area (mm2) that is farther than allowed."""
+    # Centre lines reach out as far as the metal beside them, or farther: of a bridge's span half a bead stands on either side. So metal
+    # is made of them only where they reach too far.
     away = distances(laid.places, below.sides)
     k = _first_outside(laid.places, np.argsort(-away, kind="stable"), below.inside)
     # Contours tell what they enclose but where a bead runs round between two of them: what is far from all beads is not over them.
@@ -273,11 +237,8 @@ def _reach(laid: Laid, below: Laid, allowed_mm: float, width_mm: float) -> tuple
     metal, under = laid.metal(width_mm), below.metal(width_mm)
     over = metal.difference(under.buffer(allowed_mm, quad_segs=QUARTER_ROUND))
     # The middle of what is too far is the farthest where metal stands all around it.
-    middles = [
-        shapely.get_coordinates(shapely.maximum_inscribed_circle(part))[:1]
-        for part in shapely.get_parts(over)
-        if part.area > 0.0
-    ]
+    parts = [part for part in shapely.get_parts(over) if part.area > 0.0]
+    middles = [shapely.get_coordinates(shapely.maximum_inscribed_circle(part))[:1] for part in parts]
     places = np.ascontiguousarray(np.vstack([shapely.get_coordinates(metal), laid.places, *middles]))
     away = distances(places, segments_of(under.boundary))
     k = _first_outside(places, np.argsort(-away, kind="stable"), under)
@@ -296,8 +257,3 @@ def _first_outside(places: Floats, order: Ints, region: BaseGeometry) -> int:
             return int(outer[0])
         tried += len(some)
     return -1
-
-
-def _nearest_row(nc: NCProgram, layer: int, place: Floats) -> int:
-    rows = np.flatnonzero(nc.deposit & (nc.layer == layer))
-    return int(rows[np.nanargmin(np.linalg.norm(nc.end[rows, :2] - place, axis=1))])

@@ -8,59 +8,43 @@ from functools import partial
 
 import numpy as np
 
-from ebamcheck.checks import remedies as do
+from ebamcheck.checks import checks as do
 from ebamcheck.checks.bead_checks import coverage_check, gaps_check, line_checks, repeated_blocks
 from ebamcheck.checks.bead_end_checks import bead_end_checks, end_gaps_check, ramp_check
-from ebamcheck.checks.checks import Check, checks_of
+from ebamcheck.checks.checks import checks_of
 from ebamcheck.checks.clearance import clearance_checks
 from ebamcheck.checks.consumables import consumables_checks
-from ebamcheck.checks.event_checks import increment_check, released_checks, value_check, wait_height_check
 from ebamcheck.checks.header_checks import header_checks
 from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.metal_rules import bead_wire_check, deposit_checks, overfill_check
-from ebamcheck.checks.path_checks import (
-    closure_check,
-    contour_checks,
-    hatch_checks,
-    layer_checks,
-)
+from ebamcheck.checks.path_checks import closure_check, contour_checks, hatch_checks, layer_checks
 from ebamcheck.checks.preheating import preheat_checks
 from ebamcheck.checks.process_checks import process_checks
 from ebamcheck.checks.section_check import section_checks
-from ebamcheck.checks.state_checks import state_checks
+from ebamcheck.checks.state_checks import released_checks, state_checks, wait_height_check
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.table import tilt_checks
 from ebamcheck.checks.text_checks import text_checks, words_check
-from ebamcheck.checks.value_checks import window_check, wire_check
+from ebamcheck.checks.value_checks import increment_check, value_check, window_check, wire_check
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
-from ebamcheck.result import Place
+from ebamcheck.result import Check, Place
 
 
 @dataclass(frozen=True)
 class Rule:
-    """Checks that are made together.
+    """Checks that are made together."""
 
-    Parameters
-    ----------
-    make
-        Makes them of a subject.
-    checks
-        Their names, and what to do where one fails; nothing where that follows from its text.
-    needs
-        What has to be known of the subject, or asked for (:meth:`Subject.knows`); the program alone is always known.
-    gate
-        Gate that they shut.
-    """
-
-    make: Callable[[Subject], Sequence[Check]]
+    make: Callable[[Subject], Sequence[Check]]  # Makes them of a subject
+    # Their names, and what to do where one fails; nothing where that follows from its text.
     checks: Mapping[str, str]
+    # What has to be known of the subject, or asked for (knows); the program alone is always known.
     needs: tuple[str, ...] = ()
-    gate: str = "program"
+    gate: str = "program"  # Gate that they shut
 
     def applies(self, subject: Subject) -> bool:
         """Whether all is known that it needs."""
@@ -72,11 +56,9 @@ def _each(remedy: str, *names: str) -> dict[str, str]:
 
 
 def _plugged(subject: Subject) -> list[Check]:
-    """Make the checks of all plugins, entry points of the group ``ebamcheck.checks``: each is a function of program and settings.
-
-    It sees what every check of the house sees, and shuts the same gate; one that raises or returns no check is a failed check of
-    its name.
-    """
+    """Make the checks of all plugins, entry points of the group ``ebamcheck.checks``: each is a function of program and settings."""
+    # It sees what every check of the house sees, and shuts the same gate; one that raises or returns no check is a failed check of its
+    # name.
     return [check for name in registry.names(registry.CHECKS) for check in _of_plugin(name, subject)]
 
 
@@ -92,11 +74,6 @@ def _of_plugin(name: str, subject: Subject) -> list[Check]:
         return [Check(name, False, 1.0, 0.0, "", subject.nc.files[0].name, text, remedy=remedy)]
     figures = "{0.value:.6g} {0.unit}, the limit is {0.limit:.6g}"
     return [check if check.text else replace(check, text=figures.format(check)) for check in checks]
-
-
-def _matching(subject: Subject) -> list[Check]:
-    assert subject.match is not None
-    return matching_checks(subject.nc, subject.match)
 
 
 def _metal(subject: Subject) -> list[Check]:
@@ -115,6 +92,7 @@ def _mesh(subject: Subject) -> list[Check]:
     return [solid_check(*given).check, *of_mesh(*given)]
 
 
+# All checks of a program, in the order of a record.
 # fmt: off
 RULES = (
     Rule(lambda s: text_checks(s.nc, s.config, s.sha256), _each(
@@ -161,7 +139,7 @@ RULES = (
     Rule(lambda s: layer_checks(s.nc, s.z_of, s.filled), {
         "layer count": do.AGAIN, **_each(do.LEVEL, "layer heights", "flat layers"),
     }, needs=("heights",)),
-    Rule(_matching, _each(do.AGAIN, "beads as planned", "hatch path"), needs=("match",)),
+    Rule(lambda s: matching_checks(s.nc, s.match) if s.match else [], _each(do.AGAIN, "beads as planned", "hatch path"), needs=("match",)),
     Rule(contour_checks, _each(do.AGAIN, "contour rings", "contour path"), needs=("curves",)),
     Rule(hatch_checks, _each(do.AGAIN, "islands", "hatch vectors"), needs=("plan",)),
     Rule(section_checks, {"section": do.FIT, "beads inside": do.COARSE, "smooth section": do.FIT}, needs=("layers",)),
@@ -184,13 +162,11 @@ RULES = (
     }, needs=("part", "metal", "layers"), gate="deposit"),
 )
 # fmt: on
-"""All checks of a program, in the order of a record."""
-
+# What to do, by name of the check that fails.
 REMEDIES: Mapping[str, str] = {
     "readable": do.AGAIN,
     **{name: remedy for rule in RULES for name, remedy in rule.checks.items() if remedy},
 }
-"""What to do, by name of the check that fails."""
 
 
 def checks_on(subject: Subject, gate: str = "") -> list[Check]:

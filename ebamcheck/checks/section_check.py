@@ -9,25 +9,27 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
+from ebamcheck.checks.checks import (
+    COLLINEAR_MM,
+    SECTION_TOLERANCE_MM,
+    SLIT_MM,
+    limit_check,
+    smooth_tolerance_mm,
+)
 from ebamcheck.checks.metal import wanted_region
 from ebamcheck.checks.subject import Subject
-from ebamcheck.checks.tolerances import COLLINEAR_MM, SECTION_TOLERANCE_MM, SLIT_MM, smooth_tolerance_mm
 from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.depths import depth_lines
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.nc.roles import nearest_layer
+from ebamcheck.nc.roles import depth_lines, nearest_layer
 from ebamcheck.numeric.kernels import run_each
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.result import Check
 
-STEP_MM = 0.5
-"""Distance of the places compared along the path."""
-
-CORNER_RAD = math.radians(40.0)
-"""Chords that turn by more meet in a corner of the part."""
+STEP_MM = 0.5  # Distance of the places compared along the path
+CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of the part
 
 
 @dataclass(frozen=True)
@@ -53,46 +55,31 @@ class _Worst:
     layer: int
     x: float
     y: float
+    # In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there.
     what: str = ""
-    """In words, where no deviation is meant: `value` is then the length of a path that is missing, or should not be there."""
 
 
 def section_checks(subject: Subject) -> list[Check]:
     """Contours against the sections, by chords and with the curves that these stand for; and all beads within them."""
-    nc, layers, smooth, z_of, config = (
-        subject.nc,
-        subject.witness,
-        subject.smooth,
-        subject.z_of,
-        subject.config,
-    )
-    offset_mm, most_mm, near_mm = (
-        config.contour_offset_mm,
-        config.curves.section_tolerance_mm,
-        smooth_tolerance_mm(config),
-    )
+    nc, smooth, z_of, config = subject.nc, subject.smooth, subject.z_of, subject.config
+    offset_mm, most_mm = config.contour_offset_mm, config.curves.section_tolerance_mm
+    near_mm = smooth_tolerance_mm(config)
     base_mm = SECTION_TOLERANCE_MM if smooth is None else near_mm
     if config.curves.method not in LIFTED:
         # An interpolating spline goes its own way between points, twice: no place tells how far.
         base_mm = most_mm
-    checks = [
-        section_check(nc, layers, z_of, offset_mm, most_mm, evidence=Evidence(base_mm, most_mm, smooth)),
-        outside_check(subject),
-    ]
+    evidence = Evidence(base_mm, most_mm, smooth)
+    section = section_check(nc, subject.witness, z_of, offset_mm, most_mm, evidence=evidence)
+    checks = [section, outside_check(subject)]
     if smooth is not None:
         checks.append(section_check(nc, smooth, z_of, offset_mm, near_mm, "smooth section"))
     return checks
 
 
 def section_check(
-    nc: NCProgram,
-    layers: Layers,
-    z_of: Floats,
-    offset_mm: float,
-    limit_mm: float,
-    name: str = "section",
+    nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section",
     evidence: Evidence | None = None,
-) -> Check:
+) -> Check:  # fmt: skip
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
 
     A place on the path lies as deep in the section as the inset, within its limit: the depth moves no farther than
@@ -120,10 +107,8 @@ def section_check(
         text += f": {worst.value:.4g} mm {worst.what}{at}"
     else:
         text += f": at most {worst.value:.6g} mm{at}, where {worst.limit:.4g} mm are allowed"
-    place = (None, None) if math.isnan(worst.x) else (float(worst.x), float(worst.y))
-    return Check(
-        name, worst.value <= worst.limit, worst.value, worst.limit, "mm", where, text, worst.layer, *place
-    )
+    place = () if math.isnan(worst.x) else (worst.x, worst.y)
+    return limit_check(name, worst.value, worst.limit, "mm", text, where, worst.layer, place)
 
 
 def _layer(
@@ -134,25 +119,16 @@ def _layer(
     worst = _compared(nc, rows, polygons, k, offset_mm, limit_mm, known)
     if worst.value <= worst.limit or not polygons:
         return worst
-    closed = _compared(nc, rows, _without_slits(polygons), k, offset_mm, limit_mm, known)
+    grown = shapely.buffer(layer_section(polygons), 0.5 * SLIT_MM, join_style="mitre")
+    without = valid_polygons(shapely.buffer(grown, -0.5 * SLIT_MM, join_style="mitre"))
+    closed = _compared(nc, rows, without, k, offset_mm, limit_mm, known)
     return min(worst, closed, key=lambda w: w.value / w.limit)
 
 
-def _without_slits(polygons: list[shapely.Polygon]) -> list[shapely.Polygon]:
-    """Polygons of a layer, grown and shrunk again by half of :data:`SLIT_MM`."""
-    grown = shapely.buffer(layer_section(polygons), 0.5 * SLIT_MM, join_style="mitre")
-    return valid_polygons(shapely.buffer(grown, -0.5 * SLIT_MM, join_style="mitre"))
-
-
 def _compared(
-    nc: NCProgram,
-    rows: Ints,
-    polygons: list[shapely.Polygon],
-    k: int,
-    offset_mm: float,
-    limit_mm: float,
+    nc: NCProgram, rows: Ints, polygons: list[shapely.Polygon], k: int, offset_mm: float, limit_mm: float,
     known: Evidence,
-) -> _Worst:
+) -> _Worst:  # fmt: skip
     """Worst place of a layer; where either has a contour and the other none, its length."""
     sections, lines = _sections(polygons, offset_mm, limit_mm)
     wanted = 0.5 * (lines[:, :2] + lines[:, 2:])
@@ -204,12 +180,10 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
 
 
 def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
-    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm.
-
-    A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by
-    their lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to
-    l (a + b) / 8 (arc, tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
-    """
+    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm."""
+    # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
+    # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
+    # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
     rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
     sides, bounds = [], []
     for ring in rings:
@@ -217,9 +191,8 @@ def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
         way = np.roll(points, -1, axis=0) - points
         length = np.hypot(way[:, 0], way[:, 1])
         before = np.roll(way, 1, axis=0)
-        turn = np.abs(
-            np.arctan2(before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0], (before * way).sum(axis=1))
-        )
+        across = before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]
+        turn = np.abs(np.arctan2(across, (before * way).sum(axis=1)))
         turn[turn > CORNER_RAD] = 0.0
         share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
         bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
@@ -232,16 +205,16 @@ def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
 def _sections(
     polygons: list[shapely.Polygon], offset_mm: float, narrow_mm: float
 ) -> tuple[list[BaseGeometry], Floats]:
-    """The section, with its narrow rings and without, and the lines (n, 4) along which the path must pass.
-
-    It may keep the narrow rings or leave them out, and must pass where the border is there either way.
-    """
+    """The section, with its narrow rings and without, and the lines (n, 4) along which the path must pass."""
+    # It may keep the narrow rings or leave them out, and must pass where the border is there either way.
     section = layer_section(polygons)
     lines = depth_lines(section, offset_mm)
-    wide = [_without_narrow_holes(p, narrow_mm) for p in polygons if _width_mm(p.exterior) >= narrow_mm]
-    if len(wide) == len(polygons) and all(
-        len(p.interiors) == len(q.interiors) for p, q in zip(polygons, wide, strict=True)
-    ):
+    wide = [
+        shapely.Polygon(p.exterior, [hole for hole in p.interiors if _width_mm(hole) >= narrow_mm])
+        for p in polygons
+        if _width_mm(p.exterior) >= narrow_mm
+    ]
+    if sum(1 + len(p.interiors) for p in polygons) == sum(1 + len(p.interiors) for p in wide):
         return [s for s in (section,) if not s.is_empty], lines
     plain = layer_section(wide)
     both = [s for s in (section, plain) if not s.is_empty]
@@ -257,19 +230,13 @@ def _depths(at: Floats, region: BaseGeometry) -> Floats:
 
 
 def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: float) -> Floats:
-    """How far (n,) the insets of outlines within `limit_mm` of a section's may lie from places on its own inset.
-
-    Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between
-    both. Where nothing is that deep, it may be gone.
-    """
+    """How far (n,) the insets of outlines within `limit_mm` of a section's may lie from places on its own inset."""
+    # Such an inset holds what is deeper by the limit, and nothing that is shallower by it: its border passes between both. Where nothing
+    # is that deep, it may be gone.
     inwards = distances(places, depth_lines(section, offset_mm + limit_mm))
     if offset_mm <= limit_mm:
         return np.maximum(inwards, limit_mm)
     return np.maximum(inwards, distances(places, depth_lines(section, offset_mm - limit_mm)))
-
-
-def _without_narrow_holes(polygon: shapely.Polygon, narrow_mm: float) -> shapely.Polygon:
-    return shapely.Polygon(polygon.exterior, [h for h in polygon.interiors if _width_mm(h) >= narrow_mm])
 
 
 def _width_mm(ring: shapely.LinearRing) -> float:
@@ -294,16 +261,12 @@ def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
     return shapely.MultiLineString(lines)
 
 
-# -- beads inside --------------------------------------------------------------------------------------
-
-
 def outside_check(subject: Subject) -> Check:
     """Check all metal, whatever its role: no place of a bead's centre line leaves the part and its allowance by more than contours may."""
     nc, layers, config = subject.nc, subject.witness, subject.config
     limit_mm = config.curves.section_tolerance_mm
-    rows = np.flatnonzero(
-        (nc.beam | nc.wire) & np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
-    )
+    known = np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    rows = np.flatnonzero((nc.beam | nc.wire) & known)
     layer = nearest_layer(nc.end[rows, 2], subject.z_of)
 
     def farthest(k: int) -> tuple[float, int, int, float, float] | None:
@@ -321,12 +284,11 @@ def outside_check(subject: Subject) -> Check:
 
     every = [place for place in run_each(farthest, range(len(layers))) if place is not None]
     if not every:
-        return Check(
-            "beads inside", True, 0.0, limit_mm, "mm", "", "every bead lies within the part and its allowance"
-        )
+        good = "every bead lies within the part and its allowance"
+        return Check("beads inside", True, 0.0, limit_mm, "mm", "", good)
     wrong = [place for place in every if place[0] > limit_mm]
     away, row, k, x, y = min(wrong, key=lambda place: place[1]) if wrong else max(every)
     how = f"{away:.4g} mm outside of the part" if math.isfinite(away) else "where the part has no section"
     text = f"a bead runs {how}, in layer {k + 1} at ({x:.3f}, {y:.3f})"
     value = max(place[0] for place in every)
-    return Check("beads inside", not wrong, value, limit_mm, "mm", nc.where(row), text, k, float(x), float(y))
+    return limit_check("beads inside", value, limit_mm, "mm", text, nc.where(row), k, (x, y))

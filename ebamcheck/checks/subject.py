@@ -31,53 +31,34 @@ from ebamcheck.nc.roles import by_height, by_section
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 
+# Of the bead's width: a bead that runs this near to the inset of the section is a contour.
 CONTOUR_SHARE = 0.125
-"""Of the bead's width: a bead that runs this near to the inset of the section is a contour."""
 
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A program and what is known of it; None for what is not.
+    """A program and what is known of it; None for what is not."""
 
-    Parameters
-    ----------
-    read
-        The program as it was read, with the roles of its plan where `match` is known.
-    config
-        Machine and process: limits, modes, power, templates.
-    curves, plan, match
-        What the program was made from, and which bead follows which track of it (:func:`ebamcheck.checks.matching.matched`).
-    part, layers, smooth
-        The part as placed; its sections by a slicer, best by one that did not make the program; and those with the curves that their chords stand for.
-    cuts
-        (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
-    before, under
-        Heat of what stands when the program begins, and its section; None: the cold plate, or not known.
-    sha256
-        Recorded hash of each file by name.
-    truth
-        What is known of the program from elsewhere, against which its header is held.
-    laid
-        Gives the metal of the program, where it is laid elsewhere.
-    asked
-        What is looked at beside the text: ``beads``, ``heat`` and ``metal``.
-    """
-
-    read: NCProgram
-    config: Config
+    read: NCProgram  # The program as it was read, with the roles of its plan where `match` is known
+    config: Config  # Machine and process: limits, modes, power, templates
+    # What the program was made from, and which bead follows which track of it (matched).
     curves: CurveColumns | None = None
     plan: ScanColumns | None = None
     match: Matching | None = None
+    # The part as placed; its sections by a slicer, best by one that did not make the program; and those with the curves that their chords
+    # stand for.
     part: Part | None = None
     layers: Layers | None = None
     smooth: Layers | None = None
-    cuts: Floats | None = None
+    cuts: Floats | None = None  # (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`
+    # Heat of what stands when the program begins, and its section; None: the cold plate, or not known.
     before: HeatColumn | None = None
     under: BaseGeometry | None = None
-    sha256: Mapping[str, str] | None = None
+    sha256: Mapping[str, str] | None = None  # Recorded hash of each file by name
+    # What is known of the program from elsewhere, against which its header is held.
     truth: Truth = field(default_factory=Truth)
-    laid: Callable[[], Deposit] | None = None
-    asked: frozenset[str] = frozenset()
+    laid: Callable[[], Deposit] | None = None  # Gives the metal of the program, where it is laid elsewhere
+    asked: frozenset[str] = frozenset()  # What is looked at beside the text: `beads`, `heat` and `metal`
     _laying: Lock = field(default_factory=Lock, init=False, repr=False)
 
     def knows(self, need: str) -> bool:

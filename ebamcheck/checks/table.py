@@ -19,40 +19,29 @@ import shapely
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check, count_check, event_faults, row_faults, worst_check
+from ebamcheck.checks.checks import count_check, event_faults, limit_check, row_faults, worst_check
 from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.motions import RAPID, NCProgram, TableColumns
-from ebamcheck.nc.special_rules import NO_HEIGHT, carried_corners
 from ebamcheck.nc.table import SAME_PLACE_MM, table_at
+from ebamcheck.nc.templates import NO_HEIGHT, carried_corners
 from ebamcheck.nc.timeline import AXIS_EVENT, Kind
 from ebamcheck.numeric.rings import Floats
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
 NAMES = ("table limits", "table turns", "table height", "frame", "frame taken back")
-
+# Steps in which a turn of the table is followed: at 500 mm from its line they lie 9 mm apart, and 0.02 mm over the chord.
 STEP_DEG = 1.0
-"""Steps in which a turn of the table is followed: at 500 mm from its line they lie 9 mm apart, and 0.02 mm over the chord."""
-
-PLACE_MM = 2e-3
-"""Heights are rounded to the decimals of a program, at their coarsest."""
-
-LIMIT_DEG = 1e-6
-"""Rounding of a position."""
-
+PLACE_MM = 2e-3  # Heights are rounded to the decimals of a program, at their coarsest
+LIMIT_DEG = 1e-6  # Rounding of a position
+# Distance of the places by which what stands is known, at most; of larger ones as many as MOST_PLACES.
 STEP_MM = 1.0
-"""Distance of the places by which what stands is known, at most; of larger ones as many as :data:`MOST_PLACES`."""
-
 MOST_PLACES = 4_000_000
-
-LEAST_MM2 = 1.0
-"""Area of a section within what stands that is no more than its border."""
-
+LEAST_MM2 = 1.0  # Area of a section within what stands that is no more than its border
 FAR_MM = 1e6
-
-SAME_MM = 1e-6
-"""Largest difference between the places of a part in two mountings that count as the same."""
+SAME_MM = 1e-6  # Largest difference between the places of a part in two mountings that count as the same
 
 
 def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
@@ -69,9 +58,7 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
         _limits(full, table, config),
         count_check(NAMES[1], [*_turns(full, table), *_left_as_they_were(full, table)], "one axis at a time, beam and wire commanded off"),
         _height(full, table, config),
-        worst_check(
-            NAMES[3], full, kept, table.off_mm[kept], SAME_PLACE_MM, "mm", "table and frame put the path beside its place on the part"
-        ),
+        worst_check(NAMES[3], full, kept, table.off_mm[kept], SAME_PLACE_MM, "mm", "table and frame put the path beside its place on the part"),
         count_check(NAMES[4], list(_taken_back(full, table)), "no frame and the table at 0 after each layer, and beside it"),
     ]  # fmt: skip
 
@@ -105,10 +92,8 @@ def _turns(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
         if not np.array_equal(full.start[row], full.end[row], equal_nan=True):
             yield where, "X, Y or Z move while the table turns"
         before = full.events.chosen((full.events.file == full.file[row]) & (full.events.row <= row))
-        for on, off, what in (
-            (Kind.BEAM_ON, Kind.BEAM_OFF, "beam"),
-            (Kind.WIRE_START, Kind.WIRE_STOP, "wire"),
-        ):
+        switches = (Kind.BEAM_ON, Kind.BEAM_OFF, "beam"), (Kind.WIRE_START, Kind.WIRE_STOP, "wire")
+        for on, off, what in switches:
             if not before.since(before.kind == off, before.kind == on)[-1]:
                 yield where, f"the table turns before the {what} is commanded off in the same subprogram"
 
@@ -120,10 +105,8 @@ def _left_as_they_were(full: NCProgram, table: TableColumns) -> Iterator[tuple[s
         known = full.events.chosen((full.events.file == file) & (full.events.row <= row)).name
         for axis in table.axes:
             if AXIS_EVENT + axis not in known:
-                yield (
-                    full.where(row),
-                    f"{axis} is not commanded before the frame: the table may stand otherwise there",
-                )
+                what = f"{axis} is not commanded before the frame: the table may stand otherwise there"
+                yield full.where(row), what
 
 
 # -- height ------------------------------------------------------------------------------------------
@@ -142,9 +125,8 @@ def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
     enters = np.append(False, (table.frame[1:] != table.frame[:-1]) & (table.frame[1:] != 0))[: len(full)]
     rows = np.flatnonzero(table.apart | (enters & (full.kind == RAPID)))
     start, end = full.start[rows, 2], full.end[rows, 2]
-    level = (full.start[rows, :2] == full.end[rows, :2]).all(axis=1) | np.isnan(full.end[rows, :2]).all(
-        axis=1
-    )
+    level = (full.start[rows, :2] == full.end[rows, :2]).all(axis=1)
+    level |= np.isnan(full.end[rows, :2]).all(axis=1)
     low = np.where(level & ~(table.before != table.after)[rows], end, np.fmin(start, end))
     # One that moves aside on its way up from there may meet anything.
     aside = np.isnan(start) & ~level
@@ -155,13 +137,9 @@ def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
     if not found.passed:
         worst = int(np.argmax(np.nan_to_num(short, nan=np.inf)))
         row = int(rows[worst])
-        what = (
-            "the table turns"
-            if table.before[row] != table.after[row]
-            else "the tool moves aside from a height that is not known"
-            if aside[worst]
-            else "the tool is on its way"
-        )
+        what = "the tool is on its way"
+        what = "the tool moves aside from a height that is not known" if aside[worst] else what
+        what = "the table turns" if table.before[row] != table.after[row] else what
         z = np.fmin(full.start[row, 2], full.end[row, 2])
         text = f"{what} at Z {z:g} mm: all that the table carries comes to Z {highest:.6g} mm as it turns, {config.machine.clearance_mm:g} mm are to be kept"
     return Check(NAMES[2], found.passed, found.value, 0.0, "mm", found.where, text)
@@ -187,13 +165,10 @@ def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str
             yield full.where(row), "the subprogram ends with its frame in force"
         if turned[row]:
             yield full.where(row), "the subprogram ends with the table turned"
-    yield from row_faults(
-        full, (framed | turned) & (full.file == 0), "the main program moves with a frame or the table turned"
-    )
-    lacks = full.events.kind == Kind.FRAME_LACKS
-    yield from event_faults(
-        full, (lacks, "the first motion after a frame is to give X, Y and Z, and gives no {said}")
-    )
+    what = "the main program moves with a frame or the table turned"
+    yield from row_faults(full, (framed | turned) & (full.file == 0), what)
+    what = "the first motion after a frame is to give X, Y and Z, and gives no {said}"
+    yield from event_faults(full, (full.events.kind == Kind.FRAME_LACKS, what))
     beads = full.beam & ~framed & turned
     yield from row_faults(full, beads, "a bead without a frame, on a table that is turned")
     changes = np.flatnonzero(np.diff(table.frame) != 0) + 1
@@ -206,30 +181,15 @@ def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str
 
 @dataclass(frozen=True, eq=False)
 class Stands:
-    """What stands of a part that is turned.
+    """What stands of a part that is turned."""
 
-    Parameters
-    ----------
-    turn, shift
-        (3, 3) and (3,): a place p of the part as it was built lies at p @ turn + shift now.
-    built_mm
-        Height over the plate up to which it was built.
-    tops
-        (rows, columns) highest Z over the cells of a grid, -inf over none.
-    corner
-        X and Y of the grid's first cell.
-    step_mm
-        Side of a cell.
-    """
-
-    turn: Floats
+    turn: Floats  # (3, 3) and (3,): a place p of the part as it was built lies at p @ turn + shift now
     shift: Floats
-    built_mm: float
-    tops: Floats
-    corner: Floats
-    step_mm: float
-    parts: tuple[Part, Part]
-    """The part as it was built, and as it is turned."""
+    built_mm: float  # Height over the plate up to which it was built
+    tops: Floats  # (rows, columns) highest Z over the cells of a grid, -inf over none
+    corner: Floats  # X and Y of the grid's first cell
+    step_mm: float  # Side of a cell
+    parts: tuple[Part, Part]  # The part as it was built, and as it is turned
 
     @property
     def up(self) -> tuple[Floats, float]:
@@ -239,24 +199,16 @@ class Stands:
 
 
 def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stands:
-    """What stands of a part that was built up to a height, where it is turned.
-
-    Parameters
-    ----------
-    before, now
-        The same part as it was built, and as it is turned.
-
-    Raises
-    ------
-    InputError
-        If they are not of one file.
-    """
+    """What stands of a part that was built up to a height, as it was built `before` and is turned `now`; InputError if they are not of one file."""
     turn, shift = rigid_motion(before, now)
     corners = before.vertices[before.faces]
     level = float(before.bounds[0, 2])
     plate = _plate(before, config)
-    step_mm = max(STEP_MM, float(np.sqrt(_area(corners) / MOST_PLACES)))
-    surface = _below(_places(corners, step_mm), level + built_mm)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area_mm2 = float(0.5 * np.linalg.norm(across, axis=1).sum())
+    step_mm = max(STEP_MM, float(np.sqrt(area_mm2 / MOST_PLACES)))
+    surface = _places(corners, step_mm)
+    surface = surface[surface[:, 2] <= level + built_mm]
     cap = _cap(before, level + built_mm, step_mm)
     places = np.vstack([surface, cap, plate(step_mm)]) @ turn + shift
     corner = places[:, :2].min(axis=0) - step_mm
@@ -264,11 +216,6 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
     np.maximum.at(tops, (cell[:, 1], cell[:, 0]), places[:, 2])
     return Stands(turn, shift - turn[2] * level, built_mm, tops, corner, step_mm, (before, now))
-
-
-def _area(corners: Floats) -> float:
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return float(0.5 * np.linalg.norm(across, axis=1).sum())
 
 
 def _places(corners: Floats, step_mm: float) -> Floats:
@@ -284,26 +231,16 @@ def _places(corners: Floats, step_mm: float) -> Floats:
     return np.concatenate(found) if found else np.zeros((0, 3))
 
 
-def _below(places: Floats, z_mm: float) -> Floats:
-    return places[places[:, 2] <= z_mm]
-
-
 def _cap(part: Part, z_mm: float, step_mm: float) -> Floats:
     """Places on the top of what was built: within the shadow of the part, which holds its section there."""
     low, high = part.bounds[:, :2]
     x, y = np.meshgrid(*(np.arange(a, b + step_mm, step_mm) for a, b in zip(low, high, strict=True)))
     flat = np.column_stack([x.reshape(-1), y.reshape(-1)])
-    inside = _section(part, z_mm)
+    # The section is as exact as the mesh.
+    lowest, highest = part.bounds[:, 2].tolist()
+    inside = slice_part(part, [min(max(z_mm, lowest + 1e-6), highest - 1e-6)]).section(0)
     kept = flat[shapely.contains_xy(inside, flat[:, 0], flat[:, 1])] if not inside.is_empty else flat[:0]
     return np.column_stack([kept, np.full(len(kept), z_mm)])
-
-
-def _section(part: Part, z_mm: float) -> BaseGeometry:
-    """Section of a part, as exact as its mesh."""
-    low, high = part.bounds[:, 2]
-    inside = min(max(z_mm, float(low) + 1e-6), float(high) - 1e-6)
-    found: BaseGeometry = slice_part(part, [inside]).section(0)
-    return found
 
 
 def _plate(part: Part, config: Config) -> Callable[[float], Floats]:
@@ -321,13 +258,7 @@ def _plate(part: Part, config: Config) -> Callable[[float], Floats]:
 def turned_checks(
     nc: NCProgram, section: BaseGeometry, cut_mm: float, stands: Stands, config: Config
 ) -> list[Check]:
-    """Checks of a layer of a turned part: nothing is laid into what stands, and nothing meets it.
-
-    Parameters
-    ----------
-    section
-        Of the layer, at the absolute height `cut_mm`.
-    """
+    """Checks of a layer of a turned part, its section at the absolute height `cut_mm`: nothing is laid into what stands, or meets it."""
     return [
         *mounting_checks(*stands.parts, config, stands.built_mm),
         *_swings(nc, stands.parts[0], config),
@@ -354,14 +285,12 @@ def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | N
     off += [] if built_mm is None else [abs(built_mm - said.built_mm)]
     off_mm = float(np.max(off))
     text = f"part.on_table places the part {off_mm:.3g} mm beside where its mesh stands"
-    return [Check("mounting", off_mm <= SAME_MM, off_mm, SAME_MM, "mm", now.name, text)]
+    return [limit_check("mounting", off_mm, SAME_MM, "mm", text, now.name)]
 
 
 def _swings(nc: NCProgram, before: Part, config: Config) -> list[Check]:
-    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns none.
-
-    The check `table height` has the same of boxes by which the program was written, too.
-    """
+    """The tip over part, base plate and clamps, corner by corner, wherever the table turns; nothing where the program turns none."""
+    # The check `table height` has the same of boxes by which the program was written, too.
     full, machine = nc.machine, config.machine
     if full is None or full.table is None:
         return []

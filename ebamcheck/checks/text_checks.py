@@ -9,67 +9,55 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check, lines_of
+from ebamcheck.checks.checks import Faults, count_check, lines_of, place_of
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import RAPID, NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.printable import printable
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-BLOCK_LIMIT = 200
-"""Characters; every software version of the control reads shorter blocks."""
-
+BLOCK_LIMIT = 200  # Characters; every software version of the control reads shorter blocks
 FIRST_PRINTABLE, LAST_PRINTABLE = 0x20, 0x7E
-BLANK_BYTES = tuple(b"\t\n\r")
-"""Bytes of a program: printable ASCII, tabs and ends of lines."""
-
+BLANK_BYTES = tuple(b"\t\n\r")  # Bytes of a program: printable ASCII, tabs and ends of lines
 _LAYER_NAME = re.compile(r"(.+)_L(\d+)")
 _ENDS = {".MPF": ("M30", "M2"), ".SPF": ("M17", "RET")}
 _MAIN_ENDS = ("M30", "M2")
-
-Faults = list[tuple[str, str]]
-
+# Comments, and the lists of a polynomial, whose axis stands before them.
 _ASIDE = re.compile(rb"\([^)]*\)|;.*")
-"""Comments, and the lists of a polynomial, whose axis stands before them."""
-
+# The form of nearly all blocks of metal, which name both axes; of others _absent tells what they lack.
 _PLAIN = re.compile(rb"[^(;XY]*X[^(;XY]*Y")
-"""The form of nearly all blocks of metal, which name both axes; of others :func:`_absent` tells what they lack."""
-
+# Share of the blocks with metal that name both axes from which on it is the form of the program to do so.
 MOST_WHOLE = 0.9
-"""Share of the blocks with metal that name both axes from which on it is the form of the program to do so."""
-
+# Rapids across for each that names one axis alone, from which on it is the form of the program to name both.
 LEAST_WHOLE = 4
-"""Rapids across for each that names one axis alone, from which on it is the form of the program to name both."""
-
-FEW = 2
-"""So many beads without a way are a loss in a program of any size."""
+FEW = 2  # So many beads without a way are a loss in a program of any size
 
 
 def text_checks(nc: NCProgram, config: Config, sha256: Mapping[str, str] | None = None) -> list[Check]:
     """Check the bytes of every file that the program opened."""
+
+    def each(check: Callable[[SourceFile], Faults]) -> Faults:
+        return [fault for file in nc.files for fault in check(file)]
+
     checks = [
-        count_check("encoding", _each(nc, _encoding), "printable ASCII throughout"),
-        count_check("line ends", _each(nc, _line_ends), "every block ends with LF alone"),
+        count_check("encoding", each(_encoding), "printable ASCII throughout"),
+        count_check("line ends", each(_line_ends), "every block ends with LF alone"),
         _block_length(nc),
-        *_headers(nc, config),
+    ]
+    if control(nc.dialect).file_faults:
+        faults = control(nc.dialect).load("file_faults")(nc, config)
+        checks.append(count_check("names and headers", faults, "legal names, first lines and paths"))
+    subprograms = "each is a layer of this program, in its order, and called once"
+    checks += [
         count_check("block numbers", _numbers(nc), "N rises from block to block in every file"),
-        count_check("end of program", _each(nc, _end), "one end in each file, in its last block"),
-        count_check(
-            "subprograms", _calls(nc), "each is a layer of this program, in its order, and called once"
-        ),
+        count_check("end of program", each(_end), "one end in each file, in its last block"),
+        count_check("subprograms", _calls(nc), subprograms),
     ]
     if sha256 is not None:
         checks.append(count_check("unchanged", _changed(nc, sha256), "SHA-256 of every file as recorded"))
     return checks
-
-
-def _each(nc: NCProgram, check: Callable[[SourceFile], Faults]) -> Faults:
-    return [fault for file in nc.files for fault in check(file)]
-
-
-def _line_at(data: bytes, offset: int) -> int:
-    return data.count(b"\n", 0, offset) + 1
 
 
 def _encoding(file: SourceFile) -> Faults:
@@ -80,14 +68,12 @@ def _encoding(file: SourceFile) -> Faults:
         return []
     offset = int(bad[0])
     what = f"byte 0x{file.data[offset]:02X} is not {'printable' if file.data[offset] < 128 else 'ASCII'}"
-    return [(f"{file.name}:{_line_at(file.data, offset)}", what)]
+    return [(place_of(file, offset), what)]
 
 
 def _line_ends(file: SourceFile) -> Faults:
     offset = file.data.find(b"\r")
-    if offset < 0:
-        return []
-    return [(f"{file.name}:{_line_at(file.data, offset)}", "carriage return: lines must end with LF alone")]
+    return [] if offset < 0 else [(place_of(file, offset), "carriage return: lines must end with LF alone")]
 
 
 def _block_length(nc: NCProgram) -> Check:
@@ -98,14 +84,6 @@ def _block_length(nc: NCProgram) -> Check:
                 longest, where = len(line), f"{file.name}:{number}"
     text = f"longest block has {longest} characters"
     return Check("block length", longest < BLOCK_LIMIT, longest, BLOCK_LIMIT - 1, "characters", where, text)
-
-
-def _headers(nc: NCProgram, config: Config) -> list[Check]:
-    """Names and first lines, where the control asks something of them."""
-    if not control(nc.dialect).file_faults:
-        return []
-    faults = control(nc.dialect).load("file_faults")(nc, config)
-    return [count_check("names and headers", faults, "legal names, first lines and paths")]
 
 
 def _numbers(nc: NCProgram) -> Faults:
@@ -136,26 +114,17 @@ def _calls(nc: NCProgram) -> Faults:
     at = np.flatnonzero(nc.events.kind == Kind.CALL).tolist()
     calls = [nc.events.said(i) for i in at]
     last = dict(zip(calls, at, strict=True))
-    main = nc.files[0].name
+    many = [(name, count) for name, count in Counter(calls).items() if count > 1]
     faults = _foreign(nc)
-    faults += [
-        (nc.where_event(last[name]), f"{name} is called {count} times")
-        for name, count in Counter(calls).items()
-        if count > 1
-    ]
+    faults += [(nc.where_event(last[name]), f"{name} is called {count} times") for name, count in many]
     loads, suffix = control(nc.dialect).loads, control(nc.dialect).subprogram_suffix
     if calls and loads:
         # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
         there = {path.name for path in nc.folder.iterdir() if re.fullmatch(loads, path.name.upper())}
-        faults += [
-            (
-                f"{main}:{nc.events.line[at].max()}",
-                f"{printable(name)} is never called, and lies beside the program",
-            )
-            for name in sorted(
-                there - {file.name for file in nc.files} - {f"{call}{suffix}" for call in calls}
-            )
-        ]
+        known = {file.name for file in nc.files} | {f"{call}{suffix}" for call in calls}
+        where = f"{nc.files[0].name}:{nc.events.line[at].max()}"
+        what = "is never called, and lies beside the program"
+        faults += [(where, f"{printable(name)} {what}") for name in sorted(there - known)]
     return faults
 
 
@@ -186,16 +155,8 @@ def _changed(nc: NCProgram, sha256: Mapping[str, str]) -> Faults:
             faults.append((f"{file.name}:1", "is not among the files recorded"))
         elif hashlib.sha256(file.data).hexdigest() != sha256[file.name]:
             faults.append((f"{file.name}:1", "its bytes are not those recorded"))
-    read = {file.name for file in nc.files}
-    faults += [
-        (f"{nc.files[0].name}:1", f"{name} was recorded but is not run")
-        for name in sha256
-        if name not in read
-    ]
-    return faults
-
-
-# -- words of motions ----------------------------------------------------------------------------------
+    missing = [name for name in sha256 if name not in {file.name for file in nc.files}]
+    return faults + [(f"{nc.files[0].name}:1", f"{name} was recorded but is not run") for name in missing]
 
 
 def words_check(nc: NCProgram) -> Check:
@@ -208,7 +169,7 @@ def words_check(nc: NCProgram) -> Check:
     return count_check("words of motions", faults, text)
 
 
-def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]] | None:
+def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> Faults | None:
     """Blocks of metal that lack an axis; None of a program in which blocks name what changes."""
     metal = np.flatnonzero(nc.deposit & (nc.kind != RAPID))
     places = lines_of(nc, metal)
@@ -220,16 +181,14 @@ def _blocks(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]] | 
     whole = len(places) - len(lacking)
     if whole < MOST_WHOLE * len(places):
         return None
+    what = f"as {whole} other blocks of beads do"
     return [
-        (
-            f"{nc.files[file].name}:{line}",
-            f"names no {' and no '.join(absent)}, as {whole} other blocks of beads do",
-        )
+        (f"{nc.files[file].name}:{line}", f"names no {' and no '.join(absent)}, {what}")
         for file, line, absent in lacking
     ]
 
 
-def _half_ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+def _half_ways(nc: NCProgram, lines: list[list[bytes]]) -> Faults:
     """Rapids that name one axis of the plane, where nearly all others name both: the bead behind one begins elsewhere."""
     rows = np.flatnonzero((nc.kind == RAPID) & (nc.layer >= 0))
     absent = [(place, _absent(lines[place[0]][place[1] - 1])) for place in lines_of(nc, rows)]
@@ -237,16 +196,14 @@ def _half_ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]
     half = [(place, axes) for place, axes in across if axes]
     if len(half) > max(FEW, (1.0 - MOST_WHOLE) * len(across)) or len(across) < LEAST_WHOLE * len(half):
         return []  # A program in which blocks name what changes.
+    what = f"as {len(across) - len(half)} others do"
     return [
-        (
-            f"{nc.files[file].name}:{line}",
-            f"a rapid names no {axes[0]}, as {len(across) - len(half)} others do",
-        )
+        (f"{nc.files[file].name}:{line}", f"a rapid names no {axes[0]}, {what}")
         for (file, line), axes in half
     ]
 
 
-def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
+def _ways(nc: NCProgram, lines: list[list[bytes]]) -> Faults:
     """Beads to which the tool rises and descends without a rapid in X or Y between."""
     beads = nc.beads
     before = np.concatenate([[-1], beads.last[:-1]]) if len(beads) else beads.last
@@ -256,9 +213,8 @@ def _ways(nc: NCProgram, lines: list[list[bytes]]) -> list[tuple[str, str]]:
         codes = [lines[nc.file[row]][nc.line[row] - 1] for row in rapids]
         hops += bool(codes)
         if codes and all(_absent(code) == ["X", "Y"] for code in codes):
-            bare.append(
-                (nc.where(first), "is reached by a rise and a descent on one spot: the way to it is missing")
-            )
+            what = "is reached by a rise and a descent on one spot: the way to it is missing"
+            bare.append((nc.where(first), what))
     return bare if len(bare) <= max(FEW, (1.0 - MOST_WHOLE) * hops) else []
 
 

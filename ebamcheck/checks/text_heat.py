@@ -22,17 +22,12 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, bare_plate
 from ebamcheck.settings.config import Config
 
-LONGEST_WAIT_S = 4.0 * 3600.0
-"""Longest wait that is looked for."""
-
-LEAST_SHARE = 1e-6
-"""Keeps a bead without power from being divided by."""
-
+LONGEST_WAIT_S = 4.0 * 3600.0  # Longest wait that is looked for
+LEAST_SHARE = 1e-6  # Keeps a bead without power from being divided by
+# Chords of the contours of which perimeters and areas are taken, where no section is known.
 OUTLINE_STEP_MM = 0.5
-"""Chords of the contours of which perimeters and areas are taken, where no section is known."""
-
+# A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative.
 LONGEST_S = 86400.0
-"""A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative."""
 
 
 def motion_seconds(nc: NCProgram, config: Config) -> Floats:
@@ -62,8 +57,8 @@ class TextBeads:
     energy_j: Floats
     peak_w: Floats
     stray: tuple[tuple[int, str], ...]
+    # Way of the beam that preheats before a layer, by its index.
     scans: Mapping[int, BeamWay] = field(default_factory=dict)
-    """Way of the beam that preheats before a layer, by its index."""
 
     def __len__(self) -> int:
         """Return the number of beads."""
@@ -106,25 +101,18 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     within = np.append(-1, last)[following] >= row
     after = ~within & (following == first.size)
     before = paused[~(within | after)]
+    wait_s = np.bincount(following[~(within | after)], nc.events.value[before], first.size)
     stray = [
         (i, "waits within a bead" if inside else "waits after the last bead")
         for i, inside in zip(paused[within | after].tolist(), within[within | after].tolist(), strict=True)
     ]
     return TextBeads(
-        layer=nc.layer[first],
-        ring=nc.ring[first],
-        island=nc.island[first],
-        row=first,
-        wait_s=np.bincount(following[~(within | after)], nc.events.value[before], first.size).astype(
-            np.float64
-        ),
+        layer=nc.layer[first], ring=nc.ring[first], island=nc.island[first], row=first,
+        wait_s=wait_s.astype(np.float64),
         move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
-        time_s=_between(clock[last + 1], clock[first]),
-        energy_j=found.total(power_w * seconds[rows]),
-        peak_w=found.greatest(power_w),
-        stray=tuple(stray),
-        scans=scans_of(nc, config),
-    )
+        time_s=_between(clock[last + 1], clock[first]), energy_j=found.total(power_w * seconds[rows]),
+        peak_w=found.greatest(power_w), stray=tuple(stray), scans=scans_of(nc, config),
+    )  # fmt: skip
 
 
 def _between(late_s: Floats, early_s: Floats) -> Floats:
@@ -136,13 +124,9 @@ def _between(late_s: Floats, early_s: Floats) -> Floats:
 
 
 def text_bed_k(
-    beads: TextBeads,
-    config: Config,
-    shapes: Sequence[LayerShape],
-    before: HeatColumn | None = None,
-    lowest: BaseGeometry | None = None,
-    seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
-) -> tuple[Floats, Floats]:
+    beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None,
+    lowest: BaseGeometry | None = None, seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
 
     By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
@@ -253,9 +237,6 @@ def _dwell_s(
     return float(np.cumsum(wait_s)[-1]) if len(beads) else 0.0
 
 
-# -- preheating ------------------------------------------------------------------------------------
-
-
 def scans_of(nc: NCProgram, config: Config) -> dict[int, BeamWay]:
     """Way of the beam before each layer that is preheated, by its index, with waits as pieces that stand still."""
     scans = nc.preheating
@@ -297,13 +278,9 @@ class Scanned:
 
 
 def scanned(
-    sections: Sequence[BaseGeometry],
-    k: int,
-    z_mm: float,
-    config: Config,
-    under: BaseGeometry | None = None,
+    sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None,
     spot_share: float = 1.0,
-) -> Scanned:
+) -> Scanned:  # fmt: skip
     """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
 
     Plan and writer take region and lines from one place: a mistake there would be in the program and in what it is held against.
@@ -333,14 +310,9 @@ def scanned(
 
 
 def scanned_heat(
-    way: BeamWay,
-    sections: list[BaseGeometry],
-    k: int,
-    z_mm: float,
-    column: HeatColumn | None,
-    config: Config,
+    way: BeamWay, sections: list[BaseGeometry], k: int, z_mm: float, column: HeatColumn | None, config: Config,
     under: BaseGeometry | None = None,
-) -> tuple[SurfaceHeat, Scanned] | None:
+) -> tuple[SurfaceHeat, Scanned] | None:  # fmt: skip
     """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan.
 
     `column` is that of what stands, which is not changed; None: the bare plate.

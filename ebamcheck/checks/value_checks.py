@@ -1,86 +1,89 @@
-"""Checks of wire, power and feed of every bead: its metal, whether the beam melts it, and the window of the process."""
+"""Checks of values, wire, power and feed of every bead: its metal, whether the beam melts it, settings, and the window of the process."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from ebamcheck.checks.checks import Check, count_check, worst_check
+from ebamcheck.checks.checks import (
+    PRINTED,
+    VALUE_SHARE,
+    WINDOW_SHARE,
+    WIRE_PLACE_MM,
+    WIRE_TOLERANCE,
+    Faults,
+    count_check,
+    limit_check,
+    worst_check,
+)
 from ebamcheck.checks.heat_again import melting_power_w
 from ebamcheck.checks.metal import bead_height_mm, bead_sections_mm2, wire_section_mm2
-from ebamcheck.checks.tolerances import VALUE_SHARE, WINDOW_SHARE, WIRE_PLACE_MM, WIRE_TOLERANCE
 from ebamcheck.heat.melting import width_limits_mm
-from ebamcheck.nc.increments import increments_of, power_slack_w
+from ebamcheck.nc.conventions import increments_of, power_slack_w
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
+from ebamcheck.nc.timeline import Kind
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import along_window
 
-MELTING = "melting power"
-"""Name of the check."""
-
+MELTING = "melting power"  # Name of the check
+# Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program.
 WIDER = 1.0005
-"""Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program."""
+
+At = tuple[int, str, str]  # Motions before it, where it is, and what is wrong
+
+
+def _by_row(faults: Iterable[At]) -> Faults:
+    """Faults in the order of the motions."""
+    return [(where, what) for _, where, what in sorted(faults, key=lambda fault: fault[0])]
 
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
     """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
 
     With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool
-    hold.
+    hold, in layers whose height the program tells: those over a layer with beads, and the lowest.
     """
+    name, what = "mass balance", "metal of beads against the plan"
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     bead_mm2 = bead_sections_mm2(nc, config)[rows]
-    if path is None:
-        return _within_limits(nc, rows, bead_mm2, config)
-    wanted = _wanted_mm2(nc, rows, path)
-    if wanted is None:
-        text = "beads of the program are not those of the plan: their wire cannot be compared"
-        where = nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
-        return Check("mass balance", False, math.inf, WIRE_TOLERANCE, "of the bead", where, text)
     with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.abs(bead_mm2[:, None] / wanted - 1.0).min(axis=1) - _rounded(nc, rows, config)
-    off = np.maximum(off, 0.0)
-    return worst_check(
-        "mass balance", nc, rows, off, WIRE_TOLERANCE, "of the bead", "metal of beads against the plan"
-    )
-
-
-def _within_limits(nc: NCProgram, rows: Ints, bead_mm2: Floats, config: Config) -> Check:
-    """Check the beads of layers whose height the program tells: those over a layer with beads, and the lowest."""
-    thickness = np.diff(nc.layer_heights, prepend=config.base_mm)[nc.layer[rows]]
-    known = np.isfinite(thickness)
-    rows, width, thickness = (
-        rows[known],
-        (bead_mm2 / np.where(known, thickness, 1.0))[known],
-        thickness[known],
-    )
-    steps, step = np.unique(thickness, return_inverse=True)
-    limits = np.array([width_limits_mm(config, float(h)) for h in steps]).reshape(-1, 2)[step]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0 - _rounded(nc, rows, config)
-    off = np.maximum(off, 0.0)
-    what = "metal of beads beyond what wire feed and pool allow"
-    return worst_check("mass balance", nc, rows, off, WIRE_TOLERANCE, "of the bead", what)
-
-
-def _rounded(nc: NCProgram, rows: Ints, config: Config) -> Floats:
-    """Share of its metal by which each motion may be off for the increments of wire and feed, (n,): half a step of each."""
-    steps = increments_of(config.machine)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        wire = steps.get("wire_mm_s", 0.0) / nc.wire_mm_s[rows]
-        feed = steps.get("feed_mm_min", 0.0) / nc.feed_mm_min[rows]
-    return np.asarray(0.5 * np.nan_to_num(wire + feed, posinf=0.0), np.float64)
+        if path is None:
+            what = "metal of beads beyond what wire feed and pool allow"
+            thickness = layer_steps_mm(nc, config)[nc.layer[rows]]
+            known = np.isfinite(thickness)
+            rows, width, thickness = (
+                rows[known],
+                (bead_mm2 / np.where(known, thickness, 1.0))[known],
+                thickness[known],
+            )
+            steps, step = np.unique(thickness, return_inverse=True)
+            limits = np.array([width_limits_mm(config, float(h)) for h in steps]).reshape(-1, 2)[step]
+            off = np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0
+        else:
+            wanted = _wanted_mm2(nc, rows, path)
+            if wanted is None:
+                text = "beads of the program are not those of the plan: their wire cannot be compared"
+                where = nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
+                return limit_check(name, math.inf, WIRE_TOLERANCE, "of the bead", text, where)
+            off = np.abs(bead_mm2[:, None] / wanted - 1.0).min(axis=1)
+        # Half an increment of wire and feed each is no fault.
+        increments = increments_of(config.machine)
+        wire = increments.get("wire_mm_s", 0.0) / nc.wire_mm_s[rows]
+        feed = increments.get("feed_mm_min", 0.0) / nc.feed_mm_min[rows]
+    off = np.maximum(off - 0.5 * np.nan_to_num(wire + feed, posinf=0.0), 0.0)
+    return worst_check(name, nc, rows, off, WIRE_TOLERANCE, "of the bead", what)
 
 
 def _wanted_mm2(nc: NCProgram, rows: Ints, path: TrackColumns) -> Floats | None:
     """Sections that the plan asks for at and just beside the middle of each motion, (n, 3) mm2; None where beads differ."""
-    ends = np.cumsum(path.lengths)
-    bounds = np.concatenate([[0.0], ends])[
-        path.track_starts[np.concatenate([[True], np.diff(path.track_starts) > 0])]
-    ]
-    height = np.repeat(path.thickness, np.diff(path.layer_starts))[np.diff(path.track_starts) > 0]
+    ends, filled = np.cumsum(path.lengths), np.diff(path.track_starts) > 0
+    bounds = np.concatenate([[0.0], ends])[path.track_starts[np.append(True, filled)]]
+    height = np.repeat(path.thickness, np.diff(path.layer_starts))[filled]
     beads = nc.beads.among(rows)
     middle, whole = beads.middles(nc.lengths[rows])
     if whole.size != bounds.size - 1:
@@ -93,9 +96,6 @@ def _wanted_mm2(nc: NCProgram, rows: Ints, path: TrackColumns) -> Floats | None:
     beside = np.clip(beside, bounds[:-1][track][:, None] + 1e-9, bounds[1:][track][:, None] - 1e-9)
     segment = np.minimum(np.searchsorted(ends, beside), ends.size - 1)
     return np.asarray(path.width[segment] * height[track][:, None], np.float64)
-
-
-# -- melting -------------------------------------------------------------------------------------------
 
 
 def spread_mm(nc: NCProgram, rows: Ints, config: Config) -> Floats:
@@ -125,33 +125,21 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
 
     On a ramp (n,) of a bead the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`).
     """
-    rows = np.flatnonzero(nc.deposit)[~on_ramp]
+    rows, unit = np.flatnonzero(nc.deposit)[~on_ramp], "of the power needed"
     need_w = melting_power_w(config, spread_mm(nc, rows, config))
     rows, need_w = rows[need_w > 0.0], need_w[need_w > 0.0]
     if not rows.size:
-        return Check(MELTING, True, 0.0, 1.0, "of the power needed", "", "nothing is laid")
+        return Check(MELTING, True, 0.0, 1.0, unit, "", "nothing is laid")
     power_w = np.nan_to_num(nc.power_w[rows])
     slack_w = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
     value = (power_w + slack_w) / need_w
     worst = int(np.argmin(value))
-    row = int(rows[worst])
+    row, passed = int(rows[worst]), bool(value[worst] >= 1.0 - VALUE_SHARE)
     text = (
         f"a bead of layer {nc.layer[row] + 1} has {power_w[worst]:.6g} W, its wire of {nc.wire_mm_s[row]:.6g} mm/s and the metal "
         f"that it remelts need {need_w[worst]:.6g} W"
     )
-    passed = bool(value[worst] >= 1.0 - VALUE_SHARE)
-    return Check(
-        MELTING,
-        passed,
-        float(power_w[worst] / need_w[worst]),
-        1.0,
-        "of the power needed",
-        nc.where(row),
-        text,
-    )
-
-
-# -- process window ------------------------------------------------------------------------------------
+    return Check(MELTING, passed, float(power_w[worst] / need_w[worst]), 1.0, unit, nc.where(row), text)
 
 
 def window_check(nc: NCProgram, config: Config) -> Check:
@@ -174,46 +162,38 @@ def window_check(nc: NCProgram, config: Config) -> Check:
         section, heat = metal_mm3_s / feed_mm_s[fed], power_w[fed] / metal_mm3_s
         own_heat = nc.power_w[laid] / metal_mm3_s
     ramp = nc.power_w[laid] < power_w[fed]
-    least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
+    wire_window = least, greatest = process.wire_speed_min_mm_s, process.wire_speed_max_mm_s
     inside = rows[nc.layer[rows] >= 0]
     layers, first = np.unique(nc.layer[inside], return_index=True)
     over_bead = layer_steps_mm(nc, config)[layers] / bead_height_mm(config)
     known = np.isfinite(over_bead)
+    low, high = process.current_window_ma
+    # Ramps rise from less. The current of a layer is a share of the one that is set, down to the least at which the wire melts.
+    low *= process.ramp_power if process.ramps_beam else 1.0
+    current_window = low, min(high, process.current_max_ma)
     faults = [
-        *_outside(laid, nc.wire_mm_s[laid], (least, greatest), "mm/s of wire"),
-        *_outside(rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
-        *_outside(rows, feed_mm_s, process.travel_window_mm_s, "mm/s along a bead"),
-        *_outside(laid, section, process.bead_section_mm2, "mm2 of metal over the length of a bead"),
-        *_outside(laid, heat, process.metal_energy_j_mm3, "J/mm3 of the wire that is melted"),
-        *_outside(laid[ramp], own_heat[ramp], process.metal_energy_j_mm3, "J/mm3 of the wire along a ramp"),
-        *_set_values(nc, config),
+        *_outside(nc, laid, nc.wire_mm_s[laid], wire_window, "mm/s of wire"),
+        *_outside(nc, rows, energy, process.line_energy_j_mm, "J/mm of line energy"),
+        *_outside(nc, rows, feed_mm_s, process.travel_window_mm_s, "mm/s along a bead"),
+        *_outside(nc, laid, section, process.bead_section_mm2, "mm2 of metal over the length of a bead"),
+        *_outside(nc, laid, heat, process.metal_energy_j_mm3, "J/mm3 of the wire that is melted"),
         *_outside(
-            inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
+            nc, laid[ramp], own_heat[ramp], process.metal_energy_j_mm3, "J/mm3 of the wire along a ramp"
         ),
     ]
-    faults.sort(key=lambda fault: fault[0])
-    wire = f"wire {least:.4g} .. {greatest:.4g} mm/s"
+    windows = {"voltage_kv": (process.voltage_window_kv, "kV"), "current_ma": (current_window, "mA")}
+    e = nc.events
+    # A value of 0 switches off.
+    for i in np.flatnonzero(e.named(*windows) & (e.value != 0.0) & bool(len(nc))):
+        window, unit = windows[e.name[i]]
+        faults += _outside(nc, np.minimum(e.row[[i]], len(nc) - 1), e.value[[i]], window, unit)
+    faults += _outside(
+        nc, inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
+    )
     energies = "line energy {:g} .. {:g} J/mm".format(*process.line_energy_j_mm)
     heights = "layers {:g} .. {:g} of a bead".format(*process.layer_over_bead)
-    places = [(nc.where(row), what) for row, what in faults]
-    return count_check("process window", places, f"{wire}, {energies}, {heights}")
-
-
-def _set_values(nc: NCProgram, config: Config) -> list[tuple[int, str]]:
-    """Volts and milliamperes that are set outside of their windows; 0 switches off, and ramps rise from less."""
-    process = config.process
-    low, high = process.current_window_ma
-    low *= process.ramp_power if process.ramps_beam else 1.0
-    # The current of a layer is a share of the one that is set, down to the least at which the wire melts.
-    windows = {
-        "voltage_kv": (process.voltage_window_kv, "kV"),
-        "current_ma": ((low, min(high, process.current_max_ma)), "mA"),
-    }
-    found, events = [], nc.events
-    for i in np.flatnonzero(events.named(*windows) & (events.value != 0.0) & bool(len(nc))):
-        window, unit = windows[events.name[i]]
-        found += _outside(np.minimum(events.row[[i]], len(nc) - 1), events.value[[i]], window, unit)
-    return found
+    good = f"wire {least:.4g} .. {greatest:.4g} mm/s, {energies}, {heights}"
+    return count_check("process window", _by_row(faults), good)
 
 
 def layer_steps_mm(nc: NCProgram, config: Config) -> Floats:
@@ -221,14 +201,13 @@ def layer_steps_mm(nc: NCProgram, config: Config) -> Floats:
     return np.diff(nc.layer_heights, prepend=config.base_mm)
 
 
-def _outside(rows: Ints, values: Floats, limits: tuple[float, float], what: str) -> list[tuple[int, str]]:
+def _outside(nc: NCProgram, rows: Ints, values: Floats, limits: tuple[float, float], what: str) -> list[At]:
     """Motions whose value is outside of its limits, or is not known, and what it is."""
     low, high = limits
     bad = ~((values >= low * (1.0 - WINDOW_SHARE)) & (values <= high * (1.0 + WINDOW_SHARE)))
-    return [
-        (int(row), f"{_apart(float(value), limits)} {what}, allowed are {low:.4g} .. {high:.4g}")
-        for row, value in zip(rows[bad], values[bad], strict=True)
-    ]
+    said = f"{what}, allowed are {low:.4g} .. {high:.4g}"
+    each = zip(rows[bad].tolist(), values[bad].tolist(), strict=True)
+    return [(row, nc.where(row), f"{_apart(value, limits)} {said}") for row, value in each]
 
 
 def _apart(value: float, limits: tuple[float, float]) -> str:
@@ -244,3 +223,82 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
         if text not in [f"{limit:.{digits}g}" for limit in limits]:
             break
     return text
+
+
+def value_check(nc: NCProgram, config: Config) -> Check:
+    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
+
+    Voltage, feed and length of wire drawn back are those of the settings, or 0 where beam or wire are off; current and power are at most
+    those of the settings, since ramps and the heat of the part take from them; the wire is within the feeder's limits. A product hides an
+    exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is half as fast
+    throughout: each value is held against the one of the settings.
+    """
+    process = config.process
+    speeds = f"up to {process.current_ma:g} mA, at {process.travel_speed_mm_s:g} mm/s"
+    faults = _by_row([*_set_values(nc, config), *_feeds(nc, config)])
+    return count_check("process values", faults, f"{process.voltage_kv:g} kV, {speeds}")
+
+
+def _set_values(nc: NCProgram, config: Config) -> Iterator[At]:
+    process = config.process
+    fixed = {
+        "voltage_kv": (process.voltage_kv, "kV"),
+        "wire_retract_mm": (process.wire_retract_mm, "mm of wire drawn back"),
+    }
+    greatest = {
+        "current_ma": (process.current_ma, "mA"),
+        "power_w": (process.power_w, "W"),
+        "wire_mm_s": (process.wire_speed_max_mm_s, "mm/s of wire"),
+    }
+    steps, events = increments_of(config.machine), nc.events
+    for i in np.flatnonzero(events.kind == Kind.VALUE).tolist():
+        name, value, row = events.name[i], float(events.value[i]), int(events.row[i])
+        half = 0.5 * steps.get(name, 0.0)
+        if name in fixed:
+            wanted, unit = fixed[name]
+            if value != 0.0 and not abs(value - wanted) <= VALUE_SHARE * wanted + half:
+                yield row, nc.where_event(i), f"{value:g} {unit} in place of {wanted:g} {unit}"
+        elif name in greatest:
+            limit, unit = greatest[name]
+            if not 0.0 <= value <= limit * (1.0 + VALUE_SHARE) + half:
+                yield row, nc.where_event(i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
+
+
+def _feeds(nc: NCProgram, config: Config) -> Iterator[At]:
+    process, (slow, fast) = config.process, along_window(config)
+    wanted = process.travel_speed_mm_s
+    room = VALUE_SHARE * wanted + 0.5 * increments_of(config.machine).get("feed_mm_min", 0.0) / 60.0
+    rows = np.flatnonzero(nc.deposit)
+    feed, wire = nc.feed_mm_min[rows] / 60.0, nc.wire_mm_s[rows]
+    off = ~(np.abs(feed - wanted) <= room)
+    for row, value, fed in zip(rows[off].tolist(), feed[off].tolist(), wire[off].tolist(), strict=True):
+        limit = process.wire_speed_max_mm_s if value < wanted else process.wire_speed_min_mm_s
+        what = f"feed {value:g} mm/s in place of {wanted:g} mm/s"
+        # The feed goes on where the wire ends, and nowhere else.
+        if process.feed_along_path and not abs(fed - limit) <= VALUE_SHARE * limit:
+            what += f", where the wire has {fed:g} mm/s and not its limit of {limit:g} mm/s"
+        elif process.feed_along_path and slow * wanted - room <= value <= fast * wanted + room:
+            continue
+        elif process.feed_along_path:
+            what = f"feed {value:g} mm/s, from {slow * wanted:g} to {fast * wanted:g} mm/s are in the process window"
+        yield row, nc.where(row), what
+
+
+def increment_check(nc: NCProgram, config: Config) -> Check:
+    """Check values that are set, and feeds along beads, against the increments of the machine profile.
+
+    A control rounds what lies between, or refuses the block: then it drives other values than those that were proved.
+    """
+    steps, e, faults = increments_of(config.machine), nc.events, list[At]()
+    for name, step in sorted(steps.items(), key=lambda one: one[0] == "feed_mm_min"):
+        feed = name == "feed_mm_min"
+        at = np.flatnonzero(nc.deposit if feed else e.named(name))
+        values = nc.feed_mm_min[at] if feed else e.value[at]
+        between = ~(np.abs(values - np.round(values / step) * step) <= PRINTED)
+        for i, value in zip(at[between].tolist(), values[between].tolist(), strict=True):
+            said = f"feed {value:g} mm/min" if feed else f"{name} {value:g}"
+            row, where = (i, nc.where(i)) if feed else (int(e.row[i]), nc.where_event(i))
+            faults.append((row, where, f"{said} is no multiple of {step:g}"))
+    known = ", ".join(f"{name} {step:g}" for name, step in steps.items())
+    good = f"values are multiples of {known}" if known else "the profile names none (machine.*_increment_*)"
+    return count_check("increments", _by_row(faults), good)

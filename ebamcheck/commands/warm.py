@@ -103,7 +103,7 @@ def _errors_alone() -> Iterator[None]:
 
 def _what_a_box_has_not() -> None:
     """Splines in a program, and metal that lies beside the part."""
-    from ebamcheck.checks.shapes import shape_distance
+    from ebamcheck.checks.matching import shape_distance
     from ebamcheck.metal.distances import moved_to_neighbours
 
     shape_distance(np.eye(2)[None], np.eye(2)[None])

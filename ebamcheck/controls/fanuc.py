@@ -28,7 +28,6 @@ from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.layer_text import Post
 
 NAME = "fanuc"
-
 TEMPLATES = {
     "beam_on": ("M60 ; beam on",),
     "beam_off": ("M61 ; beam off",),
@@ -43,12 +42,10 @@ TEMPLATES = {
     "wire_retract": ("G104 A{wire_retract_mm:.4f} ; wire drawn back, mm",),
     "layer_pause": ("G4 X{layer_pause_s:.3f} ; wait, s",),
 }
-
 CODES = {
     "M60": "beam_on", "M61": "beam_off", "M62": "wire_start", "M63": "wire_stop",
     "G101 A": "voltage_kv", "G102 A": "current_ma", "G103 A": "wire_mm_s", "G104 A": "wire_retract_mm",
 }  # fmt: skip
-
 GROUPS = (
     *(group for group in gcode.GROUPS if group.name not in ("path control", "work offset", "axis offset")),
     Group("work offset", ("G53", "G54", "G55", "G56", "G57", "G58", "G59", "G54.1", "G10")),
@@ -58,37 +55,24 @@ GROUPS = (
     Group("exact stop", ("G9", "G61", "G62", "G63", "G64"), path=True),
     Group("look-ahead", ("G5.1", "G8"), path=True),
 )
-
 SCALES_OFF = "G50 G69"
 LOOK_AHEAD_OFF = "G5.1 Q0"
+# Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system).
 SHIFTS_OFF = "G92.1 X0.0 Y0.0 Z0.0"
-"""Takes back what G52, G92, and motions by hand have shifted the work offsets by (preset of the workpiece coordinate system)."""
 _PROGRAM_NUMBER = re.compile(r"O\d{4,8}")
 _FEED = re.compile(r" F(\d+)(?![\d.])")
 _SHIFTS_OFF = re.compile(r"G92\.1\s*X0(?:\.0*)?\s*Y0(?:\.0*)?\s*Z0(?:\.0*)?")
 _LOOK_AHEAD_OFF = re.compile(r"G0?5\.1\s*Q0(?:\.0*)?")
 _POINTED_CODE = re.compile(r"[GM]\s*\d*\.0*(?!\d)")
+# An address that may have a decimal point, with a number that has none.
 _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
-"""An address that may have a decimal point, with a number that has none."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
     return (
-        "G17",
-        "G21",
-        "G90",
-        "G94",
-        "G40",
-        "G49",
-        "G80",
-        "G50",
-        "G69",
-        machine.work_offset,
-        "G92.1",
-        "G64",
-        "G5.1",
-    )
+        "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G92.1", "G64", "G5.1",
+    )  # fmt: skip
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
@@ -117,18 +101,10 @@ CONTROL = Control(
 )
 
 
-# -- writing -------------------------------------------------------------------------------------------
-
-
 def write_program(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None,
-) -> ProgramFiles:
+) -> ProgramFiles:  # fmt: skip
     """Write one ``.cnc`` file between percent signs, with arcs or lines for splines.
 
     The program's number is ``machine.program_name`` where that is one, such as O1234, and O0001 where it is none.
@@ -137,14 +113,8 @@ def write_program(
     machine = config.machine
     form: Literal["chords", "arcs"] = "chords" if machine.curve_form == "lines" else "arcs"
     modes = [
-        "G17 G21 G90 G94",
-        "G40 G49 G80",
-        SCALES_OFF,
-        machine.work_offset,
-        SHIFTS_OFF,
-        "G64",
-        LOOK_AHEAD_OFF,
-    ]
+        "G17 G21 G90 G94", "G40 G49 G80", SCALES_OFF, machine.work_offset, SHIFTS_OFF, "G64", LOOK_AHEAD_OFF,
+    ]  # fmt: skip
     lines = one_file(Post.of(curves, plan, config, CONTROL, form, None), modes, validated, header)
     own = _PROGRAM_NUMBER.fullmatch(machine.program_name)
     first = f"{machine.program_name if own else 'O0001'} ({machine.program_name})"
@@ -168,9 +138,7 @@ DIALECT = replace(
 
 def read_program(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program from its one file."""
-    reader = FanucReader(main.parent, config, DIALECT)
-    reader.run(main)
-    return reader.out.program()
+    return FanucReader(main.parent, config, DIALECT).program(main)
 
 
 class FanucReader(GcodeReader):
@@ -185,9 +153,8 @@ class FanucReader(GcodeReader):
     def run_line(self, text: str) -> str | None:
         """Run one line; a semicolon ends a block here, and what stands behind it would be run."""
         if ";" in text:
-            raise WordError(
-                "a semicolon ends a block on this control: comments stand in parentheses", text.index(";")
-            )
+            what = "a semicolon ends a block on this control: comments stand in parentheses"
+            raise WordError(what, text.index(";"))
         code = self.split(text)[0]
         small = re.search("[a-z]", code)
         if small:
@@ -201,10 +168,8 @@ class FanucReader(GcodeReader):
         """Run the blocks that take look-ahead and shifts back; refuse a number without its decimal point, and a code with one."""
         bare = next((m for m in _NO_POINT.finditer(code) if float(m[0][1:]) != 0.0), None)
         if bare is not None:
-            raise WordError(
-                f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)",
-                bare.start(),
-            )
+            what = f"{bare[0]} has no decimal point: the control may read it in thousandths (parameter 3401)"
+            raise WordError(what, bare.start())
         pointed = _POINTED_CODE.search(code)
         if pointed is not None:
             raise WordError(f"{pointed[0]}: a code has no decimal point here", pointed.start())

@@ -27,43 +27,23 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import power_shares
-from ebamcheck.writing.tracks import Toolpath
 
-SCRIPT = "run.sh"
-"""What runs a case."""
-
-STATUS = "@status@"
-"""Stands in the texts of a case where its status will be."""
-
+SCRIPT = "run.sh"  # What runs a case
+STATUS = "@status@"  # Stands in the texts of a case where its status will be
 LINE_MODE, SPOT_MODE = 0, 1
-
-LEAST_SPOT_S = 1e-6
-"""Shortest time of a spot: simulators divide by the time of a row."""
-
-DECIMALS = 6
-"""Of a millimetre."""
-
-METRES = 1e-3
-"""Metres in a millimetre; and m/s in a mm/s."""
-
+LEAST_SPOT_S = 1e-6  # Shortest time of a spot: simulators divide by the time of a row
+DECIMALS = 6  # Of a millimetre
+METRES = 1e-3  # Metres in a millimetre; and m/s in a mm/s
+# The simulator as a control, whose cases no reader proves.
 THESIS = Control("3dthesis", f"{__name__}:write_3dthesis")
-"""The simulator as a control, whose cases no reader proves."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeatPath:
-    """The path of a stack as simulators take it.
+    """The path of a stack as simulators take it."""
 
-    Parameters
-    ----------
-    rows
-        (n, 6) mode, X, Y, Z in mm, share of the power, and s for a spot or m/s for a line.
-    layer, island
-        (n,) of each row; -1 for the island of a contour.
-    """
-
-    rows: Floats
-    layer: Ints
+    rows: Floats  # (n, 6) mode, X, Y, Z in mm, share of the power, and s for a spot or m/s for a line
+    layer: Ints  # (n,) of each row; -1 for the island of a contour
     island: Ints
 
     @property
@@ -109,16 +89,9 @@ class CasePost(Protocol):
     """A post of this module: it takes a layer, which programs for controls do not."""
 
     def __call__(
-        self,
-        curves: CurveColumns,
-        plan: ScanColumns,
-        config: Config,
-        folder: str | Path,
-        *,
-        validated: bool = False,
-        header: Mapping[str, str] | None = None,
-        layer: int | None = None,
-    ) -> ProgramFiles:
+        self, curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+        header: Mapping[str, str] | None = None, layer: int | None = None,
+    ) -> ProgramFiles:  # fmt: skip
         """Write a case."""
         ...
 
@@ -133,15 +106,9 @@ def case_post(control: str) -> CasePost:
 
 
 def write_3dthesis(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    layer: int | None = None,
-) -> ProgramFiles:
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+    header: Mapping[str, str] | None = None, layer: int | None = None,
+) -> ProgramFiles:  # fmt: skip
     """Write a case of 3DThesis, its ``Path.txt`` first; of one layer where one is given. `header` has no place in it.
 
     Takes and raises what :func:`ebamcheck.write_program` does.
@@ -155,22 +122,16 @@ def write_thesis(
 ) -> ProgramFiles:
     """Write a case of 3DThesis from its path and its other files."""
     title = f"Mode\tX(mm)\tY(mm)\tZ(mm)\tPmod\ttParam\t{STATUS}"
-    text = _table(path.rows, "%d\t%.6f\t%.6f\t%.6f\t%g\t%.9g\n")
-    return _write({"Path.txt": f"{title}\n{text}", **others}, folder, validated)
+    line = "%d\t%.6f\t%.6f\t%.6f\t%g\t%.9g\n"
+    text = (line * len(path.rows)) % tuple(path.rows.ravel().tolist())
+    texts = fill_case({"Path.txt": f"{title}\n{text}", **others}, validated=validated)
+    return write_files(texts, Path(folder), validated=validated)
 
 
 def fill_case(texts: Mapping[str, str], *, validated: bool = False) -> dict[str, str]:
     """Texts of a case with their status."""
     status = VALIDATED if validated else NOT_VALIDATED
     return {name: text.replace(STATUS, status, 1) for name, text in texts.items()}
-
-
-def _write(texts: Mapping[str, str], folder: str | Path, validated: bool) -> ProgramFiles:
-    return write_files(fill_case(texts, validated=validated), Path(folder), validated=validated)
-
-
-def _table(rows: Floats, line: str) -> str:
-    return (line * len(rows)) % tuple(rows.ravel().tolist())
 
 
 def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPath:
@@ -188,7 +149,11 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
     rows[spot, 1:3], rows[line, 1:3] = path.start[tracks], path.end
     rows[:, 3] = np.repeat(z, sizes + 1)
     rows[line, 5] = config.process.travel_speed_mm_s * METRES
-    rows[spot, 5] = _travel_s(path, rows, spot, config)
+    # The rapid move to each track; the first is where the beam is.
+    away = np.zeros(spot.size)
+    if spot.size:
+        away[1:] = np.linalg.norm(rows[spot[1:], 1:4] - rows[spot[1:] - 1, 1:4], axis=1)
+    rows[spot, 5] = np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
     heat = interpass_of(plan, config)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
     rows[spot, 5] += _waits_s(layer, path.ring[tracks], path.island[tracks], heat)
@@ -208,47 +173,22 @@ def _waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> Floats:
     return np.asarray(waits, np.float64)
 
 
-def _travel_s(
-    path: Toolpath, rows: Floats, spot: np.ndarray[tuple[int], np.dtype[np.int64]], config: Config
-) -> Floats:
-    """Time of the rapid move to each track; the first is where the beam is."""
-    away = np.zeros(spot.size)
-    if spot.size:
-        away[1:] = np.linalg.norm(rows[spot[1:], 1:4] - rows[spot[1:] - 1, 1:4], axis=1)
-    return np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
-
-
 # -- the files around the path ---------------------------------------------------------------------------
 
-NAME = "ebamcheck"
-"""Name of the simulation, with which its result files begin."""
-
+NAME = "ebamcheck"  # Name of the simulation, with which its result files begin
+# The file that names all others, and the one with the threads.
 INPUT, SETTINGS = "ParamInput.txt", "Settings.txt"
-"""The file that names all others, and the one with the threads."""
-
-MODE, DOMAIN, POINTS = "Mode.txt", "Domain.txt", "Points.txt"
-"""When, and where, temperatures are wanted."""
-
+MODE, DOMAIN, POINTS = "Mode.txt", "Domain.txt", "Points.txt"  # When, and where, temperatures are wanted
 ENDS = ("min", "max")
-
+# Shares of the time of the path, %, at which a case without places gives a picture of the surface.
 PICTURES = (25, 50, 75, 100)
-"""Shares of the time of the path, %, at which a case without places gives a picture of the surface."""
-
-GRID_CELLS = 2.0
-"""Points of that picture across a bead."""
-
-THREADS = 4
-"""Threads: its own default is half of those of the machine, which is none on a machine of one."""
-
+GRID_CELLS = 2.0  # Points of that picture across a bead
+THREADS = 4  # Threads: its own default is half of those of the machine, which is none on a machine of one
+# Mirrors of mirrors that count: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes.
 REFLECTIONS = 4
-"""Mirrors of mirrors that count: with half as many, a plate of 150 x 80 mm misses 5 % of its heat after five minutes."""
-
+# Intensity of the beam over that of its middle where its heat counts as ended: at sqrt(6) standard deviations.
 EDGE = math.exp(-3.0)
-"""Intensity of the beam over that of its middle where its heat counts as ended: at sqrt(6) standard deviations."""
-
-MARGIN = 4.0
-"""Metal beside the path, in bead widths."""
-
+MARGIN = 4.0  # Metal beside the path, in bead widths
 Group = Mapping[str, object]
 
 

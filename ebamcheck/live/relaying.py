@@ -28,7 +28,7 @@ from ebamcheck.mesh.on_table import on_table
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.inputs import deposition_heights, layer_thickness
-from ebamcheck.nc.special_rules import checked_tilt
+from ebamcheck.nc.templates import checked_tilt
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.heat.part_heat import PartHeat

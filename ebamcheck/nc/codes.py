@@ -16,37 +16,25 @@ from ebamcheck.nc.control import control
 from ebamcheck.nc.words import NUMBER, group_of
 from ebamcheck.settings.machine import MachineSettings
 
+# Templates of the machine profile.
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
     "set_beam", "set_power", "set_wire", "set_focus", "layer_begin", "layer_end", "layer_pause",
 )  # fmt: skip
-"""Templates of the machine profile."""
-
-SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
-"""Meanings that switch beam or wire."""
-
+SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")  # Meanings that switch beam or wire
 BEAM_VALUES = ("voltage_kv", "current_ma", "power_w")
 WIRE_VALUES = ("wire_mm_s", "wire_retract_mm")
-FOCUS = "defocus"
-"""Meaning that sets the focus of the beam."""
-
-VALUES = (*BEAM_VALUES, *WIRE_VALUES, FOCUS)
-"""Meanings that set a value, each with its unit in its name."""
-
+FOCUS = "defocus"  # Meaning that sets the focus of the beam
+VALUES = (*BEAM_VALUES, *WIRE_VALUES, FOCUS)  # Meanings that set a value, each with its unit in its name
 AUXILIARY = "auxiliary"
-DWELL = "dwell_s"
-"""Event of a wait that a template holds beside ``layer_pause``."""
-
+DWELL = "dwell_s"  # Event of a wait that a template holds beside `layer_pause`
 BEAM_TEMPLATES = ("beam_on", "beam_off", "set_beam", "set_power")
 WIRE_TEMPLATES = ("wire_start", "wire_stop", "set_wire", "wire_retract")
 FOCUS_TEMPLATES = ("set_focus",)
-
+# Letters that no code of a profile has behind it: axes and arc centres, modes and motions, feed, block number, tool.
 NO_PARAMETERS = "XYZUVWGFMNTDIJK"
-"""Letters that no code of a profile has behind it: axes and arc centres, modes and motions, feed, block number, tool."""
-
+# Groups whose words mean what they say on every machine; those of a spindle or a coolant may be a maker's.
 FLOWS = ("program flow", "tool", "override", "path override")
-"""Groups whose words mean what they say on every machine; those of a spindle or a coolant may be a maker's."""
-
 _TOKEN = re.compile(
     rf"""(?:(?P<name>[A-Z][A-Z0-9_]*)\s*=\s*|(?P<letter>[A-Z])\s*)
     (?:(?P<number>{NUMBER})|\{{(?P<placeholder>[a-z_]+)(?::\.\d+f)?\}})(?![\d.{{])\s*""",
@@ -75,8 +63,7 @@ class Token:
     address: str
     number: str
     placeholder: str
-    assigned: bool
-    """Whether an equals sign stands between."""
+    assigned: bool  # Whether an equals sign stands between
 
     def names(self) -> tuple[str, ...]:
         """How a declaration may name this word: by its address alone, or with its number."""
@@ -92,17 +79,13 @@ class Token:
 class Action:
     """What a code of a block does."""
 
-    meaning: str
-    """A switch, a value, :data:`AUXILIARY` or :data:`DWELL`."""
-    placeholder: str
-    """What is filled in; empty where there is nothing."""
-    number: float | None
-    """Number that stands there literally."""
+    meaning: str  # A switch, a value, AUXILIARY or DWELL
+    placeholder: str  # What is filled in; empty where there is nothing
+    number: float | None  # Number that stands there literally
     word: str
 
 
-Key = tuple[str, ...]
-"""Words of a code, the last with or without its value."""
+Key = tuple[str, ...]  # Words of a code, the last with or without its value
 
 
 class Codes:
@@ -215,8 +198,6 @@ class Codes:
             return None
         number = float(token.number) if token.number else None
         return Action(DWELL, token.placeholder, number, f"G4 {token}"), 2
-
-    # -- codes that stand in the templates alone -----------------------------------------------------
 
     def _derive(
         self, templates: Mapping[str, Sequence[str]], names: Sequence[str], values: Sequence[str]

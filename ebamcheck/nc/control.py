@@ -102,7 +102,7 @@ class Control:
     and text of the file out. Empty: there is none for this control."""
     handshake: str = ""
     """``module:function`` that judges its text: (text, name of the file, settings, Z of the part's top) in,
-    :class:`~ebamcheck.checks.checks.Check` out."""
+    :class:`~ebamcheck.result.Check` out."""
     rapids_apart: bool = False
     """Whether the axes of a rapid may arrive one after the other: its way may lead anywhere within the box around both of its ends."""
     frames: bool = False

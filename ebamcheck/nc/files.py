@@ -14,22 +14,15 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.showing import short_text
 
 NOT_VALIDATED = "; NOT VALIDATED"
-VALIDATED = "; VALIDATED"
-"""The status of every file, at the end of one of its first lines."""
-
-STATUS_LINES = 3
-"""Lines among which the status stands: a SINUMERIK wants a name and a path first."""
-
+VALIDATED = "; VALIDATED"  # The status of every file, at the end of one of its first lines
+STATUS_LINES = 3  # Lines among which the status stands: a SINUMERIK wants a name and a path first
+# The words of the status, in a comment after a semicolon or in parentheses.
 STATUS = re.compile(rb"(?<=; )(?:NOT )?VALIDATED(?=\r?$)|(?<=\()(?:NOT )?VALIDATED(?=\)\r?$)", re.MULTILINE)
-"""The words of the status, in a comment after a semicolon or in parentheses."""
-
 LONGEST_NAME = 24
 RESERVED_NAME = re.compile(r"CON|PRN|AUX|NUL|COM\d|LPT\d")
-SUFFIXES = (".MPF", ".SPF")
-"""Files that are programs whatever they hold."""
-
+SUFFIXES = (".MPF", ".SPF")  # Files that are programs whatever they hold
+# Begins a file that can be run.
 SCRIPT = "#!"
-"""Begins a file that can be run."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +75,7 @@ def legal_name(name: str) -> str:
     return name
 
 
-PREHEAT_DIGITS = 4
-"""Digits of the layer in the name of a preheating subprogram, at least."""
+PREHEAT_DIGITS = 4  # Digits of the layer in the name of a preheating subprogram, at least
 
 
 def preheat_name(stem: str, layer: int, digits: int = 4) -> str:

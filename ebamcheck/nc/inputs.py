@@ -12,15 +12,12 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
+# Kinds of pieces: a polyline through its control points, a clamped cubic B-spline, a circular arc of under half a circle from its first
+# to its third control point through its second, which lies half-way.
 LINE, SPLINE, ARC = range(3)
-"""Kinds of pieces: a polyline through its control points, a clamped cubic B-spline, a circular arc of under half
-a circle from its first to its third control point through its second, which lies half-way."""
-
-DEGREE = 3
-"""Degree of every spline piece."""
-
+DEGREE = 3  # Degree of every spline piece
+# A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter.
 SHORTEST_BLOCK_MM = 0.05
-"""A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter."""
 
 
 class CurveColumns(Protocol):
@@ -157,23 +154,13 @@ def hatch_columns(plan: ScanColumns) -> tuple[Ints, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Interpass:
-    """Waits and power of a stack.
+    """Waits and power of a stack."""
 
-    Parameters
-    ----------
-    wait_s, ring_wait_s
-        (L,) wait before each layer, and before each further contour of it.
-    island_wait_s, inner_wait_s
-        (I,) wait before each island, and before each further bead of it.
-    power_share
-        (L,) share of the beam's power.
-    """
-
-    wait_s: Floats
+    wait_s: Floats  # (L,) wait before each layer, and before each further contour of it
     ring_wait_s: Floats
-    island_wait_s: Floats
+    island_wait_s: Floats  # (I,) wait before each island, and before each further bead of it
     inner_wait_s: Floats
-    power_share: Floats
+    power_share: Floats  # (L,) share of the beam's power
 
     def before_layer_s(self, layer: int) -> float:
         """Wait before a layer; 0 for the one after the last."""

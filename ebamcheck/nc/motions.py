@@ -14,51 +14,32 @@ import pandas as pd
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.nc.beads import Beads
 from ebamcheck.nc.timeline import Events
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
+# Kinds of motions; a BSPLINE gives one row for each knot span.
 KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
-"""Kinds of motions; a BSPLINE gives one row for each knot span."""
-
 Place = tuple[float, float, float]
-
-DRAWN_STEP_MM = 0.25
-"""Curved motions are drawn as straight parts of at most this length."""
+DRAWN_STEP_MM = 0.25  # Curved motions are drawn as straight parts of at most this length
 
 
 @dataclass(frozen=True, eq=False)
 class TableColumns:
-    """Rotary positions and frames in force, one row for each motion (B,).
+    """Rotary positions and frames in force, one row for each motion (B,)."""
 
-    Parameters
-    ----------
-    axes
-        Names of the rotary axes (A,).
-    positions_deg
-        (P, A) every set of positions that the table stands at, the first all 0.
-    frames
-        (F, 3, 4) every frame that is in force, turn and shift, the first none: a place p of the program lies at turn @ p + shift.
-    before, after
-        (B,) positions of the table before and after the motion, by their row.
-    frame
-        (B,) frame during the motion, by its row.
-    off_mm
-        (B,) how far table and frame put the end of the motion from where it belongs on the part, mm.
-    apart
-        (B,) ways of the machine itself, with neither frame nor beam, and turns of the table: they are none of a layer.
-    """
-
-    axes: tuple[str, ...]
-    positions_deg: Floats
+    axes: tuple[str, ...]  # Names of the rotary axes (A,)
+    positions_deg: Floats  # (P, A) every set of positions that the table stands at, the first all 0
+    # (F, 3, 4) every frame that is in force, turn and shift, the first none: a place p of the program lies at turn @ p + shift.
     frames: Floats
-    before: Ints
+    before: Ints  # (B,) positions of the table before and after the motion, by their row
     after: Ints
-    frame: Ints
+    frame: Ints  # (B,) frame during the motion, by its row
+    # (B,) how far table and frame put the end of the motion from where it belongs on the part, mm.
     off_mm: Floats
+    # (B,) ways of the machine itself, with neither frame nor beam, and turns of the table: they are none of a layer.
     apart: Bools
 
     def rows(self, kept: Bools) -> TableColumns:
@@ -74,8 +55,7 @@ class SourceFile:
     name: str
     data: bytes
     line_count: int
-    end_line: int
-    """Line of M30, M17 or RET; 0 where there is none."""
+    end_line: int  # Line of M30, M17 or RET; 0 where there is none
     end_code: str
 
     def __repr__(self) -> str:
@@ -89,12 +69,9 @@ class Motion:
     """One motion that a block of the program commands."""
 
     index: int
-    where: str
-    """``FILE:line`` of its block."""
-    kind: str
-    """``rapid``, ``line``, ``poly``, ``bspline span`` or ``arc``."""
-    layer: int
-    """-1 outside of the layers."""
+    where: str  # `FILE:line` of its block
+    kind: str  # `rapid`, `line`, `poly`, `bspline span` or `arc`
+    layer: int  # -1 outside of the layers
     start_mm: Place
     end_mm: Place
     length_mm: float
@@ -182,18 +159,16 @@ class NCProgram(Columns[Motion]):
     goes_on: Bools
     events: Events
     numbers: Ints
-    layer_files: tuple[str, ...]
-    """(L,) file of each layer."""
+    layer_files: tuple[str, ...]  # (L,) file of each layer
+    # Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes. None:
+    # there are none.
     preheating: NCProgram | None = None
-    """Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes.
-    None: there are none."""
+    # All motions as the axes drive them in the work offset, those of the machine itself among them, of a program that turns a tilt table
+    # or sets a frame; its `table` tells of both. None: the program does neither.
     machine: NCProgram | None = None
-    """All motions as the axes drive them in the work offset, those of the machine itself among them, of a program that turns a tilt
-    table or sets a frame; its `table` tells of both. None: the program does neither."""
-    table: TableColumns | None = None
-    """What table and frame do during each motion; None: nothing."""
+    table: TableColumns | None = None  # What table and frame do during each motion; None: nothing
+    # Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`.
     dialect: str = "sinumerik-840d-sl"
-    """Language of the text, by the name of a control: `sinumerik-840d-sl`, `linuxcnc` or `plain-gcode`."""
 
     _item_in = ("motion", "program")
 
@@ -205,19 +180,12 @@ class NCProgram(Columns[Motion]):
         x0, y0, z0 = self.start[index].tolist()
         x1, y1, z1 = self.end[index].tolist()
         return Motion(
-            index=index,
-            where=self.where(index),
-            kind=KIND_NAMES[int(self.kind[index])],
-            layer=int(self.layer[index]),
-            start_mm=(x0, y0, z0),
-            end_mm=(x1, y1, z1),
-            length_mm=float(self.lengths[index]),
-            feed_mm_min=float(self.feed_mm_min[index]),
-            beam=bool(self.beam[index]),
-            wire=bool(self.wire[index]),
-            power_w=float(self.power_w[index]),
+            index=index, where=self.where(index), kind=KIND_NAMES[int(self.kind[index])],
+            layer=int(self.layer[index]), start_mm=(x0, y0, z0), end_mm=(x1, y1, z1),
+            length_mm=float(self.lengths[index]), feed_mm_min=float(self.feed_mm_min[index]),
+            beam=bool(self.beam[index]), wire=bool(self.wire[index]), power_w=float(self.power_w[index]),
             wire_mm_s=float(self.wire_mm_s[index]),
-        )
+        )  # fmt: skip
 
     def _facts(self) -> dict[str, int | str]:
         return {
@@ -379,15 +347,10 @@ class NCProgram(Columns[Motion]):
         rows = rows[first]
         return pd.DataFrame(
             {
-                "layer": self.layer[rows],
-                "island": self.island[rows],
-                "x0": self.start[rows, 0],
-                "y0": self.start[rows, 1],
-                "x1": self.end[last, 0],
-                "y1": self.end[last, 1],
-                "row": rows,
+                "layer": self.layer[rows], "island": self.island[rows], "x0": self.start[rows, 0],
+                "y0": self.start[rows, 1], "x1": self.end[last, 0], "y1": self.end[last, 1], "row": rows,
             }
-        )
+        )  # fmt: skip
 
     # -- drawn -------------------------------------------------------------------------------------
 
@@ -426,3 +389,62 @@ class NCProgram(Columns[Motion]):
         row, points = self.samples(rows, DRAWN_STEP_MM)
         parts = np.split(points, np.searchsorted(row, rows)[1:])
         return [np.vstack([start, part]) for start, part in zip(self.start[rows, :2], parts, strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class Beads:
+    """Beads of a program, or of some of its motions, in the order in which they are laid.
+
+    A bead ends where beam or wire are switched on, at a travel, and where the height or the layer changes.
+    """
+
+    rows: Ints  # (n,) motions
+    bead: Ints  # (n,) bead of each, from 0 without gaps
+    first: Ints  # (P,) first and last motion of each bead
+    last: Ints
+    # (B,) numbers that rise from one bead to another, of all motions of the program, also of those that lay nothing.
+    group: Ints
+
+    @classmethod
+    def of(cls, rows: Ints, group: Ints) -> Beads:
+        """Beads of motions `rows` (n,), rising: rows in a row whose `group` (B,) is one are one bead."""
+        begins = np.append(True, (np.diff(rows) > 1) | (np.diff(group[rows]) != 0))[: rows.size]
+        at = np.flatnonzero(begins)
+        last = np.append(at[1:], rows.size)[: at.size] - 1
+        return cls(rows, np.cumsum(begins) - 1, rows[at], rows[last], group)
+
+    def among(self, rows: Ints) -> Beads:
+        """Beads that some of the motions make, numbered anew from 0; a bead that others of its motions part is several."""
+        return Beads.of(rows, self.group)
+
+    def __len__(self) -> int:
+        """Return the number of beads."""
+        return int(self.first.size)
+
+    def total(self, values: Floats) -> Floats:
+        """Sum (P,) over each bead of the `values` (n,) of its motions."""
+        return np.bincount(self.bead, values, minlength=len(self)).astype(np.float64)
+
+    def any(self, which: np.ndarray) -> np.ndarray:
+        """Whether each bead (P,) has a motion that is marked in `which` (n,)."""
+        return np.asarray(np.bincount(self.bead, which, minlength=len(self)) > 0)
+
+    def greatest(self, values: Floats) -> Floats:
+        """Greatest (P,) of the `values` (n,) of each bead; NaN where one is."""
+        return (
+            np.maximum.reduceat(values, np.searchsorted(self.bead, np.arange(len(self))))
+            if len(self)
+            else values[:0]
+        )
+
+    def middles(self, length_mm: Floats) -> tuple[Floats, Floats]:
+        """Distance (n,) of the middle of each motion from the start of its bead, and the length (P,) of each bead, mm."""
+        whole = self.total(length_mm)
+        before = np.concatenate([[0.0], np.cumsum(whole)])[self.bead]
+        return np.cumsum(length_mm) - 0.5 * length_mm - before, whole
+
+    def spread(self, values: Ints, size: int) -> Ints:
+        """Give each motion (size,) the value of its bead; -1 for those of none."""
+        result = np.full(size, -1, np.int64)
+        result[self.rows] = values[self.bead]
+        return result

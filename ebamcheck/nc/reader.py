@@ -17,38 +17,21 @@ from ebamcheck.nc.control import Control, control, controls
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.recorder import NO_CENTRE, Recorder, StateChange, Templates
 from ebamcheck.nc.templates import checked_templates
-from ebamcheck.nc.words import (
-    NUMBER,
-    SKIP,
-    SKIPPED,
-    Block,
-    Dialect,
-    UnknownWord,
-    WordError,
-    read_block,
-)
+from ebamcheck.nc.words import NUMBER, SKIP, SKIPPED, Block, Dialect, UnknownWord, WordError, read_block
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.config import Config
 
 AXES = ("X", "Y", "Z")
-
+# Words of motion that every control has.
 COMMON_MOTIONS: Mapping[str, int] = {"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC}
-"""Words of motion that every control has."""
-
 ARCS = ("G2", "G3")
-
+# Radii at start and end of an arc may differ by this; larger differences stop the control with an alarm.
 RADIUS_TOLERANCE_MM = 0.01
-"""Radii at start and end of an arc may differ by this; larger differences stop the control with an alarm."""
-
-CHORD_ROUNDING = 1e-9
-"""Share by which a chord may exceed the diameter, for the rounding of a half circle."""
-
+CHORD_ROUNDING = 1e-9  # Share by which a chord may exceed the diameter, for the rounding of a half circle
 _N = rf"({NUMBER})"
+# The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word.
 _PLAIN = rf"(G[0-3])(?: X{_N})?(?: Y{_N})?(?: Z{_N})?(?: I{_N} J{_N})?(?: F{_N})?(?: ; (?:TURN|GOES ON))?(?P<plain>)"
-"""The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word."""
-
-TABLE_TITLES = (b"Mode\t", b"Mode X(m)", b"Number of path segments")
-"""First lines of path tables."""
+TABLE_TITLES = (b"Mode\t", b"Mode X(m)", b"Number of path segments")  # First lines of path tables
 
 
 def read_program(
@@ -114,9 +97,8 @@ def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> 
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if begin.startswith(TABLE_TITLES):
-        raise InputError(
-            f"{path}:1:1: the path table of a heat simulator is an export, no program to be read"
-        )
+        what = "the path table of a heat simulator is an export, no program to be read"
+        raise InputError(f"{path}:1:1: {what}")
     marked = [c for c in controls.values() if c.mark and begin.startswith(c.mark)]
     ending = [c for c in controls.values() if path.suffix.upper() in c.suffixes]
     own = controls.get(config.machine.control)
@@ -125,9 +107,6 @@ def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> 
     if found := marked or ending:
         return found[0]
     raise SettingsError(f"{path}: machine.control {config.machine.control!r} is none whose programs are read")
-
-
-# -- the machine -------------------------------------------------------------------------------------
 
 
 class Reader:
@@ -149,8 +128,6 @@ class Reader:
         self._changes: dict[str, StateChange] = {}
         curve = f"|{dialect.curve}(?P<curve>)" if dialect.curve else ""
         self._plain = re.compile(rf"(?:N(\d+) )?(?:{_PLAIN}{curve})")
-
-    # -- what a dialect has of its own ----------------------------------------------------------------
 
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code of a line, blanks in place of comments that do not end it, and the comments."""
@@ -202,7 +179,10 @@ class Reader:
         takes = f"it takes I and J, or {self._radius}" if allowed else "it takes axes and F alone"
         return "" if values.keys() <= allowed else f"{', '.join(values)} under {self.mode}: {takes}"
 
-    # -- files and lines ------------------------------------------------------------------------------
+    def program(self, main: Path) -> NCProgram:
+        """Run a program from its main file; what it commands."""
+        self.run(main)
+        return self.out.program()
 
     def run(self, path: Path) -> None:
         """Run one file to its end."""
@@ -287,8 +267,6 @@ class Reader:
         """Whether a block only says something to the operator."""
         return self.dialect.message is not None and self.dialect.message.fullmatch(code) is not None
 
-    # -- blocks ---------------------------------------------------------------------------------------
-
     def _run_block(self, code: str) -> str:
         if (change := self._changes.get(code)) is not None:
             self.settle()
@@ -369,14 +347,9 @@ class Reader:
 
 
 def arc(
-    start: tuple[float, float],
-    end: tuple[float, float],
-    i: float,
-    j: float,
-    radius: float | None = None,
-    *,
+    start: tuple[float, float], end: tuple[float, float], i: float, j: float, radius: float | None = None, *,
     counter_clockwise: bool,
-) -> tuple[float, float, float]:
+) -> tuple[float, float, float]:  # fmt: skip
     """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle.
 
     I and J lead from the start to the centre and count where there is no radius, which is negative for an arc of more than half a

@@ -13,8 +13,7 @@ import numpy as np
 from ebamcheck.errors import InputError
 from ebamcheck.nc.codes import AUXILIARY, BEAM_VALUES, DWELL, SWITCHES, Action
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram, SourceFile
-from ebamcheck.nc.preheating import without_preheating
-from ebamcheck.nc.roles import by_shape, with_travel
+from ebamcheck.nc.roles import by_shape, with_travel, without_preheating
 from ebamcheck.nc.table import TableState, starts_in_frames
 from ebamcheck.nc.templates import Programmed
 from ebamcheck.nc.timeline import Events
@@ -23,16 +22,14 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.regular_file import regular_file
 
 NAN = float("nan")
+# Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none.
 LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
-"""Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none."""
 NO_CENTRE = (NAN, NAN, NAN)
-MOST_DIGITS = 8
-"""Digits of a block number: a SINUMERIK takes eight, and no control here takes more."""
+MOST_DIGITS = 8  # Digits of a block number: a SINUMERIK takes eight, and no control here takes more
+# No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis.
 LARGEST = 1e8
-"""No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis."""
+# A feed that is less and not 0 is under the steps of any control, and a motion by it has no end.
 LEAST_FEED = 1e-6
-"""A feed that is less and not 0 is under the steps of any control, and a motion by it has no end."""
-
 _KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
 
 
@@ -63,8 +60,6 @@ class Recorder:
         self._templates: list[str] = []
         self._templates_at = (-1, -1)
         self.table = TableState(axes)
-
-    # -- files -------------------------------------------------------------------------------------
 
     def open(self, path: Path) -> list[str]:
         """Read a file, and return its lines; a carriage return stays at the end of its line."""
@@ -102,8 +97,6 @@ class Recorder:
     def error(self, what: str, column: int) -> InputError:
         """Return a refusal with its place; `column` counts from 0."""
         return InputError(f"{self.files[self.file].name}:{self.line}:{column + 1}: {what}")
-
-    # -- state -------------------------------------------------------------------------------------
 
     @property
     def motions(self) -> int:
@@ -161,18 +154,10 @@ class Recorder:
             raise self.error(f"block number of {len(digits)} digits: {MOST_DIGITS} at most", 0)
         self._numbers.append((self.file, self.line, int(digits)))
 
-    # -- motions -----------------------------------------------------------------------------------
-
     def move(
-        self,
-        kind: int,
-        x: float,
-        y: float,
-        z: float,
-        curve: tuple[float, ...] = LINE_OF_T,
-        centre: tuple[float, ...] = NO_CENTRE,
-        line: int = 0,
-    ) -> None:
+        self, kind: int, x: float, y: float, z: float, curve: tuple[float, ...] = LINE_OF_T,
+        centre: tuple[float, ...] = NO_CENTRE, line: int = 0,
+    ) -> None:  # fmt: skip
         """Note a motion to x, y, z; `line` where it is not the present one."""
         # Here and not behind all motions: an arc from such a place would be refused in the place of it.
         if x > LARGEST or y > LARGEST or z > LARGEST or x < -LARGEST or y < -LARGEST or z < -LARGEST:
@@ -200,8 +185,6 @@ class Recorder:
             self.table.set_frame(frame)
         else:
             self.x, self.y, self.z = self.table.seen_from(frame, here).tolist()
-
-    # -- result ------------------------------------------------------------------------------------
 
     def program(self) -> NCProgram:
         """Gather all that was read into columns; a number that no control takes is refused."""
@@ -297,12 +280,9 @@ def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floa
 
 # -- templates in the text ---------------------------------------------------------------------------
 
-RUNNING = ("set_power", "set_wire")
-"""Templates that set values along a bead."""
-
+RUNNING = ("set_power", "set_wire")  # Templates that set values along a bead
+# Templates that may set a value to 0 at the end of a bead, before they switch off.
 ENDING = ("beam_off", "wire_stop")
-"""Templates that may set a value to 0 at the end of a bead, before they switch off."""
-
 _ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
 
 
@@ -310,14 +290,12 @@ _ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
 class StateChange:
     """What a block of a template does."""
 
-    block: str
-    """The block as it stands in the profile."""
+    block: str  # The block as it stands in the profile
+    # Switches (NaN) and values that it sets, in the order of its codes.
     actions: tuple[tuple[str, float], ...]
-    """Switches (NaN) and values that it sets, in the order of its codes."""
-    before: tuple[str, ...] = ()
-    """Blocks of the same template that come before one that switches."""
+    before: tuple[str, ...] = ()  # Blocks of the same template that come before one that switches
+    # Whether the profile has the block in a template for values that change while beam and wire run, or as they end.
     running: bool = True
-    """Whether the profile has the block in a template for values that change while beam and wire run, or as they end."""
 
 
 class Templates:

@@ -1,4 +1,4 @@
-"""Roles of motions by their geometry: contours, islands, turns, layers. What comments say of them counts for nothing.
+"""Roles of motions by their geometry: contours, islands, turns, layers, preheating. What comments say of them counts for nothing.
 
 A motion with beam or wire on is metal. Metal that follows metal at one height is one bead; a bead that comes back to
 its start is a contour, any other is hatch. Who knows more of the part or of its plan gives better roles:
@@ -7,33 +7,35 @@ its start is a contour, any other is hatch. Who knows more of the part or of its
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.geometry.nearest import distances
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.layers.stack import Layers
-from ebamcheck.nc.beads import Beads
-from ebamcheck.nc.depths import depth_lines
-from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
+from ebamcheck.nc.codes import FOCUS
+from ebamcheck.nc.files import layer_of_preheat
+from ebamcheck.nc.motions import RAPID, STRAIGHT, Beads, NCProgram
 from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
+# A bead that comes this near to its start has come back: the decimals of a program, at their coarsest.
 CLOSED_MM = 1e-3
-"""A bead that comes this near to its start has come back: the decimals of a program, at their coarsest."""
-
-PARALLEL = 1e-3
-"""Sine of the angle between lines of one direction."""
-
+PARALLEL = 1e-3  # Sine of the angle between lines of one direction
+# Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else.
 JOINT_MM = 2e-5
-"""Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else."""
-
+# Distance of the places at which a bead's distance from the depth of contours is looked at, and of those tried along the sides.
 STEP_MM = 0.5
-"""Distance of the places at which a bead's distance from the depth of contours is looked at."""
-
-MOST = 0.5
-"""Share of a bead's length at the depth of contours from which on it is a contour."""
+# Stretches into which the shortest side is parted: of a side of a small circle only the middle has the depth.
+FEWEST = 4
+# Angle between the places that are tried around an inward corner: chords of beads keep the depth within OFF_MM.
+TURN_RAD = np.pi / 96.0
+OFF_MM = 1e-3  # By how much less deep a place may be
+HALVINGS = 8  # Halvings of the stretch in which a line ends
+MOST = 0.5  # Share of a bead's length at the depth of contours from which on it is a contour
 
 
 def by_shape(nc: NCProgram) -> NCProgram:
@@ -44,14 +46,8 @@ def by_shape(nc: NCProgram) -> NCProgram:
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
     """Give every bead its role by the sections of a part: contours run at a depth of the section.
 
-    In a layer where none does, the beads that come back to their start are taken for contours.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each of the `layers` in the program.
-    offset_mm, near_mm
-        Depth of contour beads, and how near to it a bead runs that is one for most of its length.
+    The `layers` lie at `z_of` (L,) in the program; a contour runs within `near_mm` of the depth `offset_mm` for most of its length. In a
+    layer where no bead does, those that come back to their start are taken for contours.
     """
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
@@ -105,11 +101,9 @@ def _comes_back(nc: NCProgram, beads: Beads) -> Bools:
 
 
 def _begins_island(nc: NCProgram, beads: Beads, contour: Bools) -> Bools:
-    """Hatch beads (P,) that begin an island.
-
-    The others follow the bead before at its height, or from above in the same direction: islands that touch never share
-    one. After a wait an island begins in any case.
-    """
+    """Hatch beads (P,) that begin an island."""
+    # The others follow the bead before at its height, or from above in the same direction: islands that touch never share one. After a
+    # wait an island begins in any case.
     if not len(beads):
         return np.zeros(0, np.bool_)
     waits = nc.events.row[nc.events.named(PAUSE)]
@@ -167,22 +161,13 @@ def _cross(a: Floats, b: Floats) -> Floats:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-# -- layers ------------------------------------------------------------------------------------------
-
-
 def nearest_layer(z: Floats, z_of: Floats) -> Ints:
     """Index of the layer (n,) whose height is nearest to each Z."""
     return np.asarray(np.searchsorted(0.5 * (z_of[1:] + z_of[:-1]), z), np.int64)
 
 
 def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
-    """Return the program with each motion in the layer whose height it works at; travel in the one that it leads to.
-
-    Parameters
-    ----------
-    z_of
-        (L,) Z of each layer, rising.
-    """
+    """Return the program with each motion in the layer whose Z, `z_of` (L,) rising, it works at; travel in the one that it leads to."""
     if not z_of.size:
         return nc
     metal = np.flatnonzero((nc.beam | nc.wire) & (nc.kind != RAPID))
@@ -209,3 +194,133 @@ def with_travel(layer: Ints) -> Ints:
     leaves = leaves[layer[leaves] < 0]
     result[leaves] = layer[leaves - 1]
     return np.asarray(result, np.int64)
+
+
+OFF = ("beam_off", "wire_stop")  # Commands that come before a scan
+# Columns with a row for each motion.
+OF_MOTIONS = (
+    "file", "line", "layer", "kind", "start", "end", "coefficients", "arc", "feed_mm_min", "beam", "wire", "power_w",
+    "wire_mm_s", "ring", "island", "turn", "goes_on",
+)  # fmt: skip
+
+
+def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
+    """Return a program with the motions and events of its preheating scans apart.
+
+    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus: from where it is set out to where
+    it is taken back. What runs there stays in the order in which it runs; positions of the rest begin where the scan before left
+    the tool.
+    """
+    if in_layers:
+        return _by_focus(nc)
+    stem = nc.files[0].name.rpartition(".")[0]
+    of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
+    if all(layer is None for layer in of_file):
+        return nc
+    layer = np.array([-1 if found is None else found for found in of_file], np.int64)
+    apart = layer[nc.file] >= 0
+    scans = rows_of(nc, apart, layer[nc.events.file] >= 0)
+    scans = replace(scans, layer=layer[scans.file], layer_files=())
+    return replace(rows_of(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
+
+
+def _by_focus(nc: NCProgram) -> NCProgram:
+    """Scans told by the focus, each with the commands right before it that switch beam and wire off."""
+    e, focus = nc.events, nc.events.named(FOCUS)
+    out = focus & (e.value != 0.0)
+    within = e.since(out, focus & ~out)
+    # What comes next, but for the commands that switch off.
+    others = np.flatnonzero(~e.named(*OFF))
+    ahead = np.append(others, len(e) - 1)[np.searchsorted(others, np.arange(len(e)))]
+    before = e.named(*OFF) & (out & ~within[:-1])[ahead] & (e.file == e.file[ahead])
+    events = before | out | within[:-1]
+    motions = within[np.searchsorted(e.row, np.arange(len(nc)), side="right")]
+    if not events.any():
+        return nc
+    scans = replace(rows_of(nc, motions, events), layer_files=())
+    return replace(rows_of(nc, ~motions, ~events), preheating=scans)
+
+
+def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
+    """Some motions and some events of a program, each event before the motion that it came before."""
+    assert {field.name for field in fields(nc)} >= set(OF_MOTIONS)
+    kept = {name: getattr(nc, name)[motions] for name in OF_MOTIONS}
+    before: Ints = np.concatenate([[0], np.cumsum(motions)]).astype(np.int64)
+    found = nc.events.chosen(events)
+    found = replace(found, row=before[found.row])
+    table = None if nc.table is None else nc.table.rows(motions)
+    return replace(nc, events=found, table=table, **kept)
+
+
+# -- depths ------------------------------------------------------------------------------------------
+# Who plans and writes contours takes them from an inset. Who reads and checks a program works out where they must lie in another way:
+# places straight in from every side, and around every inward corner, of which those count that no other side is nearer to.
+
+
+def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
+    """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
+
+    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`.
+
+    Examples
+    --------
+    >>> lines = depth_lines(shapely.box(0, 0, 10, 8), 3.0)
+    >>> np.round(np.hypot(*(lines[:, 2:] - lines[:, :2]).T).sum(), 2)
+    np.float64(12.0)
+    """
+    if section.is_empty or depth_mm <= 0.0:
+        return np.zeros((0, 4))
+    sides = segments_of(shapely.boundary(section))
+    shapely.prepare(section)
+
+    def holds(places: Floats) -> np.ndarray:
+        inside = shapely.contains_xy(section, places[:, 0], places[:, 1])
+        inside[inside] = distances(places[inside], sides) >= depth_mm - OFF_MM
+        return np.asarray(inside)
+
+    places, line = _tried(section, depth_mm)
+    good = holds(places)
+    follows = line[1:] == line[:-1]
+    a, b = places[:-1][follows], places[1:][follows]
+    at_a, at_b = good[:-1][follows], good[1:][follows]
+    ends = at_a != at_b
+    inner = np.where(at_a[ends, None], a[ends], b[ends])
+    outer = np.where(at_a[ends, None], b[ends], a[ends])
+    first = inner
+    for _ in range(HALVINGS):
+        middle = 0.5 * (inner + outer)
+        held = holds(middle)[:, None]
+        inner, outer = np.where(held, middle, inner), np.where(held, outer, middle)
+    whole = at_a & at_b
+    return np.concatenate([np.hstack([a[whole], b[whole]]), np.hstack([first, inner])])
+
+
+def _tried(section: BaseGeometry, depth_mm: float) -> tuple[Floats, Ints]:
+    """Places (n, 2) at a distance from each side and inward corner, in order, and the line that each belongs to."""
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(section)))
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    side = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
+    start, way, ring = points[side], points[side + 1] - points[side], ring[side]
+    length = np.hypot(way[:, 0], way[:, 1])
+    normal = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
+    row, share = _shares(np.maximum(np.ceil(length / STEP_MM).astype(np.int64), FEWEST))
+    along = start[row] + share[:, None] * way[row] + depth_mm * normal[row]
+    # The side before each: of the first of a ring it is its last.
+    before = np.arange(side.size) - 1
+    first = np.flatnonzero(np.append(True, ring[1:] != ring[:-1]))
+    before[first] = np.append(first[1:], side.size) - 1
+    sine = normal[before, 0] * normal[:, 1] - normal[before, 1] * normal[:, 0]
+    turn = np.arctan2(sine, (normal[before] * normal).sum(axis=1))
+    inward = np.flatnonzero(turn < 0.0)
+    corner, share = _shares(np.ceil(-turn[inward] / TURN_RAD).astype(np.int64))
+    of = inward[corner]
+    angle = np.arctan2(normal[before[of], 1], normal[before[of], 0]) + share * turn[of]
+    around = start[of] + depth_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.concatenate([along, around]), np.concatenate([row, side.size + corner])
+
+
+def _shares(count: Ints) -> tuple[Ints, Floats]:
+    """Row of each of ``count + 1`` places a row, and where along it they are, from 0 to 1."""
+    row = np.repeat(np.arange(count.size), count + 1)
+    at = np.arange(row.size) - np.repeat(np.cumsum(count + 1) - count - 1, count + 1)
+    return row, at / count[row]

@@ -18,21 +18,16 @@ from dataclasses import replace
 import numpy as np
 
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram, TableColumns
-from ebamcheck.nc.preheating import rows_of
+from ebamcheck.nc.roles import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import RotaryAxis
 
-NONE = np.eye(4)[:3]
-"""No frame: turn and shift (3, 4)."""
-
+NONE = np.eye(4)[:3]  # No frame: turn and shift (3, 4)
+# Motions that table and frame put within this of where they belong are taken as they are programmed: the decimals of a program.
 SAME_PLACE_MM = 1e-3
-"""Motions that table and frame put within this of where they belong are taken as they are programmed: the decimals of a program."""
-
-FLAT = 1e-12
-"""How far the third row of a turn about the vertical may be from that of none."""
-
+FLAT = 1e-12  # How far the third row of a turn about the vertical may be from that of none
 _FRAME = re.compile(r"(A?TRANS|A?ROT)\s+(\S.*)")
 _PART = re.compile(rf"\s*(?:([XYZ])\s*=?|(RPL)\s*=)\s*({NUMBER})")
 
@@ -88,15 +83,9 @@ class TableState:
         frame, after = states
         before = np.concatenate([[0], after[:-1]])[: len(after)]
         return TableColumns(
-            self.axes,
-            np.array(self._positions, np.float64).reshape(len(self._positions), len(self.axes)),
-            np.stack(self._frames),
-            before,
-            after,
-            frame,
-            np.zeros(len(after)),
-            np.zeros(len(after), np.bool_),
-        )
+            self.axes, np.array(self._positions, np.float64).reshape(len(self._positions), len(self.axes)),
+            np.stack(self._frames), before, after, frame, np.zeros(len(after)), np.zeros(len(after), np.bool_),
+        )  # fmt: skip
 
 
 def starts_in_frames(start: Floats, table: TableColumns) -> Floats:
@@ -116,9 +105,6 @@ def _seen(was: Floats, now: Floats, place: Floats) -> Floats:
 
 def _times(turn: Floats, place: Floats) -> Floats:
     return np.asarray(np.where(turn == 0.0, 0.0, turn * place).sum(axis=1), np.float64)
-
-
-# -- frames -----------------------------------------------------------------------------------------
 
 
 def frame_after(code: str, frame: Floats) -> Floats | None:
@@ -172,9 +158,6 @@ def _about(axis: int, angle_rad: float) -> Floats:
     turn[i, i] = turn[j, j] = np.cos(angle_rad)
     turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
     return turn
-
-
-# -- from the program to the part ---------------------------------------------------------------------
 
 
 def on_part(nc: NCProgram, config: Config) -> NCProgram:

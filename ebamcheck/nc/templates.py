@@ -11,8 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from itertools import product
+
+import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.nc.codes import (
     AUXILIARY,
     BEAM_TEMPLATES,
@@ -29,15 +33,15 @@ from ebamcheck.nc.codes import (
     blocks_of,
     templates_of,
 )
-from ebamcheck.nc.conventions import plain
-from ebamcheck.nc.increments import increments_of, to_increment
-from ebamcheck.nc.special_rules import checked_preheating, checked_tilt
+from ebamcheck.nc.control import control
+from ebamcheck.nc.conventions import increments_of, plain, to_increment
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
+from ebamcheck.settings.process import KeepOut
 from ebamcheck.settings.process_window import wire_speed_mm_s
 
-LONGEST_BLOCK = 200
-"""Characters of a block that every software version of the control takes."""
+LONGEST_BLOCK = 200  # Characters of a block that every software version of the control takes
 
 
 class _Value(float):
@@ -63,8 +67,8 @@ class ProcessValues:
     layer: int
     height_mm: float
     defocus: float = 0.0
+    # Least step of each value that has one: it is printed as a multiple of it.
     increments: Mapping[str, float] = field(default_factory=dict)
-    """Least step of each value that has one: it is printed as a multiple of it."""
 
     def printed(self, name: str) -> float:
         """One of the values as it is printed."""
@@ -104,8 +108,8 @@ class _Placeholders(dict[str, object]):
         return found
 
 
+# Names that stand for values in a template.
 PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
-"""Names that stand for values in a template."""
 
 
 def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
@@ -142,24 +146,18 @@ def usable_templates(config: Config, control: str) -> dict[str, tuple[str, ...]]
 def process_values(config: Config, layer: int, height_mm: float, thickness_mm: float) -> ProcessValues:
     """Values of the placeholders in a layer, counted from 1."""
     return ProcessValues(
-        power_w=config.process.power_w,
-        voltage_kv=config.process.voltage_kv,
-        current_ma=config.process.current_ma,
+        power_w=config.process.power_w, voltage_kv=config.process.voltage_kv, current_ma=config.process.current_ma,
         wire_mm_s=wire_speed_mm_s(config, config.process.bead_metal_mm, thickness_mm),
-        wire_retract_mm=config.process.wire_retract_mm,
-        feed_mm_min=60.0 * config.process.travel_speed_mm_s,
-        layer_pause_s=config.process.layer_pause_s,
-        layer=layer,
-        height_mm=height_mm,
+        wire_retract_mm=config.process.wire_retract_mm, feed_mm_min=60.0 * config.process.travel_speed_mm_s,
+        layer_pause_s=config.process.layer_pause_s, layer=layer, height_mm=height_mm,
         increments=increments_of(config.machine),
-    )
+    )  # fmt: skip
 
 
 # -- what templates may hold --------------------------------------------------------------------------
 
-FREE = ("layer", "height_mm", "feed_mm_min")
-"""Placeholders that an auxiliary code may carry."""
-
+FREE = ("layer", "height_mm", "feed_mm_min")  # Placeholders that an auxiliary code may carry
+# Values of which a template sets one, if it is not empty.
 NEEDED: Mapping[str, tuple[str, ...]] = {
     "set_power": ("current_ma", "power_w"),
     "set_wire": ("wire_mm_s",),
@@ -167,13 +165,10 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "wire_retract": ("wire_retract_mm",),
     "set_focus": (FOCUS,),
 }
-"""Values of which a template sets one, if it is not empty."""
-
+# Templates that run while the beam is on.
 UNDER_BEAM = ("set_power", "set_wire", "wire_start", "wire_stop", "wire_retract")
-"""Templates that run while the beam is on."""
-
+# Blocks of each template as text, and what the codes of each do.
 Programmed = Mapping[str, tuple[tuple[str, tuple[Action, ...]], ...]]
-"""Blocks of each template as text, and what the codes of each do."""
 
 
 def checked_templates(machine: MachineSettings, dialect: str) -> Programmed:
@@ -279,3 +274,76 @@ def _check_values(templates: Programmed) -> None:
         raise SettingsError(
             "machine.set_beam and beam_on set no power: give {voltage_kv} and {current_ma}, or {power_w}"
         )
+
+
+# Heights of a keep-out zone for which nobody gave any: a place to stay out of, and no body that turns with the table.
+NO_HEIGHT = KeepOut.model_fields["z_mm"].default
+
+
+def checked_preheating(config: Config, name: str) -> None:
+    """Refuse preheating that this machine, or the control `name`, cannot do, or that would be none, by setting and what to do."""
+    settings, machine, process = config.preheat, config.machine, config.process
+    if settings.when == "off":
+        return
+    why = ""
+    if not control(name).subprogram_suffix:
+        why = f"control {name!r} has programs of one file: a scan is a subprogram of its own"
+    elif not machine.set_focus:
+        why = 'machine.set_focus is empty: give the block that sets the focus, such as "H5={defocus} ; focus"'
+    elif settings.defocus == 0.0:
+        why = "preheat.defocus is 0, the focus of the beads: give the value at which the beam is preheat.spot_mm wide"
+    elif settings.current_ma > process.current_max_ma:
+        why = f"preheat.current_ma {settings.current_ma:g} is over process.current_max_ma {process.current_max_ma:g}"
+    elif not machine.feed_min_mm_s <= settings.speed_mm_s <= machine.feed_max_mm_s:
+        why = (
+            f"preheat.speed_mm_s {settings.speed_mm_s:g} is not within machine.feed_min_mm_s and feed_max_mm_s, "
+            f"{machine.feed_min_mm_s:g} .. {machine.feed_max_mm_s:g}"
+        )
+    elif settings.when == "layers" and process.layer_pause_s > 0.0:
+        why = "process.layer_pause_s lets layers cool that preheat.when = 'layers' heats: use one of them"
+    elif settings.target_k + settings.over_k > entry_limit_k(config):
+        why = (
+            f"preheat.target_k + over_k is {settings.target_k + settings.over_k:g} K, over {entry_limit_k(config):g} K at which no bead "
+            "may be entered"
+        )
+    elif config.base_mm > 0.0 and settings.scan_in == "own":
+        why = "the program begins on what stands (layers.base_mm), and its main program preheats nothing: set preheat.scan_in = 'layer'"
+    if why:
+        raise SettingsError(f"preheat.when is {settings.when!r}: {why}")
+
+
+def checked_tilt(config: Config, name: str) -> None:
+    """Refuse a turned layer for a control that has no frames, or a machine without rotary axes, by setting and what to do."""
+    if config.part.on_table is None:
+        return
+    if not config.machine.rotary:
+        raise SettingsError(
+            "part.on_table says that the part is turned between layers, and machine.rotary names no axis that turns it"
+        )
+    if not control(name).frames:
+        raise SettingsError(
+            f"machine.control {name!r}: no program is written for it that turns a tilt table (machine.rotary), since it has no frame for the "
+            "turned layer: leave machine.rotary out, turn the part with machine.tilt_axes, and set the offset on the control"
+        )
+    if config.preheat.when != "off":
+        raise SettingsError(
+            f"preheat.when is {config.preheat.when!r}: a turned layer is not preheated; set preheat.when = 'off'"
+        )
+
+
+def carried_corners(config: Config) -> Floats:
+    """Corners (n, 3) of all that the table carries, its axes at 0: box of the part, base plate, and clamps of known height."""
+    stands = config.part.on_table
+    assert stands is not None
+    machine, process = config.machine, config.process
+    (x0, y0, z0), (x1, y1, z1) = stands.low_mm, stands.high_mm
+    px0, py0 = machine.base_plate_min_mm or (x0, y0)
+    px1, py1 = machine.base_plate_max_mm or (x1, y1)
+    corners = [
+        *product((x0, x1), (y0, y1), (z0, z1)),
+        *product((px0, px1), (py0, py1), (-process.base_plate_mm, 0.0)),
+    ]
+    for zone in process.keep_out:
+        if zone.z_mm != NO_HEIGHT:
+            corners += [(x, y, z) for (x, y), z in product(zone.outline_mm, zone.z_mm)]
+    return np.array(corners, np.float64)

@@ -14,11 +14,9 @@ from ebamcheck.nc.words import SKIPPED
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 
-PAUSE = "layer_pause_s"
-"""Event of a wait of the build, named by its placeholder; that of a template is :data:`DWELL`."""
-
+PAUSE = "layer_pause_s"  # Event of a wait of the build, named by its placeholder; that of a template is DWELL
+# Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position.
 AXIS_EVENT = "table axis "
-"""Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position."""
 
 
 class Kind(IntEnum):
@@ -42,20 +40,14 @@ class Kind(IntEnum):
     TABLE_AXIS = 15
 
 
+# Kinds of events that have a name of their own.
 BY_NAME = {
-    "beam_on": Kind.BEAM_ON,
-    "beam_off": Kind.BEAM_OFF,
-    "wire_start": Kind.WIRE_START,
-    "wire_stop": Kind.WIRE_STOP,
-    SKIPPED: Kind.SKIPPED,
-    **dict.fromkeys(VALUES, Kind.VALUE),
-    **dict.fromkeys((PAUSE, DWELL), Kind.WAIT),
-    **dict.fromkeys(("M0", "M1"), Kind.STOP),
-    **dict.fromkeys(("M30", "M2", "M17", "RET"), Kind.END),
+    "beam_on": Kind.BEAM_ON, "beam_off": Kind.BEAM_OFF, "wire_start": Kind.WIRE_START, "wire_stop": Kind.WIRE_STOP,
+    SKIPPED: Kind.SKIPPED, **dict.fromkeys(VALUES, Kind.VALUE), **dict.fromkeys((PAUSE, DWELL), Kind.WAIT),
+    **dict.fromkeys(("M0", "M1"), Kind.STOP), **dict.fromkeys(("M30", "M2", "M17", "RET"), Kind.END),
     **dict.fromkeys(("CTOL", "ADIS"), Kind.TOLERANCE),
-}
-"""Kinds of events that have a name of their own."""
-
+}  # fmt: skip
+# Kinds of events whose name says more behind its begin: a subprogram, a block, axes.
 BY_BEGIN = {
     "call ": Kind.CALL,
     "lacks ": Kind.LACKS,
@@ -63,7 +55,6 @@ BY_BEGIN = {
     "frame lacks ": Kind.FRAME_LACKS,
     AXIS_EVENT: Kind.TABLE_AXIS,
 }
-"""Kinds of events whose name says more behind its begin: a subprogram, a block, axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +63,10 @@ class Events:
 
     file: Ints
     line: Ints
-    row: Ints
-    """Motions before the event."""
+    row: Ints  # Motions before the event
+    # Template that ends here (`beam_on`), placeholder that is set (`current_ma`), modal word, `call NAME`, or `BSPLINE` for each spline.
     name: tuple[str, ...]
-    """Template that ends here (``beam_on``), placeholder that is set (``current_ma``), modal word, ``call NAME``,
-    or ``BSPLINE`` for each spline."""
-    value: Floats
-    """Number that is set, blocks of the spline; NaN where there is none."""
+    value: Floats  # Number that is set, blocks of the spline; NaN where there is none
 
     def __repr__(self) -> str:
         return short_text.line("Events", short_text.counted(len(self.name), "event"))
@@ -121,8 +109,6 @@ class Events:
         """Events of each stay in a file, one after the other."""
         for run in np.split(np.arange(len(self)), np.flatnonzero(np.diff(self.file)) + 1):
             yield self.chosen(run)
-
-    # -- the state before each event -------------------------------------------------------------------
 
     def latest(self, which: Bools) -> Ints:
         """Last event before each one, and before the end (E + 1,), that is marked in `which` (E,); -1 for none."""

@@ -16,15 +16,10 @@ from ebamcheck.nc.control import Group, control
 from ebamcheck.settings.machine import MachineSettings
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
-
+# Before a block that is skipped where the operator has chosen so at the panel.
 SKIP = re.compile(r"\s*/\d?\s*")
-"""Before a block that is skipped where the operator has chosen so at the panel."""
-
-SKIPPED = "may be skipped"
-"""Event of such a block, where it does anything."""
-
-MOST_OF_A_LIST = 3
-"""Numbers of a list: an end point, and coefficients of t^2 and t^3."""
+SKIPPED = "may be skipped"  # Event of such a block, where it does anything
+MOST_OF_A_LIST = 3  # Numbers of a list: an end point, and coefficients of t^2 and t^3
 
 
 @dataclass(frozen=True)
@@ -164,9 +159,6 @@ def _refuse_two_of_a_group(dialect: Dialect, words: Collection[str]) -> None:
         if kind in seen:
             raise WordError(f"{seen[kind]} and {word} in one block: it takes one word of a group ({kind})", 0)
         seen[kind] = word
-
-
-# -- modal groups ------------------------------------------------------------------------------------
 
 
 @cache

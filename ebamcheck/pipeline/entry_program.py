@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from ebamcheck.checks.checks import PLACE_MM
 from ebamcheck.checks.entry_check import entry_check
 from ebamcheck.checks.header_checks import marked_validated
-from ebamcheck.checks.tolerances import PLACE_MM
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.nc.control import control

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.plate_record import plate_record
+from ebamcheck.checks.consumables import plate_record
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves.fallback import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode

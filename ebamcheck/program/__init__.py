@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from ebamcheck.names_on_demand import on_demand
 
 if TYPE_CHECKING:
-    from ebamcheck.checks.checks import Check as Check
     from ebamcheck.checks.consumables import program_summary as program_summary
     from ebamcheck.nc.files import ProgramFiles as ProgramFiles
     from ebamcheck.nc.files import mark_validated as mark_validated
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from ebamcheck.nc.reader import read_program as read_program
     from ebamcheck.program.verification import verify_file as verify_file
     from ebamcheck.program.verification import verify_program as verify_program
+    from ebamcheck.result import Check as Check
     from ebamcheck.writing.posts import write_program as write_program
 
 __all__ = [
@@ -28,9 +28,9 @@ __all__ = [
     "verify_program",
     "write_program",
 ]
-
+# Names and where they live; they load when first used: who asks what a control is waits for no planning and no check.
 _HOMES = {
-    "Check": "checks.checks",
+    "Check": "result",
     "NCProgram": "nc.motions",
     "ProgramFiles": "nc.files",
     "mark_validated": "nc.files",
@@ -40,6 +40,4 @@ _HOMES = {
     "verify_program": "program.verification",
     "write_program": "writing.posts",
 }
-"""Names and where they live; they load when first used: who asks what a control is waits for no planning and no check."""
-
 __getattr__ = on_demand("ebamcheck", _HOMES)

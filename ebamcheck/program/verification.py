@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.matching import Matching, matched
 from ebamcheck.checks.metal import Deposit
@@ -23,6 +22,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.reader import read_program
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
 

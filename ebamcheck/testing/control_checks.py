@@ -14,7 +14,6 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import Check
 from ebamcheck.curves import Curves, fit
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import from_polygons
@@ -23,6 +22,7 @@ from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.pipeline.stages import bead_paths, plan_program, smooth_layers
 from ebamcheck.program import mark_validated, verify_file
+from ebamcheck.result import Check
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.testing.subject import Figure, truth

@@ -60,46 +60,35 @@ from ebamcheck.verification.tables_again import order_of, tables_check
 from ebamcheck.version import __version__
 from ebamcheck.writing.bead_ends import planned_path
 
+# Figures that differ by less, relative to the greater or to 1, are the same: sums in another order.
 SAME_FIGURE = 1e-6
-"""Figures that differ by less, relative to the greater or to 1, are the same: sums in another order."""
-
+# Points cut by one slicer twice, on another processor: far under what two slicers may differ by.
 SAME_POINT_MM = 1e-6
-"""Points cut by one slicer twice, on another processor: far under what two slicers may differ by."""
-
-COVERAGE = "coverage"
-"""The gate that the text can shut where the plan alone leaves it open."""
-
-PROGRAM = "program"
-"""The gate whose figure counts checks, of which more are made here than in a run."""
-
+COVERAGE = "coverage"  # The gate that the text can shut where the plan alone leaves it open
+PROGRAM = "program"  # The gate whose figure counts checks, of which more are made here than in a run
+# Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version.
 OF_TEXT_ALONE = {
     *("readable", "entry", HANDSHAKE),
     *(name for rule in RULES if {"beads", "part"} & {*rule.needs} for name in rule.checks),
     # Not by runs of an earlier version.
     *(AGAIN, COLD),
 }
-"""Checks that are made here and not by a run, which has its plan to compare with, or not by a run of an earlier version."""
 
 
 @dataclass(frozen=True)
 class Again:
     """What a run came to when it was worked out again."""
 
-    witness: str
-    """Slicer that cut the part anew."""
+    witness: str  # Slicer that cut the part anew
     gates: tuple[Check, ...]
-    agrees: bool
-    """The slicers agree, the one that cut anew among them."""
-    findings: tuple[Check, ...]
-    """Findings of part and settings, which follow from these alone."""
-    checks: tuple[Check, ...] = ()
-    """Checks of the program; none for a run without one."""
+    agrees: bool  # The slicers agree, the one that cut anew among them
+    findings: tuple[Check, ...]  # Findings of part and settings, which follow from these alone
+    checks: tuple[Check, ...] = ()  # Checks of the program; none for a run without one
+    # Recorded layers that are not those of the slicer whose name their file has.
     exchanged: tuple[str, ...] = ()
-    """Recorded layers that are not those of the slicer whose name their file has."""
-    tables: Check | None = None
-    """Whether the tables of the run are those that follow; None where no run says."""
+    tables: Check | None = None  # Whether the tables of the run are those that follow; None where no run says
+    # What the record says beside gates and checks in figures, by the place where it says so.
     figures: Mapping[str, Any] = field(default_factory=dict)
-    """What the record says beside gates and checks in figures, by the place where it says so."""
 
 
 def work_again(run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part) -> Again:
@@ -170,11 +159,10 @@ def exchanged_layers(
         recorded = run.read_layers(name)
         same = recorded.backend == name
         if same and name == witness:
-            same = (
-                recorded.points.shape == fresh.points.shape
-                and np.array_equal(recorded.ring_starts, fresh.ring_starts)
-                and bool((np.abs(recorded.points - fresh.points) <= SAME_POINT_MM).all())
+            same = recorded.points.shape == fresh.points.shape and np.array_equal(
+                recorded.ring_starts, fresh.ring_starts
             )
+            same = same and bool((np.abs(recorded.points - fresh.points) <= SAME_POINT_MM).all())
         if not same:
             found.append(name)
     return tuple(found)
@@ -188,17 +176,16 @@ def _agreement(
     with ExitStack() as opened:
         stacks: dict[str, LayerSource] = {}
         order = order_of(run)
-        for name, found in sorted(
-            manifest["backends"].items(), key=lambda kept: order.index(kept[0]) if kept[0] in order else -1
-        ):
+        backends, place = manifest["backends"], {name: k for k, name in enumerate(order)}
+        for name in sorted(backends, key=lambda name: place.get(name, -1)):
+            found = backends[name]
             if found["status"] != "done":
                 outcomes[name] = Outcome(name, found["status"], found["why"])
             elif name == witness or name in registry.slicers():
                 file = run.layers_file(name)
                 outcomes[name] = Outcome(name, file=file)
-                stacks[name] = (
-                    fresh if name == witness else opened.enter_context(LayerFile(file, edges=False))
-                )
+                recorded = None if name == witness else LayerFile(file, edges=False)
+                stacks[name] = fresh if recorded is None else opened.enter_context(recorded)
         outcomes.setdefault(witness, Outcome(witness, file=run.layers_file(witness)))
         stacks.setdefault(witness, fresh)
         settings = {n: registry.slicer_settings(n, config.slicing.settings.get(n, {})) for n in stacks}
@@ -278,9 +265,8 @@ def _differing(recorded: Any, found: Any, at: str = "") -> list[str]:
     """Where a record says another figure than the one found, of the keys that it has."""
     if isinstance(recorded, Mapping) and isinstance(found, Mapping):
         both = [key for key in recorded if key in found]
-        return [
-            one for key in both for one in _differing(recorded[key], found[key], f"{at}.{key}".strip("."))
-        ]
+        pairs = [(recorded[key], found[key], f"{at}.{key}".strip(".")) for key in both]
+        return [one for pair in pairs for one in _differing(*pair)]
     if isinstance(recorded, list) and isinstance(found, list) and len(recorded) == len(found):
         return [one for a, b in zip(recorded, found, strict=True) for one in _differing(a, b, at)][:1]
     numbers = isinstance(recorded, int | float) and isinstance(found, int | float)
@@ -295,17 +281,11 @@ def _gate_check(gate: Check, recorded: Mapping[str, Any] | None) -> Check:
     elif bool(recorded["passed"]) != gate.passed:
         said = "passed" if recorded["passed"] else "shut"
         told = f"recorded as {said}, found {'open' if gate.passed else 'shut'}: {gate.text}"
-    elif gate.name != PROGRAM and not (
-        _same(recorded["limit"], plain(gate.limit)) and _same(recorded["figure"], plain(gate.value))
-    ):
+    elif gate.name != PROGRAM and not _same_figures(recorded, "figure", gate):
         said = f"{recorded['figure']} of {recorded['limit']}"
         told = f"recorded as {said}, found {gate.value:g} of {gate.limit:g}: {gate.text}"
-    name = f"gate {gate.name}"
-    return (
-        replace(gate, name=name, passed=False, where="run.json", text=told)
-        if told
-        else replace(gate, name=name)
-    )
+    gate = replace(gate, name=f"gate {gate.name}")
+    return replace(gate, passed=False, where="run.json", text=told) if told else gate
 
 
 def _figures(again: Again, record: Mapping[str, Any]) -> Check:
@@ -314,23 +294,26 @@ def _figures(again: Again, record: Mapping[str, Any]) -> Check:
     if record["witness"] != again.witness:
         text = f"the run used sections by {record['witness']}, these are by {again.witness}: not compared"
         return Check("recorded figures", True, 0.0, 0.0, "faults", "", text)
-    differ = [
-        f"{c['name']}: recorded {c['value']:g}, found {found[c['name']].value:g}"
-        if c["name"] in found and isinstance(c["value"], float)
-        else f"{c['name']}: recorded as {c['value']}, not found"
-        for c in record["checks"]
-        if c["name"] not in found or not _same_check(c, found[c["name"]])
-    ]
+    differ = []
+    for c in record["checks"]:
+        check, value = found.get(c["name"]), c["value"]
+        if check is None or bool(c["passed"]) != check.passed or not _same_figures(c, "value", check):
+            known = check is not None and isinstance(value, float)
+            said = (
+                f"recorded {value:g}, found {check.value:g}"
+                if known and check
+                else f"recorded as {value}, not found"
+            )
+            differ.append(f"{c['name']}: {said}")
     recorded = {c["name"] for c in record["checks"]}
     differ += [f"{name}: not in the record" for name in found if name not in recorded | OF_TEXT_ALONE]
     text = "; ".join(differ[:3]) or f"{len(record['checks'])} figures of checks are those of the record"
     return Check("recorded figures", not differ, float(len(differ)), 0.0, "faults", "run.json", text)
 
 
-def _same_check(recorded: Mapping[str, Any], found: Check) -> bool:
-    return bool(recorded["passed"]) == found.passed and all(
-        _same(recorded[key], plain(value)) for key, value in (("value", found.value), ("limit", found.limit))
-    )
+def _same_figures(recorded: Mapping[str, Any], figure: str, found: Check) -> bool:
+    """Whether figure and limit of a record are those of a check."""
+    return _same(recorded[figure], plain(found.value)) and _same(recorded["limit"], plain(found.limit))
 
 
 def _same(recorded: Any, found: Any) -> bool:
@@ -342,10 +325,10 @@ def _same(recorded: Any, found: Any) -> bool:
 def _verdict(again: Again, manifest: Mapping[str, Any]) -> Check:
     """Whether the program is called validated exactly where every gate is open and no finding is a fault."""
     said = bool(manifest["program"]["validated"])
-    found = all(gate.passed for gate in again.gates) and not has_fault(
-        finding_of_record(f) for f in manifest["findings"]
-    )
-    text = f"recorded as {'validated' if said else 'not validated'}, found {'validated' if found else 'not validated'}"
+    faulty = has_fault(finding_of_record(f) for f in manifest["findings"])
+    found = all(gate.passed for gate in again.gates) and not faulty
+    words = {True: "validated", False: "not validated"}
+    text = f"recorded as {words[said]}, found {words[found]}"
     return Check("verdict", said == found, float(said != found), 0.0, "faults", "run.json", text)
 
 
@@ -354,20 +337,13 @@ class TextAgain(NamedTuple):
 
     checks: list[Check]
     plan: ScanPlan
-    tables: dict[str, Table]
-    """Tables of plan and text; of the plan alone where the text cannot be read."""
-    narrow: tuple[NarrowFeature, ...] = ()
-    """Features of the part that are narrower than beads can build."""
+    tables: dict[str, Table]  # Tables of plan and text; of the plan alone where the text cannot be read
+    narrow: tuple[NarrowFeature, ...] = ()  # Features of the part that are narrower than beads can build
 
 
 def text_again(
-    run: RunFolder,
-    manifest: Mapping[str, Any],
-    config: Config,
-    part: Part,
-    fresh: Layers,
-    smooth: Layers | None,
-) -> TextAgain:
+    run: RunFolder, manifest: Mapping[str, Any], config: Config, part: Part, fresh: Layers, smooth: Layers | None,
+) -> TextAgain:  # fmt: skip
     """Read, lay and check the text of a run's program over sections of the part that were cut anew.
 
     `smooth` are the fitted contours with their curves, fitted anew; None where the method of the fit makes none.
@@ -383,23 +359,11 @@ def text_again(
     nc, match = matched(nc, path)
     z_of = deposition_heights(fresh.heights, config.layer_height_mm, config.base_mm)
     laid = deposit(nc, fresh, z_of, config, asked=True)
+    hashes = {file["name"]: file["sha256"] for file in record["files"]}
     checks = verify_program(
-        nc,
-        config=config,
-        curves=beads,
-        plan=plan,
-        match=match,
-        part=part,
-        layers=fresh,
-        smooth=smooth,
-        beads=True,
-        metal=True,
-        laid=lambda: laid,
-        heat=True,
-        heights=fresh.heights,
-        sha256={file["name"]: file["sha256"] for file in record["files"]},
-        truth=truth_of(manifest),
-    )
+        nc, config=config, curves=beads, plan=plan, match=match, part=part, layers=fresh, smooth=smooth, beads=True, metal=True,
+        laid=lambda: laid, heat=True, heights=fresh.heights, sha256=hashes, truth=truth_of(manifest),
+    )  # fmt: skip
     tables |= tables_of_program(nc, run.read_layers(str(manifest["primary"])), config)
     tables |= tables_of_metal(laid, z_of, config.base_mm)
     return TextAgain([readable, *checks], plan, tables, laid.narrow)

@@ -26,26 +26,15 @@ from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.version import __version__
 
 NAME = "tables"
-
+# Figures that differ by less, relative to the greater, are the same: sums in another order.
 SAME_FIGURE = 1e-6
-"""Figures that differ by less, relative to the greater, are the same: sums in another order."""
-
-NOTHING = 1e-9
-"""Figures that differ by less are the same, whatever they are."""
-
-
-SAME_LENGTH_MM = 1e-6
-"""Heights of metal and points of curves that differ by less are the same."""
-
-SHOWN = 40
-"""Characters that are told of two lines that differ, from a little before the place on."""
+NOTHING = 1e-9  # Figures that differ by less are the same, whatever they are
+SAME_LENGTH_MM = 1e-6  # Heights of metal and points of curves that differ by less are the same
+SHOWN = 40  # Characters that are told of two lines that differ, from a little before the place on
 
 
 def tables_check(
-    run: RunFolder,
-    manifest: Mapping[str, Any],
-    tables: Mapping[str, Table],
-    why_not: Mapping[str, str],
+    run: RunFolder, manifest: Mapping[str, Any], tables: Mapping[str, Table], why_not: Mapping[str, str]
 ) -> Check:
     """Compare tables and reports of a run with those that follow, and name the files of which only hashes are known.
 
@@ -64,30 +53,21 @@ def tables_check(
     faults = [fault for name in told for fault in _differences(run.path / name, found[name])]
     text = "; ".join(faults[:3]) or f"{', '.join(told)} are those that follow"
     text += "".join(f"; {name} was not compared: {why}" for name, why in sorted(why_not.items()))
-    others = {path.name for path in run.path.iterdir() if path.suffix in RENDERED} - {
-        *found,
-        *why_not,
-        *CHECKED,
-    }
+    others = {path.name for path in run.path.iterdir() if path.suffix in RENDERED}
+    others -= {*found, *why_not, *CHECKED}
     by_hash = sorted(name for name in others if not name.startswith("."))
     if by_hash:
         text += f"; only the hashes were looked at of {', '.join(by_hash)}"
-    return Check(
-        NAME, not faults, float(len(faults)), 0.0, "faults", faults[0].split(":")[0] if faults else "", text
-    )
+    where = faults[0].split(":")[0] if faults else ""
+    return Check(NAME, not faults, float(len(faults)), 0.0, "faults", where, text)
 
 
+# Columns of where the worst place is: of several that are alike, another processor may find another one.
 PLACE = re.compile(r"(^|_)[xy]_mm$")
-"""Columns of where the worst place is: of several that are alike, another processor may find another one."""
-
-AREA = "area_mm2_"
-"""Beginning of the name of a slicer's column of areas."""
-
+AREA = "area_mm2_"  # Beginning of the name of a slicer's column of areas
+# Endings of what holds figures for people and other programs.
 RENDERED = (".csv", ".html", ".parquet", ".xml")
-"""Endings of what holds figures for people and other programs."""
-
-CHECKED = ("scan.parquet", "beads.parquet")
-"""Tables against which, as they are, the text itself is checked."""
+CHECKED = ("scan.parquet", "beads.parquet")  # Tables against which, as they are, the text itself is checked
 
 
 def order_of(run: RunFolder) -> list[str]:
@@ -108,9 +88,8 @@ def _differences(path: Path, found: Table | bytes) -> Iterable[str]:
             table = table_of(found) if isinstance(found, Curves) else found
             return _of_columns(path.name, pq.read_table(path, partitioning=None), table)
         if not isinstance(found, pd.DataFrame):
-            raise TypeError(
-                f"{path.name}: {type(found).__name__}: the program's text is checked against it, and it against nothing"
-            )
+            what = "the program's text is checked against it, and it against nothing"
+            raise TypeError(f"{path.name}: {type(found).__name__}: {what}")
         if path.suffix == ".parquet":
             recorded = pd.read_parquet(path)
         else:
@@ -127,9 +106,8 @@ def _differences(path: Path, found: Table | bytes) -> Iterable[str]:
         other = np.flatnonzero(~_same(recorded[name], found[name]))
         if other.size:
             k = int(other[0])
-            return [
-                f"{path.name}: row {k + 1}, {name}: recorded {recorded[name].iloc[k]}, found {found[name].iloc[k]}"
-            ]
+            both = f"recorded {recorded[name].iloc[k]}, found {found[name].iloc[k]}"
+            return [f"{path.name}: row {k + 1}, {name}: {both}"]
     return []
 
 

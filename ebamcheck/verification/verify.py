@@ -10,8 +10,8 @@ from typing import Any
 
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.consumables import plate_checks
 from ebamcheck.checks.header_checks import Truth
-from ebamcheck.checks.plate_record import plate_checks
 from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
@@ -51,14 +51,9 @@ from ebamcheck.verification.gates_again import compared, truth_of, work_again
 
 
 def verify(
-    target: str | Path,
-    part: str | Path | None = None,
-    config: Config | None = None,
-    *,
-    quick: bool = False,
-    trusted: Sequence[str | Path] = (),
-    whole: str | Path | None = None,
-) -> list[Check]:
+    target: str | Path, part: str | Path | None = None, config: Config | None = None, *, quick: bool = False,
+    trusted: Sequence[str | Path] = (), whole: str | Path | None = None,
+) -> list[Check]:  # fmt: skip
     """Check a finished run, or a program against a part, from part, settings and the program's text.
 
     Parameters
@@ -134,22 +129,13 @@ def _told_of_defaults(checks: list[Check]) -> list[Check]:
     first = next((k for k, check in enumerate(checks) if not check.passed), None)
     if first is None:
         return checks
-    said = (
-        f"{checks[first].text}; no run lies beside the program, so the default settings were taken: name those that it "
-        "was made with by --config"
-    )
+    why = "no run lies beside the program, so the default settings were taken: name those that it was made with by --config"
+    said = f"{checks[first].text}; {why}"
     return [*checks[:first], replace(checks[first], text=said), *checks[first + 1 :]]
 
 
-# -- a run -------------------------------------------------------------------------------------------
-
-
 def verify_run(
-    folder: Path,
-    part: Path | None = None,
-    *,
-    quick: bool = False,
-    trusted: dict[bytes, str] | None = None,
+    folder: Path, part: Path | None = None, *, quick: bool = False, trusted: dict[bytes, str] | None = None
 ) -> list[Check]:
     """Check that a run folder is what it says: its hashes and certificate, and every gate worked out again.
 
@@ -165,11 +151,7 @@ def verify_run(
 
 
 def _verify(
-    run: RunFolder,
-    manifest: dict[str, Any],
-    part: Path | None,
-    quick: bool,
-    trusted: dict[bytes, str] | None,
+    run: RunFolder, manifest: dict[str, Any], part: Path | None, quick: bool, trusted: dict[bytes, str] | None
 ) -> list[Check]:
     recorded = sha256_of_json(manifest["settings"])
     checks = [hash_check("settings unchanged", recorded, manifest["settings_sha256"], MANIFEST)]
@@ -186,7 +168,12 @@ def _verify(
         return checks + compared_again(run, manifest, config, read_part(path, config.part)[0])
     if part is not None:
         checks.append(hash_check("part unchanged", part_hash(part), manifest["part"]["sha256"], part.name))
-    checks += [*_recorded_gates(manifest), *_own_witness(manifest)]
+    # A quick check does not work the gates out again.
+    for gate in map(gate_of_record, manifest["gates"]):
+        checks.append(
+            replace(gate, name=f"gate {gate.name}", where=MANIFEST, text=f"as recorded: {gate.text}")
+        )
+    checks += _own_witness(manifest)
     return checks + (_text_alone(run, manifest, config) if untouched else [])
 
 
@@ -231,47 +218,35 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
     record = manifest.get("program")
     if record is None:
         return [] if manifest.get("job") == "check" else [_no_program()]
-    return verify_file(  # Of the solid nothing is known here: a quick check needs no part.
+    main, hashes = (
         run.program_folder / record["files"][0]["name"],
-        config=config,
-        curves=Curves.from_parquet(run.path / "beads.parquet"),
-        plan=ScanPlan.from_parquet(run.path / "scan.parquet"),
-        layers=run.read_layers(record["witness"]),
-        smooth=smooth_sections(Curves.from_parquet(run.path / "curves.parquet"), config),
-        metal=True,
-        heat=True,
-        sha256={file["name"]: file["sha256"] for file in record["files"]},
-        truth=truth_of(manifest),
+        {file["name"]: file["sha256"] for file in record["files"]},
     )
+    smooth = smooth_sections(Curves.from_parquet(run.path / "curves.parquet"), config)
+    curves, plan = (
+        Curves.from_parquet(run.path / "beads.parquet"),
+        ScanPlan.from_parquet(run.path / "scan.parquet"),
+    )
+    # Of the solid nothing is known here: a quick check needs no part.
+    return verify_file(
+        main, config=config, curves=curves, plan=plan, layers=run.read_layers(record["witness"]), smooth=smooth, metal=True,
+        heat=True, sha256=hashes, truth=truth_of(manifest),
+    )  # fmt: skip
 
 
 def _own_witness(manifest: dict[str, Any]) -> list[Check]:
     """A failed check where a program is its own witness although another exact slicer came to its end; else none."""
     witness = (manifest.get("program") or {}).get("witness")
-    others = [
-        name
-        for name, found in manifest["backends"].items()
-        if found["exact"] and found["status"] == "done" and name != witness
-    ]
-    if witness is None or witness != manifest["primary"] or not others:
+    exact = {
+        name for name, found in manifest["backends"].items() if found["exact"] and found["status"] == "done"
+    }
+    if witness is None or witness != manifest["primary"] or not exact - {witness}:
         return []
-    text = f"{witness} is named as its own witness"
-    return [Check.fault("record", MANIFEST, text)]
+    return [Check.fault("record", MANIFEST, f"{witness} is named as its own witness")]
 
 
 def _no_program() -> Check:
     return Check.fault("program", "", "the run wrote no program")
-
-
-def _recorded_gates(manifest: dict[str, Any]) -> list[Check]:
-    """The gates as the run recorded them, which a quick check does not work out again."""
-    return [
-        replace(gate, name=f"gate {gate.name}", where=MANIFEST, text=f"as recorded: {gate.text}")
-        for gate in map(gate_of_record, manifest["gates"])
-    ]
-
-
-# -- a program ---------------------------------------------------------------------------------------
 
 
 def verify_against_part(
@@ -295,24 +270,13 @@ def verify_against_part(
     layers = slice_part(part, heights)
     witness = slice_part(part, heights, witness_backend(maker))
     curves = fit_for_program(layers, config.curves, part)
+    said_validated = read_certificate(paper).get("validated") if paper else None
+    given, differ = sha256_of_json(config.model_dump()), tuple(_differences(program, config))
+    truth = Truth(said_validated, part_hash(part_path), given_sha256=given, differences=differ)
     made = verify_file(
-        program,
-        config=config,
-        part=part,
-        layers=witness,
-        smooth=smooth_sections(curves, config),
-        beads=True,
-        metal=True,
-        heat=True,
-        under=_under(part, heights, config, maker),
-        heights=heights,
-        truth=Truth(
-            read_certificate(paper).get("validated") if paper else None,
-            part_hash(part_path),
-            given_sha256=sha256_of_json(config.model_dump()),
-            differences=tuple(_differences(program, config)),
-        ),
-    )
+        program, config=config, part=part, layers=witness, smooth=smooth_sections(curves, config), beads=True, metal=True,
+        heat=True, under=_under(part, heights, config, maker), heights=heights, truth=truth,
+    )  # fmt: skip
     if not all(check.passed for check in made):
         z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
         made = [*begins_later(program, z_of, config), *made]
@@ -340,9 +304,8 @@ def _turned(program: Path, path: Path, part: Part, layers: Layers, config: Confi
         return []
     upright = config.changed(part={"direction": said.direction, "on_table": None})
     before = read_part(path, upright.part)[0]
-    with suppress(
-        EbamcheckError
-    ):  # a program that cannot be read, or a part of another file, has a failed check of its own
+    # A program that cannot be read, or a part of another file, has a failed check of its own.
+    with suppress(EbamcheckError):
         stands = stands_of(before, part, said.built_mm, config)
         section = layers.section(0)
         return turned_checks(read_program(program, config), section, float(layers.heights[0]), stands, config)

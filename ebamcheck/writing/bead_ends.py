@@ -13,14 +13,7 @@ from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings
-from ebamcheck.writing.bead_parts import (
-    ROUNDING_MM,
-    Stretches,
-    Tracks,
-    cut,
-    parts_of,
-    snapped,
-)
+from ebamcheck.writing.bead_parts import ROUNDING_MM, Stretches, Tracks, cut, parts_of, snapped
 from ebamcheck.writing.seams import NO_SEAMS, seam_shifts
 from ebamcheck.writing.segments import Form
 from ebamcheck.writing.tracks import Toolpath, toolpath
@@ -79,15 +72,8 @@ def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floa
     """Shift of each track, (T,), and the seams of the uppermost layer."""
     if process.seam_shift_mm <= 0.0:
         return np.zeros(path.ring.size), below
-    return seam_shifts(
-        path.layer_starts,
-        path.track_starts,
-        tracks.closed,
-        path.points,
-        path.lengths,
-        process.seam_shift_mm,
-        below,
-    )
+    layers, starts, shift_mm = path.layer_starts, path.track_starts, process.seam_shift_mm
+    return seam_shifts(layers, starts, tracks.closed, path.points, path.lengths, shift_mm, below)
 
 
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:

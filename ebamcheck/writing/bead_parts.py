@@ -15,22 +15,17 @@ from ebamcheck.writing.cuts import segment_parts
 from ebamcheck.writing.segments import CIRCULAR, CUBIC
 from ebamcheck.writing.tracks import Toolpath, cleaned, rounded
 
-ROUNDING_MM = 1e-7
-"""Rounding of a length along a whole stack."""
+ROUNDING_MM = 1e-7  # Rounding of a length along a whole stack
 
 
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Lengths along a stack, mm: each track lies behind the one before."""
 
-    closed: Bools
-    """(T,) contours that end where they start."""
-    low: Floats
-    """(T,) where each track begins."""
-    length: Floats
-    """(T,)"""
-    ends: Floats
-    """(N,) where each segment ends."""
+    closed: Bools  # (T,) contours that end where they start
+    low: Floats  # (T,) where each track begins
+    length: Floats  # (T,)
+    ends: Floats  # (N,) where each segment ends
 
     @classmethod
     def of(cls, path: Toolpath) -> Tracks:
@@ -62,15 +57,11 @@ class Stretches:
     """Stretches of tracks (n,), in the order in which they are driven."""
 
     track: Ints
-    low: Floats
-    """mm along the stack"""
+    low: Floats  # mm along the stack
     high: Floats
-    lap: Ints
-    """How often the track's end was passed before."""
-    power: Floats | None = None
-    """Share of the full power; None: that of the path."""
-    width: Floats | None = None
-    """Metal that is laid, mm; None: that of the path."""
+    lap: Ints  # How often the track's end was passed before
+    power: Floats | None = None  # Share of the full power; None: that of the path
+    width: Floats | None = None  # Metal that is laid, mm; None: that of the path
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +70,7 @@ class Parts:
 
     track: Ints
     segment: Ints
-    low: Floats
-    """mm along the segment"""
+    low: Floats  # mm along the segment
     high: Floats
     lap: Ints
     power: Floats
@@ -106,9 +96,6 @@ def parts_of(path: Toolpath, tracks: Tracks, stretches: Stretches) -> Parts:
         path.power[segment] if stretches.power is None else stretches.power[owner],
         path.width[segment] if stretches.width is None else stretches.width[owner],
     )
-
-
-# -- the path anew -----------------------------------------------------------------------------------
 
 
 def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
@@ -139,19 +126,11 @@ def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
     goes_on = path.goes_on[segment]
     goes_on[1:] |= (np.diff(segment) == 0) & (parts.low[1:] > 0.0) & ~(ring | path.turn[segment])[1:]
     made = replace(
-        path,
-        track_starts=track_starts,
-        start=start,
-        kind=kind,
-        end=end,
-        turn=path.turn[segment],
+        path, track_starts=track_starts, start=start, kind=kind, end=end, turn=path.turn[segment],
         piece=np.where(_in_whole_pieces(path, parts, whole), path.piece[segment], -1),
-        bezier=made_points[kind == CUBIC],
-        middle=made_points[kind == CIRCULAR, 1],
-        power=parts.power,
-        width=parts.width,
-        goes_on=goes_on,
-    )
+        bezier=made_points[kind == CUBIC], middle=made_points[kind == CIRCULAR, 1], power=parts.power,
+        width=parts.width, goes_on=goes_on,
+    )  # fmt: skip
     return cleaned(made, decimals)
 
 
@@ -172,9 +151,6 @@ def _in_whole_pieces(path: Toolpath, parts: Parts, whole: Bools) -> Bools:
     return np.asarray((found == wanted)[run] & (piece >= 0))
 
 
-# -- power: that of the layer, and more where a bead lays more metal than that power melts ---------------
-
-
 def layer_power(path: Toolpath, layer: int, rows: slice, share: float, config: Config) -> Floats:
     """Share of the full power along segments `rows` of one layer, which has a share of it."""
     own = own_power_shares(config, path.width[rows], float(path.thickness[layer]))
@@ -185,12 +161,8 @@ def power_shares(path: Toolpath, heat: Interpass, config: Config) -> Floats:
     """Share of the full power along every segment of a path, (N,)."""
     ends = path.track_starts[path.layer_starts].tolist()
     shares = heat.power_share.tolist()
-    return np.concatenate(
-        [
-            np.zeros(0),
-            *(layer_power(path, k, slice(*ends[k : k + 2]), s, config) for k, s in enumerate(shares)),
-        ]
-    )
+    each = [layer_power(path, k, slice(*ends[k : k + 2]), s, config) for k, s in enumerate(shares)]
+    return np.concatenate([np.zeros(0), *each])
 
 
 def along_beads(parts: Parts, tracks: int, thickness_mm: float, config: Config) -> BeadPower:

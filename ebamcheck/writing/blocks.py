@@ -12,7 +12,7 @@ from ebamcheck.nc.conventions import safe_end_mm
 from ebamcheck.nc.templates import ProcessValues
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.circles import Circles
+from ebamcheck.writing.segments import Circles
 from ebamcheck.writing.tracks import rounded
 
 NUMBER_STEP = 10

@@ -10,15 +10,11 @@ from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.writing.circles import circles
-from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, circles
 
-HALVINGS = 52
-"""Bisections of the parameter of a cubic at a length: the bits of a number."""
-
+HALVINGS = 52  # Bisections of the parameter of a cubic at a length: the bits of a number
+# Cubics that are bisected together: so many stay in the cache. A multiple of four, in which sums of rows are formed.
 AT_ONCE = 1024
-"""Cubics that are bisected together: so many stay in the cache. A multiple of four, in which sums of rows are formed."""
-
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 

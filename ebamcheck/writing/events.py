@@ -16,33 +16,27 @@ from ebamcheck.nc.inputs import Interpass, ScanColumns, interpass_of
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.process_window import (
-    wire_area_mm2,
-    wire_speed_mm_s,
-)
+from ebamcheck.settings.process_window import wire_area_mm2, wire_speed_mm_s
 from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
+# Roles of events: beads of contours, islands, thin walls and gaps, turns between their lines; moves and waits.
 CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
     "contour", "hatch", "wall", "gap", "turn", "move", "wait",
 )  # fmt: skip
-"""Roles of events: beads of contours, islands, thin walls and gaps, turns between their lines; moves and waits."""
-
+# Columns of process_events and what they are.
 COLUMNS = {
     "layer": "index of the layer",
     "role": "contour, hatch, wall, gap or turn: metal; move: beam off; wait: at rest",
     "ring": "number of the contour ring, -1 for none",
     "island": "number of the island, -1 for none",
-    "x_mm": "where it ends",
-    "y_mm": "where it ends",
-    "z_mm": "where it ends",
+    **dict.fromkeys(("x_mm", "y_mm", "z_mm"), "where it ends"),
     "length_mm": "along the path",
     "time_s": "at the feed, or at rapid speed",
     "power_w": "beam power, 0 where it is off",
     "wire_mm_s": "wire speed, 0 where it is off",
     "starts": "1 where beam and wire are switched on",
 }
-"""Columns of :func:`process_events` and what they are."""
 
 
 def process_events(path: Toolpath, plan: ScanColumns, config: Config) -> pd.DataFrame:
@@ -93,8 +87,7 @@ def _beads(path: Toolpath, plan: ScanColumns, config: Config, heat: Interpass) -
     )
 
 
-STEPS_BEFORE = 8
-"""Moves and waits that can come before a track."""
+STEPS_BEFORE = 8  # Moves and waits that can come before a track
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,10 +97,8 @@ class _Before:
     track: Ints
     layer: Ints
     begins_layer: np.typing.NDArray[np.bool_]
-    wait_s: Floats
-    """Wait over the layer, before the track and within the layer."""
-    far: np.typing.NDArray[np.bool_]
-    """Whether the tool rises before it."""
+    wait_s: Floats  # Wait over the layer, before the track and within the layer
+    far: np.typing.NDArray[np.bool_]  # Whether the tool rises before it
     across_mm: Floats
 
 
@@ -173,33 +164,15 @@ def _between_layers(path: Toolpath, before: _Before, safe_mm: float) -> list[pd.
 
 
 def _rows(
-    layer: Ints,
-    track: Ints,
-    step: int,
-    role: str,
-    place: Floats,
-    z: Floats,
-    length: Floats,
-    time_s: Floats | None,
-) -> pd.DataFrame:
+    layer: Ints, track: Ints, step: int, role: str, place: Floats, z: Floats, length: Floats, time_s: Floats | None,
+) -> pd.DataFrame:  # fmt: skip
     return pd.DataFrame(
         {
-            "layer": layer,
-            "track": track,
-            "step": step,
-            "role": role,
-            "ring": -1,
-            "island": -1,
-            "x_mm": place[:, 0],
-            "y_mm": place[:, 1],
-            "z_mm": z,
-            "length_mm": length,
-            "time_s": 0.0 if time_s is None else time_s,
-            "power_w": 0.0,
-            "wire_mm_s": 0.0,
-            "starts": 0,
+            "layer": layer, "track": track, "step": step, "role": role, "ring": -1, "island": -1, "x_mm": place[:, 0],
+            "y_mm": place[:, 1], "z_mm": z, "length_mm": length, "time_s": 0.0 if time_s is None else time_s,
+            "power_w": 0.0, "wire_mm_s": 0.0, "starts": 0,
         }
-    )
+    )  # fmt: skip
 
 
 def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFrame:
@@ -242,5 +215,5 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
     )
 
 
+# A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises.
 NEAR_SPACINGS = 2.0
-"""A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises."""

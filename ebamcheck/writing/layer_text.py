@@ -55,14 +55,9 @@ class Post:
 
     @classmethod
     def of(
-        cls,
-        curves: CurveColumns,
-        plan: ScanColumns,
-        config: Config,
-        control: Control,
-        splines: Form,
+        cls, curves: CurveColumns, plan: ScanColumns, config: Config, control: Control, splines: Form,
         path: Toolpath | None,
-    ) -> Post:
+    ) -> Post:  # fmt: skip
         """Take templates and tracks as the control gets them; `path` are the tracks where they are laid out already."""
         machine = config.machine
         templates, form = usable_templates(config, control.name), BlockFormat(machine.printed_decimals)
@@ -92,12 +87,9 @@ class Post:
 
 
 def layer_blocks(
-    post: Post,
-    k: int,
-    motions: Sequence[str],
-    entry: Sequence[str],
+    post: Post, k: int, motions: Sequence[str], entry: Sequence[str],
     around: tuple[Sequence[str], Sequence[str]] = ((), ()),
-) -> list[str]:
+) -> list[str]:  # fmt: skip
     """Blocks of layer `k`: contour rings and islands, each track between beam on and beam off, and the waits.
 
     `entry` are the modes that hold in it. It begins with them and with its own power, so that the control can enter the
@@ -270,9 +262,6 @@ def _with_feed(block: str, feed: str) -> str:
     """Put the feed into a block, before the comment that it may end with."""
     code, mark, note = block.partition(" ;")
     return code + feed + mark + note
-
-
-# -- preheating: the beam out of focus, without wire, back and forth over plate or layer, then a wait -----
 
 
 def preheat_passes(plan: ScanColumns) -> Ints:

@@ -16,14 +16,9 @@ from ebamcheck.settings.config import Config
 
 
 def write_program(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
     header: Mapping[str, str] | None = None,
-) -> ProgramFiles:
+) -> ProgramFiles:  # fmt: skip
     """Write the program of a stack for ``machine.control``, an entry point of the group ``ebamcheck.controls``.
 
     Parameters

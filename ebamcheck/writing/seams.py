@@ -6,43 +6,23 @@ import numpy as np
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 
-STEP_MM = 1.0
-"""Places along a contour at which it may start."""
-
+STEP_MM = 1.0  # Places along a contour at which it may start
+# Places, each one shift further along, of which the first that lies apart is taken, or the farthest.
 TRIES = 8
-"""Places, each one shift further along, of which the first that lies apart is taken, or the farthest."""
-
+# Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance.
 APART = 0.5
-"""Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance."""
-
-
-NO_SEAMS: Floats = np.zeros((0, 2))
-"""Seams under the lowest layer of a part."""
+NO_SEAMS: Floats = np.zeros((0, 2))  # Seams under the lowest layer of a part
 
 
 def seam_shifts(
-    layer_starts: Ints,
-    track_starts: Ints,
-    closed: Bools,
-    points: Floats,
-    lengths: Floats,
-    shift_mm: float,
+    layer_starts: Ints, track_starts: Ints, closed: Bools, points: Floats, lengths: Floats, shift_mm: float,
     below: Floats = NO_SEAMS,
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
 
-    A contour starts a shift further along itself than its place next to the seam below.
-
-    Parameters
-    ----------
-    layer_starts, track_starts
-        (L + 1,) first track of each layer, and (T + 1,) first segment of each track.
-    closed
-        (T,) tracks that end where they start; others keep their start.
-    points, lengths
-        (N, 4, 2) and (N,) of :mod:`ebamcheck.writing.cuts`.
-    below
-        (n, 2) seams under the lowest layer.
+    A contour that is `closed` (T,) starts a shift further along itself than its place next to the seam below; others keep their start.
+    `points` (N, 4, 2) and `lengths` (N,) of segments are those of :mod:`ebamcheck.writing.cuts`, `below` (n, 2) the seams under the
+    lowest layer.
     """
     shifts = np.zeros(closed.size)
     for k in range(layer_starts.size - 1):

@@ -13,36 +13,27 @@ from numpy.typing import NDArray
 
 from ebamcheck.nc.inputs import ARC, DEGREE, LINE, SPLINE, CurveColumns
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.writing.circles import arc_chords
 
-STRAIGHT, CUBIC, CIRCULAR = range(3)
-"""Kinds of segments."""
-
+STRAIGHT, CUBIC, CIRCULAR = range(3)  # Kinds of segments
+# What splines become: cubics, exactly, or arcs or chords within a tolerance. Arcs stay arcs, but for "all chords".
 Form = Literal["cubics", "arcs", "chords", "all chords"]
-"""What splines become: cubics, exactly, or arcs or chords within a tolerance. Arcs stay arcs, but for "all chords"."""
 
 
 @dataclass(frozen=True, eq=False)
 class Segments:
     """Segments of all pieces, in the order of travel."""
 
-    starts: Ints
-    """(P + 1,) first segment of each piece."""
-    kind: NDArray[np.uint8]
-    """(N,) :data:`STRAIGHT`, :data:`CUBIC` or :data:`CIRCULAR`."""
-    end: Floats
-    """(N, 2) mm."""
-    bezier: Floats
-    """(C, 4, 2) Bezier points of the cubic segments alone, in their order."""
-    middle: Floats
-    """(A, 2) points half-way along the circular segments alone, in their order."""
+    starts: Ints  # (P + 1,) first segment of each piece
+    kind: NDArray[np.uint8]  # (N,) STRAIGHT, CUBIC or CIRCULAR
+    end: Floats  # (N, 2) mm
+    bezier: Floats  # (C, 4, 2) Bezier points of the cubic segments alone, in their order
+    middle: Floats  # (A, 2) points half-way along the circular segments alone, in their order
 
 
 class _Made(NamedTuple):
     """Segments of the pieces of one kind."""
 
-    sizes: Ints
-    """(p,) segments of each."""
+    sizes: Ints  # (p,) segments of each
     end: Floats
     kind: int = STRAIGHT
     middle: Floats | None = None
@@ -100,17 +91,12 @@ def _arcs(control: Floats, first: Ints, form: Form, tolerance_mm: float) -> _Mad
     return _Made(np.ones(first.size, np.int64), control[first + 2], CIRCULAR, control[first + 1])
 
 
-# -- cubic B-splines as polynomials -------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Spans:
     """Knot spans of all spline pieces, in order, each over 0 <= t <= 1."""
 
-    starts: Ints
-    """(P + 1,) first span of each piece; lines have none."""
-    bezier: Floats
-    """(S, 4, 2) Bezier points, mm."""
+    starts: Ints  # (P + 1,) first span of each piece; lines have none
+    bezier: Floats  # (S, 4, 2) Bezier points, mm
 
     @property
     def end(self) -> Floats:
@@ -191,17 +177,13 @@ def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
 # equal length (Bolton, Biarc curves, CAD 7, 1975); a stretch that leaves the tolerance is halved.
 
 
-SAMPLES = 12
-"""Places inside a stretch where the distance from its arcs is measured."""
-
+SAMPLES = 12  # Places inside a stretch where the distance from its arcs is measured
+# Share of the tolerance allowed at the samples: what lies between them may be a little farther.
 SAMPLED_SHARE = 0.9
-"""Share of the tolerance allowed at the samples: what lies between them may be a little farther."""
-
+# A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line.
 MOST_HALVINGS = 14
-"""A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line."""
-
+# A derivative shorter than this share of the chord gives no direction; the chord's is taken.
 NO_TANGENT = 1e-9
-"""A derivative shorter than this share of the chord gives no direction; the chord's is taken."""
 
 
 class Pairs(NamedTuple):
@@ -216,12 +198,9 @@ class Pairs(NamedTuple):
 class ArcPieces(NamedTuple):
     """Arcs and lines in place of splines."""
 
-    starts: Ints
-    """(P + 1,) first arc of each piece."""
-    middle: Floats
-    """(N, 2) points half-way along each arc; on the chord of a straight line."""
-    end: Floats
-    """(N, 2)"""
+    starts: Ints  # (P + 1,) first arc of each piece
+    middle: Floats  # (N, 2) points half-way along each arc; on the chord of a straight line
+    end: Floats  # (N, 2)
 
 
 def spline_arcs(found: Spans, tolerance_mm: float) -> ArcPieces:
@@ -238,7 +217,12 @@ def spline_arcs(found: Spans, tolerance_mm: float) -> ArcPieces:
         end = _at(bezier, high)
         if level == MOST_HALVINGS:
             start = _at(bezier, low)
-            _straighten(pairs, start, end, ~good)
+            for share, points in (
+                (0.25, pairs.first_middle),
+                (0.5, pairs.joint),
+                (0.75, pairs.second_middle),
+            ):
+                points[~good] = start[~good] + share * (end[~good] - start[~good])
             good[:] = True
         done.append(
             (span[good], low[good], pairs.first_middle[good], pairs.joint[good], pairs.second_middle[good], end[good])
@@ -333,6 +317,51 @@ def _off_arc(points: Floats, start: Floats, end: Floats, height: Floats) -> Floa
         return np.asarray((h * (x * x + y * y - half**2) - y * (h * h - half**2)) / (half**2 + h * h))
 
 
-def _straighten(pairs: Pairs, start: Floats, end: Floats, which: Bools) -> None:
-    for share, points in ((0.25, pairs.first_middle), (0.5, pairs.joint), (0.75, pairs.second_middle)):
-        points[which] = start[which] + share * (end[which] - start[which])
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """Circles of arcs, as columns."""
+
+    centre: Floats  # (n, 2) mm; of no use where the arc is straight
+    counter_clockwise: Bools  # (n,) sense of travel
+    sagitta_mm: Floats  # (n,) height of the arc over its chord
+    sweep_rad: Floats  # (n,) angle travelled, positive
+
+
+def circles(start: Floats, middle: Floats, end: Floats) -> Circles:
+    """Circle of each arc (n,) by its start, the point half-way along it, and its end, each (n, 2) mm.
+
+    The centre is taken on the perpendicular bisector of start and end, so that both radii are equal even
+    where start and end were rounded and the middle was not.
+    """
+    chord = end - start
+    half = 0.5 * np.hypot(chord[:, 0], chord[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        normal = np.column_stack([-chord[:, 1], chord[:, 0]]) / (2.0 * half)[:, None]
+        height = ((middle - 0.5 * (start + end)) * normal).sum(axis=1)
+        centre = 0.5 * (start + end) + normal * ((height**2 - half**2) / (2.0 * height))[:, None]
+    sweep = 4.0 * np.arctan2(np.abs(height), half)
+    return Circles(centre, height < 0.0, np.abs(height), sweep)
+
+
+def arc_chords(start: Floats, middle: Floats, end: Floats, tolerance_mm: float) -> tuple[Ints, Floats]:
+    """Points along arcs whose chords keep to `tolerance_mm`; the first point of an arc is not given.
+
+    The chord of a sweep s leaves a circle of radius r by ``r (1 - cos(s / 2))``. Returns the first point of each arc, (n + 1,), and the
+    points (N, 2), mm.
+    """
+    found = circles(start, middle, end)
+    spoke = start - found.centre
+    radius = np.hypot(spoke[:, 0], spoke[:, 1])
+    straight = ~(found.sagitta_mm > tolerance_mm)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        step = 2.0 * np.arccos(np.clip(1.0 - tolerance_mm / radius, 0.0, 1.0))
+        parts = np.where(straight, 1.0, np.ceil(found.sweep_rad / step)).astype(np.int64)
+    starts = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
+    arc = np.repeat(np.arange(parts.size), parts)
+    share = (np.arange(starts[-1]) - starts[:-1][arc] + 1) / parts[arc]
+    turn = share * np.where(found.counter_clockwise, found.sweep_rad, -found.sweep_rad)[arc]
+    cos, sin = np.cos(turn), np.sin(turn)
+    x, y = spoke[arc, 0], spoke[arc, 1]
+    points = found.centre[arc] + np.column_stack([cos * x - sin * y, sin * x + cos * y])
+    points[starts[1:] - 1] = end
+    return starts, points

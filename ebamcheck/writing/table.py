@@ -17,36 +17,24 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.conventions import comment
-from ebamcheck.nc.special_rules import carried_corners
+from ebamcheck.nc.templates import carried_corners
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import RotaryAxis
 from ebamcheck.writing.blocks import BlockFormat
 
-PARALLEL = 1e-12
-"""Sine of the angle between directions that are one."""
-
+PARALLEL = 1e-12  # Sine of the angle between directions that are one
 UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Tilt:
-    """A table that is turned for a layer.
+    """A table that is turned for a layer."""
 
-    Parameters
-    ----------
-    positions_deg
-        Of the rotary axes, as they are printed.
-    zero_mm, turn_deg
-        Zero of the part's coordinates in the work offset, and their turn about the vertical.
-    up_mm
-        Z in the work offset at which the table may turn.
-    """
-
-    positions_deg: tuple[float, ...]
-    zero_mm: Floats
+    positions_deg: tuple[float, ...]  # Of the rotary axes, as they are printed
+    zero_mm: Floats  # Zero of the part's coordinates in the work offset, and their turn about the vertical
     turn_deg: float
-    up_mm: float
+    up_mm: float  # Z in the work offset at which the table may turn
 
     def before(self, off: Sequence[str], first: Floats, config: Config, form: BlockFormat) -> list[str]:
         """Blocks that turn the table and set the frame; then the tool stands over the place `first` of the layer."""
@@ -89,10 +77,7 @@ def _word(axis: RotaryAxis, value: str) -> str:
 def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
     """How the table is turned for the part of the settings; None where nothing is turned.
 
-    Raises
-    ------
-    SettingsError
-        If the table cannot turn the direction up within its limits, or needs more height than the machine has.
+    Refused where the table cannot turn the direction up within its limits, or needs more height than the machine has.
     """
     stands = config.part.on_table
     if stands is None:
@@ -112,9 +97,6 @@ def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
         round(math.degrees(math.atan2(whole[1, 0], whole[0, 0])), form.decimals),
         _up_mm(config, positions, form),
     )
-
-
-# -- positions ---------------------------------------------------------------------------------------
 
 
 def positions_of(direction: Floats, axes: Sequence[RotaryAxis]) -> tuple[float, ...]:
@@ -176,9 +158,6 @@ def _within(turns: tuple[float, ...], axes: Sequence[RotaryAxis]) -> tuple[float
             return None
         found.append(min(room, key=lambda p: (round(abs(p), 9), -p)) + 0.0)
     return tuple(found)
-
-
-# -- where the table is ------------------------------------------------------------------------------
 
 
 def _line(axis: RotaryAxis) -> tuple[Floats, Floats]:

@@ -24,70 +24,35 @@ from ebamcheck.nc.inputs import (
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.turns import follows
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.circles import Circles, circles
 from ebamcheck.writing.cuts import segment_lengths
-from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Form, contour_segments
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Circles, Form, circles, contour_segments
 
+# An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and its centre would lie too
+# far away for the numbers of a control.
 STRAIGHT_SAGITTA_MM = 1e-5
-"""An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and
-its centre would lie too far away for the numbers of a control."""
 
 
 @dataclass(frozen=True, eq=False)
 class Toolpath:
-    """Tracks of a whole stack, positions rounded as they will be printed, mm.
+    """Tracks of a whole stack, positions rounded as they will be printed, mm."""
 
-    Parameters
-    ----------
-    cut
-        (L,) heights at which the layers were cut.
-    z
-        (L,) tops of the layers, where the tool works.
-    layer_starts
-        (L + 1,) first track of each layer.
-    track_starts
-        (T + 1,) first segment of each track.
-    start
-        (T, 2) where each track starts.
-    ring, island
-        (T,) number of the contour ring or of the island; -1 for the other.
-    kind, end
-        (N,) :data:`STRAIGHT`, :data:`CUBIC` or :data:`CIRCULAR`, and (N, 2) end of each segment.
-    turn
-        (N,) a turn between two hatch lines.
-    piece
-        (N,) piece of the curves that each segment is of; -1 for hatch.
-    bezier
-        (C, 4, 2) of the cubic segments alone, in their order; not rounded.
-    middle
-        (A, 2) of the circular segments alone, in their order; not rounded.
-    power
-        (N,) share of the full beam power.
-    goes_on
-        (N,) a further part of the hatch line before.
-    width
-        (N,) metal that is laid, in section over the height of the layer, mm.
-    base_mm
-        Z of what the lowest layer lies on.
-    """
-
-    cut: Floats
-    z: Floats
-    layer_starts: Ints
-    track_starts: Ints
-    start: Floats
-    ring: Ints
+    cut: Floats  # (L,) heights at which the layers were cut
+    z: Floats  # (L,) tops of the layers, where the tool works
+    layer_starts: Ints  # (L + 1,) first track of each layer
+    track_starts: Ints  # (T + 1,) first segment of each track
+    start: Floats  # (T, 2) where each track starts
+    ring: Ints  # (T,) number of the contour ring or of the island; -1 for the other
     island: Ints
-    kind: NDArray[np.uint8]
+    kind: NDArray[np.uint8]  # (N,) STRAIGHT, CUBIC or CIRCULAR, and (N, 2) end of each segment
     end: Floats
-    turn: Bools
-    piece: Ints
-    bezier: Floats
-    middle: Floats
-    power: Floats
-    goes_on: Bools
-    width: Floats
-    base_mm: float = 0.0
+    turn: Bools  # (N,) a turn between two hatch lines
+    piece: Ints  # (N,) piece of the curves that each segment is of; -1 for hatch
+    bezier: Floats  # (C, 4, 2) of the cubic segments alone, in their order; not rounded
+    middle: Floats  # (A, 2) of the circular segments alone, in their order; not rounded
+    power: Floats  # (N,) share of the full beam power
+    goes_on: Bools  # (N,) a further part of the hatch line before
+    width: Floats  # (N,) metal that is laid, in section over the height of the layer, mm
+    base_mm: float = 0.0  # Z of what the lowest layer lies on
 
     @property
     def thickness(self) -> Floats:
@@ -151,18 +116,11 @@ def cleaned(path: Toolpath, decimals: int) -> Toolpath:
     bend = np.abs(path.bezier - path.bezier[:, :1]).max(axis=(1, 2), initial=0.0)
     keep[kind == CUBIC] = bend >= 0.5 * 10.0**-decimals
     return replace(
-        path,
-        track_starts=np.concatenate([[0], np.cumsum(keep)])[path.track_starts].astype(np.int64),
-        kind=kind[keep],
-        end=path.end[keep],
-        turn=path.turn[keep],
-        piece=path.piece[keep],
-        bezier=path.bezier[keep[kind == CUBIC]],
-        middle=path.middle[~flat][keep[kind == CIRCULAR]],
-        power=path.power[keep],
-        goes_on=path.goes_on[keep],
-        width=path.width[keep],
-    )
+        path, track_starts=np.concatenate([[0], np.cumsum(keep)])[path.track_starts].astype(np.int64),
+        kind=kind[keep], end=path.end[keep], turn=path.turn[keep], piece=path.piece[keep],
+        bezier=path.bezier[keep[kind == CUBIC]], middle=path.middle[~flat][keep[kind == CIRCULAR]],
+        power=path.power[keep], goes_on=path.goes_on[keep], width=path.width[keep],
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,18 +147,12 @@ def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decim
     layer = np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))[ring]
     first = np.asarray(curves.control_starts)[ring_starts[ring]]
     return _Tracks(
-        layer=layer,
-        starts=np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64),
-        start=rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals),
-        ring=ring,
-        island=np.full(ring.size, -1),
-        kind=made.kind,
-        end=rounded(made.end, decimals),
-        turn=np.zeros(made.kind.size, np.bool_),
-        piece=np.repeat(np.arange(len(curves.kind)), np.diff(made.starts)),
-        bezier=made.bezier,
-        middle=made.middle,
-    )
+        layer=layer, starts=np.append(made.starts[ring_starts[ring]], made.kind.size).astype(np.int64),
+        start=rounded(np.asarray(curves.control, dtype=np.float64)[first], decimals), ring=ring,
+        island=np.full(ring.size, -1), kind=made.kind, end=rounded(made.end, decimals),
+        turn=np.zeros(made.kind.size, np.bool_), piece=np.repeat(np.arange(len(curves.kind)), np.diff(made.starts)),
+        bezier=made.bezier, middle=made.middle,
+    )  # fmt: skip
 
 
 def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Tracks:
@@ -219,18 +171,10 @@ def _hatch_tracks(plan: ScanColumns, spacing_mm: float, decimals: int) -> _Track
     track_starts = np.append(np.concatenate([[0], np.cumsum(present)])[2 * first], present.sum())
     size = int(present.sum())
     return _Tracks(
-        layer=layer[first],
-        starts=track_starts.astype(np.int64),
-        start=ends[first, :2],
-        ring=np.full(first.size, -1),
-        island=island[first],
-        kind=np.full(size, STRAIGHT, np.uint8),
-        end=points[present],
-        turn=turn[present],
-        piece=np.full(size, -1),
-        bezier=np.zeros((0, 4, 2)),
-        middle=np.zeros((0, 2)),
-    )
+        layer=layer[first], starts=track_starts.astype(np.int64), start=ends[first, :2], ring=np.full(first.size, -1),
+        island=island[first], kind=np.full(size, STRAIGHT, np.uint8), end=points[present], turn=turn[present],
+        piece=np.full(size, -1), bezier=np.zeros((0, 4, 2)), middle=np.zeros((0, 2)),
+    )  # fmt: skip
 
 
 def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks, width_mm: float) -> Toolpath:
@@ -242,23 +186,15 @@ def _merged(cut: Floats, z: Floats, contours: _Tracks, hatch: _Tracks, width_mm:
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     rows = np.repeat(first - starts[:-1], count) + np.arange(starts[-1])
     return Toolpath(
-        cut=cut,
-        z=z,
-        layer_starts=np.searchsorted(layer[order], np.arange(cut.size + 1)).astype(np.int64),
-        track_starts=starts,
-        start=np.concatenate([contours.start, hatch.start])[order],
+        cut=cut, z=z, layer_starts=np.searchsorted(layer[order], np.arange(cut.size + 1)).astype(np.int64),
+        track_starts=starts, start=np.concatenate([contours.start, hatch.start])[order],
         ring=np.concatenate([contours.ring, hatch.ring])[order],
         island=np.concatenate([contours.island, hatch.island])[order],
-        kind=np.concatenate([contours.kind, hatch.kind])[rows],
-        end=np.concatenate([contours.end, hatch.end])[rows],
+        kind=np.concatenate([contours.kind, hatch.kind])[rows], end=np.concatenate([contours.end, hatch.end])[rows],
         turn=np.concatenate([contours.turn, hatch.turn])[rows],
-        piece=np.concatenate([contours.piece, hatch.piece])[rows],
-        bezier=contours.bezier,
-        middle=contours.middle,
-        power=np.ones(rows.size),
-        goes_on=np.zeros(rows.size, np.bool_),
-        width=np.full(rows.size, width_mm),
-    )
+        piece=np.concatenate([contours.piece, hatch.piece])[rows], bezier=contours.bezier, middle=contours.middle,
+        power=np.ones(rows.size), goes_on=np.zeros(rows.size, np.bool_), width=np.full(rows.size, width_mm),
+    )  # fmt: skip
 
 
 def rounded(values: Floats, decimals: int) -> Floats:

@@ -26,47 +26,29 @@ from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_parts import (
-    ROUNDING_MM,
-    Parts,
-    Stretches,
-    Tracks,
-    cut,
-    parts_of,
-    snapped,
-)
+from ebamcheck.writing.bead_parts import ROUNDING_MM, Parts, Stretches, Tracks, cut, parts_of, snapped
 from ebamcheck.writing.cuts import segment_places
 from ebamcheck.writing.tracks import Toolpath
 
+# Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines.
 STRETCH_BEADS = 1.0
-"""Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines."""
-
+# Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch lines beside it
+# make as much of a difference, every change is a block, and a wall half as thick makes more.
 ALIKE = 1.15
-"""Neighbouring stretches of a contour whose widths differ by less than this factor get one wire speed: the ends of hatch
-lines beside it make as much of a difference, every change is a block, and a wall half as thick makes more."""
-
+# The same of all beads on a surface that was measured: what is known is followed more closely.
 ALIKE_MAPPED = 1.05
-"""The same of all beads on a surface that was measured: what is known is followed more closely."""
-
-MOST_MENDED = 0.2
-"""Share of its height by which a layer is planned thicker or thinner for that at most."""
-
+MOST_MENDED = 0.2  # Share of its height by which a layer is planned thicker or thinner for that at most
+# Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank along a contour is
+# low whatever wire it gets.
 RIM_BEADS, RIM_WEIGHT = 0.25, 0.4
-"""Width of the rim, over the bead width, and how much it counts where wire is worked out: a bead is a dome, whose flank
-along a contour is low whatever wire it gets."""
-
+# Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and their metal
+# would raise the rest, layer by layer.
 MASS_ROOM = 0.9
-"""Share of the tolerance on the mass of a layer that mending may use: tips of corners that no bead reaches stay bare, and
-their metal would raise the rest, layer by layer."""
-
+# Distance, over the bead width, of the places along beads at which their metal is laid.
 PLACE_SHARE = 1.0 / 6.0
-"""Distance, over the bead width, of the places along beads at which their metal is laid."""
-
+# The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare.
 POOL_SHARE = 1.0 / 12.0
-"""The same where the surface that a layer leaves is worked out: at the tips of corners half a cell decides whether they are bare."""
-
-WIDTH_DIGITS = 4
-"""Decimals of a width, mm: a hundred-thousandth of the metal."""
+WIDTH_DIGITS = 4  # Decimals of a width, mm: a hundred-thousandth of the metal
 
 
 def metal_region(section: BaseGeometry, config: Config) -> BaseGeometry:
@@ -123,14 +105,9 @@ def _along_walls(path: Toolpath, plan: ScanColumns) -> Bools:
 
 
 def _flat(
-    beads: _LayerBeads,
-    surface: Surface,
-    division: _Division,
-    tracks: Tracks,
-    thickness_mm: float,
-    config: Config,
+    beads: _LayerBeads, surface: Surface, division: _Division, tracks: Tracks, thickness_mm: float, config: Config,
     power_share: float,
-) -> Stretches:
+) -> Stretches:  # fmt: skip
     """Stretches of one layer with the widths that lay it flat, and mend a little of what lies too high or low under it."""
     target, cell_mm2 = beads.target, surface.step_mm**2
     nominal = np.full(beads.every.size, config.process.hatch_spacing_mm)
@@ -243,14 +220,9 @@ class _LayerBeads:
 
 
 def _layer_beads(
-    path: Toolpath,
-    layer: int,
-    tracks: Tracks,
-    division: _Division,
-    region: BaseGeometry,
-    step_mm: float,
+    path: Toolpath, layer: int, tracks: Tracks, division: _Division, region: BaseGeometry, step_mm: float,
     config: Config,
-) -> _LayerBeads:
+) -> _LayerBeads:  # fmt: skip
     """Lay out the stretches of one layer over its region."""
     bead_mm = config.process.bead_width_mm
     a, b = int(path.layer_starts[layer]), int(path.layer_starts[layer + 1])
@@ -275,10 +247,6 @@ def _layer_beads(
 
 def joined(layers: Sequence[Stretches]) -> Stretches:
     """Stretches of all layers, one behind the other."""
-    return Stretches(
-        np.concatenate([s.track for s in layers]),
-        np.concatenate([s.low for s in layers]),
-        np.concatenate([s.high for s in layers]),
-        np.concatenate([s.lap for s in layers]),
-        width=np.concatenate([s.width for s in layers if s.width is not None]),
-    )
+    columns = (np.concatenate([getattr(s, name) for s in layers]) for name in ("track", "low", "high", "lap"))
+    width = np.concatenate([s.width for s in layers if s.width is not None])
+    return Stretches(*columns, width=width)

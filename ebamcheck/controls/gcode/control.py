@@ -47,7 +47,6 @@ LINUXCNC_TEMPLATES = {
     "wire_retract": ("M68 E3 Q{wire_retract_mm} ; wire drawn back, mm",),
     "layer_pause": ("G4 P{layer_pause_s} ; wait, s",),
 }
-
 LINUXCNC_CODES = {
     "M64 P0": "beam_on", "M65 P0": "beam_off", "M64 P1": "wire_start", "M65 P1": "wire_stop",
     "M68 E0 Q": "voltage_kv", "M67 E0 Q": "voltage_kv", "M68 E1 Q": "current_ma", "M67 E1 Q": "current_ma",
@@ -101,7 +100,6 @@ PLAIN_TEMPLATES = {
     "wire_retract": ("M42 P2 S{wire_retract_mm} ; wire drawn back, mm",),
     "layer_pause": ("G4 S{layer_pause_s} ; wait, s",),
 }
-
 PLAIN_CODES = {
     "M3": "beam_on", "M5": "beam_off", "M8": "wire_start", "M9": "wire_stop",
     "S": "power_w", "M42 P1 S": "wire_mm_s", "M42 P2 S": "wire_retract_mm",

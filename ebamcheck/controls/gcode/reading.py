@@ -12,13 +12,12 @@ from ebamcheck.nc.reader import COMMON_MOTIONS, Reader
 from ebamcheck.nc.words import NUMBER, Block, Dialect, WordError
 from ebamcheck.settings.config import Config
 
+# Comments that LinuxCNC runs, beside those that only show something (interp_convert.cc, `convert_comment`).
 _RUN = re.compile(
     r"\s*(?:PY(?:RUN)?|LOG\w*|PROBE\w*|ABORT)\s*,|\s*PYRELOAD|\s*PROBEOPEN|\s*PROBECLOSE|\s*LOGCLOSE",
     re.IGNORECASE,
 )
-"""Comments that LinuxCNC runs, beside those that only show something (interp_convert.cc, ``convert_comment``)."""
 _COMMENT = re.compile(r"\(([^()]*)\)")
-
 PLAIN_GCODE = Dialect(
     name=control.PLAIN_GCODE.name,
     motions=COMMON_MOTIONS,
@@ -32,7 +31,6 @@ PLAIN_GCODE = Dialect(
     word=re.compile(rf"\s*(?:(?P<letter>[A-Z])\s*(?P<number>{NUMBER})|(?P<bad>\S.*))"),
     code_number=lambda number: f"{float(number):g}",
 )  # fmt: skip
-
 _N = rf"({NUMBER})"
 LINUXCNC = replace(
     PLAIN_GCODE,
@@ -44,23 +42,18 @@ LINUXCNC = replace(
 
 def read_linuxcnc(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program of LinuxCNC, which has no BSPLINE whose knots could be told."""
-    reader = GcodeReader(main.parent, config, LINUXCNC)
-    reader.run(main)
-    return reader.out.program()
+    return GcodeReader(main.parent, config, LINUXCNC).program(main)
 
 
 def read_plain_gcode(main: Path, config: Config, **unused: object) -> NCProgram:
     """Read a program of plain G-code."""
-    reader = GcodeReader(main.parent, config, PLAIN_GCODE)
-    reader.run(main)
-    return reader.out.program()
+    return GcodeReader(main.parent, config, PLAIN_GCODE).program(main)
 
 
 class GcodeReader(Reader):
     """State of a control of G-code while it runs a program from top to bottom."""
 
-    _tangent = (-1, 0.0, 0.0)
-    """Motions up to the last G5, and I and J of a G5 that goes on tangentially."""
+    _tangent = (-1, 0.0, 0.0)  # Motions up to the last G5, and I and J of a G5 that goes on tangentially
 
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code of a line, with blanks in place of its comments, and the comments; refused where the control runs one of them."""
@@ -86,8 +79,6 @@ class GcodeReader(Reader):
         """Take the tolerance of G64."""
         if "G64" in block.codes and "P" in block.values:
             self.out.event("CTOL", block.values.pop("P"))
-
-    # -- cubics ---------------------------------------------------------------------------------------
 
     def own_motion(self, x: float, y: float, z: float, block: Block) -> bool:
         """G5: I and J may be left out where the motion before is a G5, which goes on tangentially then."""

@@ -20,15 +20,9 @@ from ebamcheck.writing.tracks import Toolpath
 
 
 def write_linuxcnc(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    path: Toolpath | None = None,
-) -> ProgramFiles:
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+    header: Mapping[str, str] | None = None, path: Toolpath | None = None,
+) -> ProgramFiles:  # fmt: skip
     """Write one ``.ngc`` file: splines as G5, exactly, unless ``machine.curve_form`` asks for arcs or lines.
 
     Takes and raises what :func:`ebamcheck.write_program` does.
@@ -43,15 +37,9 @@ def write_linuxcnc(
 
 
 def write_plain_gcode(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    path: Toolpath | None = None,
-) -> ProgramFiles:
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+    header: Mapping[str, str] | None = None, path: Toolpath | None = None,
+) -> ProgramFiles:  # fmt: skip
     """Write one ``.gcode`` file of G0 to G3: splines as arcs within ``machine.line_tolerance_mm``, or as lines.
 
     Takes and raises what :func:`ebamcheck.write_program` does.

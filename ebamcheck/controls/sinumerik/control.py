@@ -6,7 +6,6 @@ from ebamcheck.nc.control import Control, Group, offsets
 from ebamcheck.settings.machine import MachineSettings
 
 NAME = "sinumerik-840d-sl"
-
 GROUPS = (
     Group("plane", ("G17", "G18", "G19")),
     Group("units", ("G70", "G71", "G700", "G710")),
@@ -30,19 +29,15 @@ GROUPS = (
     Group("other axes", ("POS", "POSA", "POSP", "MOV", "A", "B", "C", "U", "V", "W", "STOPRE", "G74", "G75", "G4", "G33", "G331", "CIP", "CT", "ASPLINE", "CSPLINE", "SYNACT", "WHEN", "WHENEVER", "DO", "ID", "IDS")),
     Group("program flow", ("GOTO", "GOTOF", "GOTOB", "GOTOC", "GOTOS", "IF", "ELSE", "ENDIF", "WHILE", "ENDWHILE", "FOR", "ENDFOR", "LOOP", "ENDLOOP", "REPEAT", "REPEATB", "UNTIL", "CASE", "CALL", "MCALL", "PCALL", "EXTCALL", "DEF", "R", "P", "M0", "M1", "M2", "M17", "M30", "RET", "SETAL")),
 )  # fmt: skip
-
 CODES = {
     "M60": "beam_on", "M61": "beam_off", "M62": "wire_start", "M63": "wire_stop",
     "H1": "voltage_kv", "H2": "current_ma", "H3": "wire_mm_s", "H4": "wire_retract_mm",
 }  # fmt: skip
-
-
+# The path is driven as it is written: blocks are not joined by a compressor, and rapids go straight.
 AS_WRITTEN = ("COMPOF", "RTLION")
-"""The path is driven as it is written: blocks are not joined by a compressor, and rapids go straight."""
-
+# Exact stop, and rounding within the tolerances of the axes, which CTOL sets. G641 goes by ADIS, G644 by the dynamics of the axes, and
+# G64 by neither.
 KEEPS_TOLERANCE = ("G60", "G642", "G643", "G645")
-"""Exact stop, and rounding within the tolerances of the axes, which CTOL sets. G641 goes by ADIS, G644 by the dynamics of the axes, and
-G64 by neither."""
 
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
@@ -75,10 +70,8 @@ def form_lines(machine: MachineSettings) -> dict[str, str]:
     return values
 
 
+# Names that the control takes for its own: programs, cycles, definitions and initialisation files, by ending or by path name.
 LOADS = r"_N_.*|.*[._](MPF|SPF|CPF|CYC|DEF|GUD|INI|TEA|SEA|COM|TOA|TMA|RPA|UFR|ARC|WPD|SYF|JOB)"
-"""Names that the control takes for its own: programs, cycles, definitions and initialisation files, by ending or by path name."""
-
-
 CONTROL = Control(
     name=NAME,
     loads=LOADS,

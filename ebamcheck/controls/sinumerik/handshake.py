@@ -10,20 +10,17 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
 
-from ebamcheck.checks.checks import Check, count_check
+from ebamcheck.checks.checks import count_check
 from ebamcheck.controls.sinumerik.release_keys import Release, ReleaseKeys
 from ebamcheck.controls.sinumerik.waiting_run import BLOCK, Door, Run, run_text
 from ebamcheck.errors import InputError
+from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 
 CHECK = "handshake"
-
-ROUNDING_S = 1e-6
-"""Of sums of times."""
-
-LONGEST_BLOCK = 200
-"""Characters of a block."""
+ROUNDING_S = 1e-6  # Of sums of times
+LONGEST_BLOCK = 200  # Characters of a block
 
 
 def handshake_check(text: str, file: str, config: Config, top_mm: float) -> Check:
@@ -58,18 +55,9 @@ def _code(line: str) -> str:
     return found[3] if found else ""
 
 
-# -- doors -------------------------------------------------------------------------------------------
-
-
-NUMBERS = (1, 2, 1)
-"""Number of the program of each layer that a door releases."""
-
-LONGER_S = 17.0
-"""A wait that is longer than any other parameter is large: none may be taken for it."""
-
-
-OURS, OTHERS = 1_234_567, 7_654_321
-"""Keys of the last layer of a build, and of another one."""
+NUMBERS = (1, 2, 1)  # Number of the program of each layer that a door releases
+LONGER_S = 17.0  # A wait that is longer than any other parameter is large: none may be taken for it
+OURS, OTHERS = 1_234_567, 7_654_321  # Keys of the last layer of a build, and of another one
 
 
 class Doors:

@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 
 from ebamcheck.controls.sinumerik.control import NAME
-from ebamcheck.controls.sinumerik.spline_blocks import spline_spans
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram, SourceFile
 from ebamcheck.nc.reader import ARCS, AXES, Reader
@@ -18,23 +17,19 @@ from ebamcheck.nc.recorder import NAN
 from ebamcheck.nc.table import NONE, frame_after, on_part
 from ebamcheck.nc.timeline import AXIS_EVENT
 from ebamcheck.nc.words import NUMBER, Block, Dialect, WordError
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
-DEEPEST_CALL = 8
-"""Levels of subprograms; deeper ones are taken for a program that calls itself."""
-
+DEEPEST_CALL = 8  # Levels of subprograms; deeper ones are taken for a program that calls itself
 Shift = Literal[2, 3, "uniform"]
-
 _CODE = re.compile(r'[^;"]*(?:"[^"]*"[^;"]*)*')
+# A subprogram by its name, and how often it is run.
 _CALL = re.compile(r"([A-Z_][A-Z0-9_]+)(?:\s+P\s*=?\s*(\d+))?")
-"""A subprogram by its name, and how often it is run."""
 _HEADER = re.compile(r"%[A-Z0-9_ ]*", re.IGNORECASE)
-
 _N = rf"({NUMBER})"
 _LIST = rf"=\({_N},{_N},{_N}\)"
+# A control point of a spline, in the spelling of most posts.
 _POINT = re.compile(rf"(?:N(\d+) )?X{_N} Y{_N} PL={_N}")
-"""A control point of a spline, in the spelling of most posts."""
-
 DIALECT = Dialect(
     name=NAME,
     motions={"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC, "POLY": POLYNOMIAL, "BSPLINE": SPLINE_SPAN},
@@ -72,8 +67,7 @@ DIALECT = Dialect(
 def read_program(main: Path, config: Config, *, bspline_shift: Shift | None = None) -> NCProgram:
     """Read a program from its main file; subprograms lie beside it."""
     reader = SinumerikReader(main.parent, config, bspline_shift or config.machine.bspline_shift)
-    reader.run(main)
-    return on_part(reader.out.program(), config)
+    return on_part(reader.program(main), config)
 
 
 class SinumerikReader(Reader):
@@ -85,8 +79,6 @@ class SinumerikReader(Reader):
         self._spline: list[tuple[float, float, float, int]] = []
         self._degree = 3
         self._depth = 0
-
-    # -- lines and blocks --------------------------------------------------------------------------
 
     def split(self, text: str) -> tuple[str, list[str]]:
         """Code and comment of a line: the comment begins at the first semicolon that stands in no message.
@@ -179,8 +171,6 @@ class SinumerikReader(Reader):
             out.layer(-1)
         return True
 
-    # -- motions -----------------------------------------------------------------------------------
-
     def _move(self, block: Block) -> None:
         out, mode = self.out, self.mode
         named = {axis for axis in AXES if axis in block.values or f"PO[{axis}]" in block.lists}
@@ -231,8 +221,6 @@ class SinumerikReader(Reader):
             raise WordError("PO[Z] with coefficients: layers are flat", 0)
         x, y = ((*block.lists.get(f"PO[{axis}]", ()), 0.0, 0.0, 0.0) for axis in "XY")
         return x[1], x[2], y[1], y[2], length
-
-    # -- splines -----------------------------------------------------------------------------------
 
     def motion_word(self, word: str) -> None:
         """Change the kind of motion; BSPLINE begins a spline at the position before."""
@@ -306,3 +294,67 @@ def _path_faults(file: SourceFile, config: Config) -> list[tuple[str, str]]:
     if said.startswith(b";$PATH=") and said != wanted:
         return [(f"{file.name}:2", f"says {said.decode('latin-1')}, the profile {wanted.decode()}")]
     return []
+
+
+CUBIC = 3
+
+
+def knot_vector(intervals: Floats, shift: Literal[2, 3], degree: int = CUBIC) -> Floats:
+    """Knots (m + degree + 2,) of a spline of m + 1 control points from the m intervals PL of its blocks.
+
+    Block i = 1 .. m of a cubic carries ``PL = U[i + shift] - U[i + shift - 1]``; one of degree 2 has a knot less
+    before its first interval. The knots left over at the ends repeat their neighbours; the curve is tangential
+    to the control polygon at both ends only if the outer degree + 1 coincide: else the program means the other convention, and is
+    refused with a ValueError.
+    """
+    m = intervals.size
+    _check_size(m, degree)
+    if (intervals < 0.0).any():
+        raise ValueError(f"PL={intervals.min():g} in a BSPLINE: intervals cannot be negative")
+    before = shift - CUBIC + degree
+    inner = np.concatenate([[0.0], np.cumsum(intervals)])
+    knots = np.concatenate([np.zeros(before), inner, np.full(degree + 1 - before, inner[-1])])
+    if knots[degree] != 0.0 or knots[m + 1] != knots[-1]:
+        zeros = "first and last interval are" if shift == 2 else "last two intervals are"
+        if degree < CUBIC:
+            zeros = "first interval is" if shift == 2 else "last interval is"
+        raise ValueError(f"BSPLINE read by the convention s={shift}: the {zeros} 0 there, but not here")
+    if knots[-1] == 0.0:
+        raise ValueError("a BSPLINE whose intervals PL are all 0 has no length")
+    return knots
+
+
+def even_knots(m: int, degree: int = CUBIC) -> Floats:
+    """Clamped knots with intervals of 1, for m + 1 control points."""
+    _check_size(m, degree)
+    last = float(m + 1 - degree)
+    return np.concatenate([np.zeros(degree), np.arange(last + 1.0), np.full(degree, last)])
+
+
+def _check_size(m: int, degree: int) -> None:
+    if m < degree:
+        name = "cubic" if degree == CUBIC else "quadratic"
+        raise ValueError(f"a BSPLINE of {m} blocks: a {name} needs at least {degree} after its first point")
+
+
+def spline_spans(
+    blocks: Floats, shift: Literal[2, 3, "uniform"], degree: int = CUBIC
+) -> tuple[Ints, Floats, Floats]:
+    """Split a spline of degree 2 or 3 into its knot spans, each over 0 <= t <= 1.
+
+    `blocks` (m + 1, 3) are X, Y and PL of the control points; PL of the first, the position before, is not used, and none where the
+    knots are uniform. Returns the block (S,) whose control point is the last to shape the span, its end (S, 2), mm, and the coefficients
+    (S, 4) of t^2 and t^3 in X, then in Y.
+    """
+    m = len(blocks) - 1
+    knots = even_knots(m, degree) if shift == "uniform" else knot_vector(blocks[1:, 2], shift, degree)
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
+    spline = BSpline(knots, blocks[:, :2], degree)
+    index = degree + np.flatnonzero(np.diff(knots[degree : m + 2]) > 0.0)
+    begin, h = knots[index], (knots[index + 1] - knots[index])[:, None]
+    end = np.asarray(spline(knots[index + 1]), dtype=np.float64)
+    end[-1] = blocks[-1, :2]
+    # Taylor's series at the start of each span; the third derivative is that of the span to the right.
+    curve = np.stack([spline(begin, 2) * h**2 / 2.0, spline(begin, 3) * h**3 / 6.0], axis=2)
+    return index.astype(np.int64), end, curve.reshape(-1, 4)

@@ -11,14 +11,9 @@ from __future__ import annotations
 import secrets
 from dataclasses import dataclass
 
-PRIME = 33_554_393
-"""Modulus of keys and seals, the greatest prime below 2^25: squares stay exact."""
-
-LAYERS = 10_000
-"""Layers that have a key: the numbers of four digits, and the end of the build after them."""
-
-SET_OFF = 20_000
-"""Added to the number of a program, so that no seal is worked out from the key below."""
+PRIME = 33_554_393  # Modulus of keys and seals, the greatest prime below 2^25: squares stay exact
+LAYERS = 10_000  # Layers that have a key: the numbers of four digits, and the end of the build after them
+SET_OFF = 20_000  # Added to the number of a program, so that no seal is worked out from the key below
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,10 @@ from ebamcheck.nc.templates import process_values, usable_templates
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.blocks import BlockFormat, end_blocks, numbered, start_blocks
 
-KEY, SEAL = 11, 12
-"""R parameters of key and seal, counted from ``machine.live_r``."""
-
-LONGEST_S = 1_000_000
-"""Longest wait before a layer, s."""
-
+KEY, SEAL = 11, 12  # R parameters of key and seal, counted from `machine.live_r`
+LONGEST_S = 1_000_000  # Longest wait before a layer, s
+# Characters of the program's name that a layer's name keeps, as the server that makes layers has it.
 STEM = 10
-"""Characters of the program's name that a layer's name keeps, as the server that makes layers has it."""
 
 
 def waiting_program(

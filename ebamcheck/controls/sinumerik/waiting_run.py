@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from ebamcheck.checks.checks import PLACE_MM, VALUE_SHARE
 from ebamcheck.checks.state_checks import TRANSFORMATION_OFF
-from ebamcheck.checks.tolerances import PLACE_MM, VALUE_SHARE
 from ebamcheck.controls.sinumerik.control import NAME
 from ebamcheck.controls.sinumerik.reading import DIALECT
 from ebamcheck.errors import InputError
@@ -26,20 +26,16 @@ from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.words import WordError, read_block, wanted_words
 from ebamcheck.settings.config import Config
 
+# Blocks for each time that a program asks within the time-out after which one that has not ended is taken for one that never does.
 BLOCKS_A_POLL = 60
-"""Blocks for each time that a program asks within the time-out after which one that has not ended is taken for one that never does."""
-
-WRITTEN = (1, 2, 3, 11, 12)
-"""R parameters that the other side writes, counted from ``machine.live_r``."""
-
+WRITTEN = (1, 2, 3, 11, 12)  # R parameters that the other side writes, counted from `machine.live_r`
 BLOCK = re.compile(r"N(\d+) (?:([A-Z_][A-Z0-9_]+): )?(.+)")
 _TOKEN = re.compile(r'\s*(R\d+|[A-Z_][A-Z0-9_]*|\d+\.?\d*|"[^"]*"|<<|==|<>|>=|<=|[-+*/<>(),])')
 _SET = re.compile(r"(R\d+|[A-Z_][A-Z0-9_]+)=(?!=)(.+)")
 _JUMP = re.compile(r"(?:IF (.+) )?GOTO([FB]) ([A-Z_][A-Z0-9_]+)")
 _DEF = re.compile(r"DEF (?:INT|REAL|STRING\[(\d+)\]) ([A-Z_][A-Z0-9_]+)")
-
+# What is on the other side: it sees the machine whenever time has gone by, and may set R parameters.
 Door = Callable[["Run"], None]
-"""What is on the other side: it sees the machine whenever time has gone by, and may set R parameters."""
 
 
 @dataclass
@@ -47,18 +43,16 @@ class Run:
     """The machine while it runs a text."""
 
     door: Door
+    # Parameters that the door writes: the control reads ahead unless STOPRE stands before.
     watched: frozenset[str]
-    """Parameters that the door writes: the control reads ahead unless STOPRE stands before."""
     values: dict[str, Any] = field(default_factory=dict)
     time_s: float = 0.0
     on: set[str] = field(default_factory=set)
     calls: list[tuple[str, float]] = field(default_factory=list)
-    done: list[float] = field(default_factory=list)
-    """Layers that were said to be done at each call."""
-    room: dict[str, int] = field(default_factory=dict)
-    """Characters that each string variable holds."""
+    done: list[float] = field(default_factory=list)  # Layers that were said to be done at each call
+    room: dict[str, int] = field(default_factory=dict)  # Characters that each string variable holds
+    # M0 or M30, when, and whether beam and wire were commanded off since time went by.
     stops: list[tuple[str, float, bool]] = field(default_factory=list)
-    """M0 or M30, when, and whether beam and wire were commanded off since time went by."""
     faults: list[tuple[int, str]] = field(default_factory=list)
     fresh: bool = False
     off: set[str] = field(default_factory=set)

@@ -9,53 +9,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from ebamcheck.controls.sinumerik.control import AS_WRITTEN, CONTROL
-from ebamcheck.controls.sinumerik.spline_writing import even, spline_blocks
 from ebamcheck.errors import SettingsError
 from ebamcheck.nc.conventions import plain
-from ebamcheck.nc.files import (
-    NOT_VALIDATED,
-    VALIDATED,
-    ProgramFiles,
-    legal_name,
-    preheat_name,
-    write_files,
-)
-from ebamcheck.nc.inputs import SPLINE, CurveColumns, ScanColumns
+from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, preheat_name, write_files
+from ebamcheck.nc.inputs import DEGREE, SPLINE, CurveColumns, ScanColumns
 from ebamcheck.nc.templates import process_values
+from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.blocks import BlockFormat, numbered, off_blocks
-from ebamcheck.writing.layer_text import (
-    Post,
-    layer_blocks,
-    motion_text,
-    preheat_blocks,
-    preheat_passes,
-)
+from ebamcheck.writing.layer_text import Post, layer_blocks, motion_text, preheat_blocks, preheat_passes
 from ebamcheck.writing.segments import CUBIC, Form
 from ebamcheck.writing.table import Tilt, tilt_of
 from ebamcheck.writing.tracks import Toolpath
 
+# What splines become for each `machine.curve_form`.
 FORMS: Mapping[str, Form] = {"poly": "cubics", "bspline": "cubics", "arcs": "arcs", "lines": "chords"}
-"""What splines become for each ``machine.curve_form``."""
-
 NOT_THERE = "machine.curve_form {form!r}: the control does not have that option; use 'arcs' or 'lines'"
 
 
 def write_program(
-    curves: CurveColumns,
-    plan: ScanColumns,
-    config: Config,
-    folder: str | Path,
-    *,
-    validated: bool = False,
-    header: Mapping[str, str] | None = None,
-    path: Toolpath | None = None,
-) -> ProgramFiles:
+    curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
+    header: Mapping[str, str] | None = None, path: Toolpath | None = None,
+) -> ProgramFiles:  # fmt: skip
     """Write the program of a stack: contour rings first, then islands in scan order, layer by layer.
 
     Takes and raises what :func:`ebamcheck.write_program` does; `path` are the tracks of curves and plan, where they are laid out already.
@@ -122,9 +103,6 @@ def _preheating(post: Post) -> dict[int, list[str]]:
     return found
 
 
-# -- forms of curves -------------------------------------------------------------------------------
-
-
 def _licensed_form(curves: CurveColumns, machine: MachineSettings) -> Form:
     """What splines become; refused where the control has no licence for it, or none for uneven knots."""
     form = machine.curve_form
@@ -167,9 +145,6 @@ def _cubics(path: Toolpath, curves: CurveColumns, machine: MachineSettings, form
     return text
 
 
-# -- opening and modes -----------------------------------------------------------------------------
-
-
 def _opening(name: str, suffix: str, config: Config, status: str) -> list[str]:
     directory = legal_name(config.machine.workpiece_directory)
     return [f"%_N_{name}_{suffix}", f";$PATH=/_N_WKS_DIR/_N_{directory}_WPD", status]
@@ -188,3 +163,64 @@ def modes(machine: MachineSettings) -> list[str]:
         *([" ".join(machine.smoothing)] if machine.smoothing else []),
         f"CTOL={plain(machine.smoothing_tolerance_mm)}",
     ]
+
+
+# The control wants at least 6 spline blocks among any 10; shorter splines get further knots, exactly.
+LEAST_SPLINE_BLOCKS = 6
+EVEN_SHARE = 1e-9  # Knot intervals that differ by less, as a share of the longest, are even
+# Curves move on by at most about so many mm for each mm of their knots, or the rounding of the knots would count; those of a fit run at
+# 1.
+FASTEST = 2.0
+
+
+def spline_blocks(
+    control: Floats, knots: Floats, form: BlockFormat, shift: Literal[2, 3, "uniform"]
+) -> list[str]:
+    """Blocks of one spline: its own G1, so that the control starts it anew, BSPLINE, and the control points."""
+    opening = ["G1", f"BSPLINE SD={DEGREE}"]
+    if shift == "uniform":
+        while len(control) - 1 < LEAST_SPLINE_BLOCKS:
+            control, knots = halved(control, knots)
+        return opening + form.even_control_points(control)
+    control, knots = refined(control, knots, LEAST_SPLINE_BLOCKS)
+    return opening + form.control_points(control, knots * _stretch(control, knots), shift)
+
+
+def even(knots: Floats) -> bool:
+    """Whether the intervals of a clamped knot vector are all alike."""
+    intervals = np.diff(knots[DEGREE : knots.size - DEGREE])
+    return bool(np.ptp(intervals) <= EVEN_SHARE * intervals.max())
+
+
+def _stretch(control: Floats, knots: Floats) -> float:
+    """Factor of the knots such that the curve is nowhere much faster than they; the curve stays as it is."""
+    # The derivative lies in the hull of `3 (C[i+1] - C[i]) / (U[i+4] - U[i+1])`.
+    length = knots[DEGREE + 1 : DEGREE + len(control)] - knots[1 : len(control)]
+    leg = np.hypot(*np.diff(control, axis=0).T)
+    fastest = float(np.max(DEGREE * leg[length > 0.0] / length[length > 0.0]))
+    return fastest if fastest > FASTEST else 1.0
+
+
+def refined(control: Floats, knots: Floats, blocks: int) -> tuple[Floats, Floats]:
+    """Return the same spline with at least `blocks` control points after its first (Boehm's knot insertion).
+
+    Knots go to the middle of the longest span; the curve does not change.
+    """
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
+    spline = BSpline(knots, control, DEGREE)
+    while len(spline.c) - 1 < blocks:
+        longest = int(np.argmax(np.diff(spline.t)))
+        spline = spline.insert_knot(0.5 * (spline.t[longest] + spline.t[longest + 1]))
+    return np.asarray(spline.c), np.asarray(spline.t)
+
+
+def halved(control: Floats, knots: Floats) -> tuple[Floats, Floats]:
+    """Return the same spline with a further knot in the middle of every span, so that even knots stay even."""
+    from scipy.interpolate import BSpline  # half of the time that this package takes to import
+
+    spline = BSpline(knots, control, DEGREE)
+    breaks = np.unique(knots)
+    for knot in 0.5 * (breaks[1:] + breaks[:-1]):
+        spline = spline.insert_knot(knot)
+    return np.asarray(spline.c), np.asarray(spline.t)
