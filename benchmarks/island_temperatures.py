@@ -26,8 +26,9 @@ from ebamcheck.heat import depth_modes
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.heat.aged_heat import Modes, Timetable
 from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.order.entries import clocked
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
-from ebamcheck.scan.order.simulation import clocked, entered, entered_into
+from ebamcheck.scan.order.simulation import entered, entered_into
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config
 
@@ -107,10 +108,7 @@ def compared(config: Config, sides_mm: tuple[float, float], waves: tuple[float, 
     choices = lay_islands(section, config, 0, HEIGHT_MM).choices(config, 0)
     heat, schedule, rapid = choices.cold_heat(), choices.known_schedule, config.machine.rapid_mm_s
     orders = [scan_order(name, choices, heat) for name in ORDERS]
-    driven = [
-        (order, *clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid)[:2])
-        for order in orders
-    ]
+    driven = [(order, *clocked(schedule, order, rapid)[:2]) for order in orders]
     converging = references(heat, choices, driven, waves)
     rows = []
     for n, (name, times) in enumerate(zip(ORDERS, driven, strict=True)):

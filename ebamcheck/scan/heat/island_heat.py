@@ -1,4 +1,4 @@
-"""The heat model of a layer's islands, in the columns that the kernels of :mod:`ebamcheck.scan.order.thermal` read."""
+"""The heat model of a layer's islands, in the columns that the kernels of :mod:`ebamcheck.scan.order.search` read."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from ebamcheck.scan.heat.aged_heat import (
 )
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, young_rise
-from ebamcheck.scan.order.entry_options import nearest_option
+from ebamcheck.scan.order.entries import nearest_options
 
 
 def entry_temperatures(
@@ -155,41 +155,6 @@ def simulated(modes: Modes, share: Floats, timetable: Timetable, state: Floats) 
         excess[island] = np.sqrt(spread) / average if average > 0.0 else 0.0
         clock = timetable.end_s[island]
     return entry_k, excess
-
-
-@kernel
-def nearest_options(order: Ints, entry: Floats, leave: Floats) -> Ints:
-    """Entry option of each island, by island (I,): the nearest one."""
-    options = np.zeros(len(entry), np.int64)
-    for n in range(1, len(order)):
-        x, y = leave[order[n - 1], options[order[n - 1]]]
-        options[order[n]] = nearest_option(entry[order[n]], x, y)[1]
-    return options
-
-
-@kernel
-def clocked(
-    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float
-) -> tuple[Floats, Floats, float]:
-    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by the nearest option.
-
-    The order may be the beginning of one; the times of islands that it lacks are then nothing.
-    """
-    start, end = np.empty(len(entry)), np.empty(len(entry))
-    clock, travel = 0.0, 0.0
-    x, y = entry[order[0], 0, 0], entry[order[0], 0, 1]
-    for n in range(len(order)):
-        island = order[n]
-        nearest, option = nearest_option(entry[island], x, y)
-        if n == 0:
-            nearest, option = 0.0, 0
-        clock += nearest / rapid
-        travel += nearest
-        start[island] = clock
-        clock += time[island]
-        end[island] = clock
-        x, y = leave[island, option, 0], leave[island, option, 1]
-    return start, end, travel
 
 
 # -- Temperature of every island over the time in which a layer is scanned, for pictures -----------------------

@@ -18,7 +18,7 @@ from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows, turns_and_jumps_mm
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.part_heat import Beads, uneven
-from ebamcheck.scan.order.path import in_sequence
+from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
@@ -86,7 +86,7 @@ def bead_sequence(
     order
         Islands in scan order; without any, the contours alone are taken.
     options
-        Entry option of each island, see :func:`~ebamcheck.scan.order.path.in_sequence`.
+        Entry option of each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`.
 
     Returns
     -------

@@ -16,10 +16,10 @@ from ebamcheck.geometry.regions import layer_section
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
-from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
+from ebamcheck.scan.order.entries import modes_at_entries, nearest_options, rises_at_entries
 from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
-from ebamcheck.scan.order.path import touching, touching_successors
-from ebamcheck.scan.order.simulation import entry_temperatures, nearest_options
+from ebamcheck.scan.order.search import touching, touching_successors
+from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.plan.stacking import in_order, stack_plans

@@ -19,8 +19,8 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.islands import clipping as cells
+from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import needs_heat
-from ebamcheck.scan.order.path import in_sequence
 from ebamcheck.scan.plan.columns import METRICS, ScanPlan, empty_vectors
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.scan.plan.times import EARLY, neighbour_intervals_s, simulate_order

@@ -10,7 +10,7 @@ import pandas as pd
 
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.turns import follows
-from ebamcheck.scan.order.path import jumps_mm
+from ebamcheck.scan.order.entries import jumps_mm
 from ebamcheck.settings.config import Config
 
 if TYPE_CHECKING:

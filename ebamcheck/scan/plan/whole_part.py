@@ -89,7 +89,7 @@ class ReadyIslands:
 @dataclass(frozen=True, eq=False)
 class OrderedLayer:
     """A layer, what its order knew of its islands, the order (I,), the entry option (I,) of each island (see
-    :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was simulated."""
+    :func:`~ebamcheck.scan.order.entries.in_sequence`), and its heat where it was simulated."""
 
     laid: LaidLayer
     islands: LayerIslands

@@ -1,28 +1,35 @@
-"""Where each island of an order is entered: at the coolest of its ends that the travel between the islands allows.
+"""Where islands are entered, how far the gun jumps between them, and when each is scanned.
 
 An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
-ago, hundreds of kelvins warmer than the far side of the same island. Here the rise at every end is worked out: old heat
-by the modes of the section at that very place, not their mean over the island, young heat by the Green's functions of
+ago, hundreds of kelvins warmer than the far side of the same island. So the rise at every end is worked out: old heat
+by the modes of the section at that very place, young heat by the Green's functions of
 :mod:`ebamcheck.scan.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
-order: the least sum of the powers of the rises (as :func:`~ebamcheck.scan.order.annealing.high_mean` counts them) plus
-a price on travel, the price being the least that keeps the travel allowed. Heat changes little by the ends chosen
-before, so that a few rounds settle it; the best of them is kept, that of the nearest ends among them.
+order: the least sum of the powers of the rises (as :func:`high_mean` counts them) plus a price on travel, the least that
+keeps the travel allowed. Heat changes little by the ends chosen before, so that a few rounds settle it; the best of them
+is kept, that of the nearest ends among them.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandSchedule
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.schedule import IslandSchedule, island_ends
 from ebamcheck.scan.filling.turns import JOINED_MM
 from ebamcheck.scan.heat.aged_heat import Modes, Timetable, by_depth, late_modes, read_surface, with_late_heat
 from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.heat.near_field import NearField, entry_rise
 from ebamcheck.scan.heat.pieces import OPTIONS
-from ebamcheck.scan.order.annealing import high_mean, power
-from ebamcheck.scan.order.simulation import nearest_options
+
+NEAREST = -1
+"""Entry option of an island that is entered from its corner nearest to where the last one ended."""
+
+HIGH = 12
+"""Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
 
 ROUNDS = 3
 """Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
@@ -36,6 +43,107 @@ HALVINGS = 50
 
 TIE = 1e-12
 """Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
+
+# -- The way from island to island.
+
+
+class EntryOptions(NamedTuple):
+    """Jumps (I, 4, I) from an island that was entered by one of its options to the nearest option of another, mm, and which that is."""
+
+    jump_mm: Floats
+    option: NDArray[np.int8]
+
+
+def entry_options(schedule: IslandSchedule) -> EntryOptions:
+    """Tabulate the jumps between all islands of a layer."""
+    apart = schedule.leave[:, :, None, None] - schedule.entry
+    jump_mm = np.hypot(apart[..., 0], apart[..., 1])
+    near = jump_mm < jump_mm.min(axis=-1, keepdims=True) + JOINED_MM
+    option = near.argmax(axis=-1)
+    found_mm = np.take_along_axis(jump_mm, option[..., None], axis=-1)[..., 0]
+    return EntryOptions(found_mm, option.astype(np.int8))
+
+
+@kernel
+def nearest_option(entry: Floats, x: float, y: float) -> tuple[float, int]:
+    """Distance to the nearest of the entry options (4, 2) of an island, mm, and which it is: the first of equal ones."""
+    nearest, option = np.inf, 0
+    for v in range(len(entry)):
+        away_x, away_y = entry[v, 0] - x, entry[v, 1] - y
+        # No nearer by as much as counts, whatever its square has lost by rounding: the distance itself takes longer.
+        if away_x * away_x + away_y * away_y >= nearest * nearest:
+            continue
+        distance = np.hypot(away_x, away_y)
+        if distance < nearest - JOINED_MM:
+            nearest, option = distance, v
+    return nearest, option
+
+
+@kernel
+def nearest_options(order: Ints, entry: Floats, leave: Floats) -> Ints:
+    """Entry option of each island, by island (I,): the nearest one."""
+    options = np.zeros(len(entry), np.int64)
+    for n in range(1, len(order)):
+        x, y = leave[order[n - 1], options[order[n - 1]]]
+        options[order[n]] = nearest_option(entry[order[n]], x, y)[1]
+    return options
+
+
+def clocked(
+    schedule: IslandSchedule, order: Ints, rapid_mm_s: float, options: Ints | None = None
+) -> tuple[Floats, Floats, float]:
+    """Start and end of each island (I,), s, and the travel between them, mm, entering each by its option; None: the nearest."""
+    if options is None:
+        options = nearest_options(order, schedule.entry, schedule.leave)
+    entry, leave = schedule.entry[order, options[order]], schedule.leave[order, options[order]]
+    jump_mm = np.hypot(*(entry[1:] - leave[:-1]).T)
+    times = np.zeros(2 * len(order))
+    times[2::2], times[1::2] = jump_mm / rapid_mm_s, schedule.time_s[order]
+    clock = np.cumsum(times)
+    start_s, end_s = np.zeros(len(schedule)), np.zeros(len(schedule))
+    start_s[order], end_s[order] = clock[::2], clock[1::2]
+    return start_s, end_s, float(jump_mm.sum())
+
+
+def in_sequence(
+    start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools, options: Ints
+) -> tuple[Ints, Bools]:
+    """Rows (V,) of the lines of islands in scan order, and whether each is driven from its end to its start.
+
+    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are
+    driven in either sequence and either direction, as its entry option says (:data:`NEAREST`: that nearest to where the
+    last island ended); those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
+    """
+    order = order[np.diff(first)[order] > 0]
+    if not len(order):
+        return np.zeros(0, np.int64), np.zeros(0, np.bool_)
+    if (options < 0).any():
+        options = nearest_options(order, *island_ends(start, end, first, chained))
+    lines, option = np.diff(first)[order], options[order]
+    place = np.arange(lines.sum()) - np.repeat(np.cumsum(lines) - lines, lines)
+    rows = np.where(
+        np.repeat(option >= 2, lines),
+        np.repeat(first[order + 1] - 1, lines) - place,
+        np.repeat(first[order], lines) + place,
+    )
+    return rows, np.repeat((option == 1) | (option == 2), lines)
+
+
+def jumps_mm(start: Floats, end: Floats, new_layer: Bools) -> Floats:
+    """Jump before each line (V,), mm: 0 for the first of a layer and for lines that go on."""
+    jumps = np.zeros(len(start))
+    if len(start) > 1:
+        jumps[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    jumps[new_layer | (jumps <= JOINED_MM)] = 0.0
+    return jumps
+
+
+def high_mean(entry_k: Floats) -> float:
+    """Mean of the twelfth powers of the entry temperatures, as a temperature: near the greatest, yet all count."""
+    return float(np.mean(np.maximum(entry_k, 0.0) ** HIGH) ** (1.0 / HIGH))
+
+
+# -- The coolest ends.
 
 
 def cool_options(
@@ -59,14 +167,13 @@ def cool_options(
     best = options = nearest_options(order, schedule.entry, schedule.leave)
     if len(order) < 2:
         return best
-    columns = order, schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s
-    start_s, end_s, travel_mm = clocked_by(*columns, options)
+    start_s, end_s, travel_mm = clocked(schedule, order, rapid_mm_s, options)
     allowed_mm = max(longest_mm, travel_mm)
     # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
     old_k = _old_k(heat, modes_at_entries(heat, schedule), order, start_s, end_s)
     least_k, every = np.inf, np.arange(len(order))
     for n in range(ROUNDS + 1):
-        start_s, end_s, _ = clocked_by(*columns, options)
+        start_s, end_s, _ = clocked(schedule, order, rapid_mm_s, options)
         rise_k = old_k + young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options)
         found_k = high_mean(rise_k[every, options])
         if found_k < least_k * (1.0 - TIE):
@@ -142,7 +249,7 @@ def options_by_price(
     came_by = np.zeros((count, OPTIONS), np.int64)
     total, following = np.empty(OPTIONS), np.empty(OPTIONS)
     for w in range(OPTIONS):
-        total[w] = power(share[order[0], w])
+        total[w] = max(share[order[0], w], 0.0) ** HIGH
     for n in range(1, count):
         last, island = order[n - 1], order[n]
         for w in range(OPTIONS):
@@ -152,7 +259,7 @@ def options_by_price(
                 spent = total[v] + price * np.hypot(entry[island, w, 0] - x, entry[island, w, 1] - y)
                 if spent < least * (1.0 - TIE):
                     least, by = spent, v
-            following[w], came_by[n, w] = least + power(share[island, w]), by
+            following[w], came_by[n, w] = least + max(share[island, w], 0.0) ** HIGH, by
         total[:] = following
     options = np.zeros(count, np.int64)
     option = 0
@@ -169,26 +276,6 @@ def options_by_price(
             travel += jump if jump > JOINED_MM else 0.0
             option = by
     return options, travel
-
-
-@kernel
-def clocked_by(
-    order: Ints, entry: Floats, leave: Floats, time: Floats, rapid: float, options: Ints
-) -> tuple[Floats, Floats, float]:
-    """Start and end of each island by island (I,), s, and the travel between them, mm, entering each by its option."""
-    start, end = np.empty(len(order)), np.empty(len(order))
-    clock, travel = 0.0, 0.0
-    for n in range(len(order)):
-        island = order[n]
-        if n > 0:
-            x, y = leave[order[n - 1], options[order[n - 1]]]
-            jump = np.hypot(entry[island, options[island], 0] - x, entry[island, options[island], 1] - y)
-            clock += jump / rapid
-            travel += jump
-        start[island] = clock
-        clock += time[island]
-        end[island] = clock
-    return start, end, travel
 
 
 @kernel
