@@ -18,8 +18,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.raster import islands_in_cells, oriented_rings
-from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
-from ebamcheck.heat.medium import BEAM_SHARE, STEFAN_BOLTZMANN_W_M2K4
+from ebamcheck.heat.medium import BEAM_SHARE, STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, enthalpy_tables
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.plan.columns import ScanPlan

@@ -10,7 +10,7 @@ import shapely
 
 from benchmarks.scan_orders import layers
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.heat.pieces import OPTIONS
+from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.scan.order.entries import (
     NEAREST,
     affordable,

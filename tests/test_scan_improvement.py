@@ -9,7 +9,7 @@ import pytest
 from islands_of_a_plate import FREE, PLATE, PROFILE, RAPID, laid_plate
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.heat.influence import (
+from ebamcheck.heat.influence import (
     FALLEN,
     LEAST_RATE,
     YOUNG_NODES,
@@ -18,7 +18,7 @@ from ebamcheck.scan.heat.influence import (
     table_place,
     work_out,
 )
-from ebamcheck.scan.heat.near_field import entry_rise, young_mean
+from ebamcheck.heat.near_field import entry_rise, young_mean
 from ebamcheck.scan.order.entries import clocked, entry_options, high_mean
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import (

@@ -11,8 +11,8 @@ from ebamcheck.drawing.islands import field_svg, islands_svg
 from ebamcheck.drawing.orders import pareto_svg
 from ebamcheck.drawing.scene import Scene, TemperatureScale
 from ebamcheck.heat import ContourModes
+from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.order.simulation import entered, island_history
 from ebamcheck.scan.plan.comparing import OrderComparison, OrderResult
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.drawing.scene import Scene, TemperatureScale
-from ebamcheck.heat.section_grid import SectionGrid
+from ebamcheck.heat.modes import SectionGrid
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.colours import SCALE, ramp
 from ebamcheck.showing.image import palette_image, png_address

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.heat.medium import enthalpy_tables
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.feed_along import along_window

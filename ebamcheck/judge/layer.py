@@ -26,11 +26,11 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.controls.thesis import HeatPath, Mirrors, heat_path, physics, readings, write_thesis
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
+from ebamcheck.heat.island_heat import island_heat
 from ebamcheck.judge.thesis import rises_k
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import CurveColumns, deposition_heights
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.island_heat import island_heat
 from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config

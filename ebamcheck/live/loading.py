@@ -13,13 +13,13 @@ import pandas as pd
 from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.part_heat import PartHeat
 from ebamcheck.live.before import Before
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
-from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config, validated

@@ -12,8 +12,7 @@ import copy
 import numpy as np
 from scipy import ndimage
 
-from ebamcheck.metal.distances import border_distance, moved_to_neighbours
-from ebamcheck.metal.target import REACHED, Target, cell_mm
+from ebamcheck.metal.target import REACHED, Target, border_distance, cell_mm, moved_to_neighbours
 from ebamcheck.numeric.rings import Bools, Floats
 
 LEVELLED_BEADS = 0.5

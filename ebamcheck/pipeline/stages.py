@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.backend import Progress
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.curves.turned import turned_over
+from ebamcheck.heat.part_heat import BeadPower
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
@@ -25,7 +26,6 @@ from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.program import ProgramFiles
 from ebamcheck.result import Check
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.heat.part_heat import BeadPower
 from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config

@@ -9,7 +9,6 @@ import math
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.process_window import TURN_SPACINGS
 
@@ -66,8 +65,7 @@ def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bool
     same[1:] = island[1:] == island[:-1]
     near = gaps_mm(start, end) <= TURN_SPACINGS * spacing_mm
     on = np.asarray(same & near & ~_turns_back(start, end), np.bool_)
-    _break_over_lines(on, island, np.ascontiguousarray(start), np.ascontiguousarray(end), spacing_mm)
-    return on
+    return on & ~_over_lines(on, island, start, end, spacing_mm)
 
 
 def _turns_back(start: Floats, end: Floats) -> Bools:
@@ -82,23 +80,26 @@ def _turns_back(start: Floats, end: Floats) -> Bools:
     return back
 
 
-@kernel
-def _break_over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing: float) -> None:
-    """Take out of `on` (V,) the turns that lead over a line of their island."""
-    first = 0
-    for v in range(1, island.size):
-        if island[v] != island[v - 1]:
-            first = v
-        x, y = 0.5 * (end[v - 1, 0] + start[v, 0]), 0.5 * (end[v - 1, 1] + start[v, 1])
-        half = math.hypot(start[v, 0] - x, start[v, 1] - y)
-        u = first
-        while on[v] and 2.0 * half > SHORT_SPACINGS * spacing and u < island.size and island[u] == island[v]:
-            dx, dy = end[u, 0] - start[u, 0], end[u, 1] - start[u, 1]
-            along = (x - start[u, 0]) * dx + (y - start[u, 1]) * dy
-            share = min(max(along / max(dx * dx + dy * dy, TINY), 0.0), 1.0)
-            aside = math.hypot(start[u, 0] + share * dx - x, start[u, 1] + share * dy - y)
-            on[v] = aside >= BESIDE_SPACINGS * spacing
-            u += 1
+def _over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
+    """Whether the turn to a line (V,), among those that are `on`, leads over a line of its island."""
+    over = np.zeros(len(on), np.bool_)
+    turn = np.flatnonzero(on[1:]) + 1
+    turn = turn[np.hypot(*(start[turn] - end[turn - 1]).T) > SHORT_SPACINGS * spacing_mm]
+    if not len(turn):
+        return over
+    run = np.cumsum(np.diff(island, prepend=island[:1]) != 0)
+    size = np.bincount(run)
+    count = size[run[turn]]
+    first = np.cumsum(count) - count
+    line = np.arange(count.sum()) - np.repeat(first - (np.cumsum(size) - size)[run[turn]], count)
+    way, away = (
+        (end - start)[line],
+        np.repeat(0.5 * (end[turn - 1] + start[turn]), count, axis=0) - start[line],
+    )
+    along = (away * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), TINY)
+    aside = np.hypot(*(np.clip(along, 0.0, 1.0)[:, None] * way - away).T)
+    over[turn] = np.minimum.reduceat(aside, first) < BESIDE_SPACINGS * spacing_mm
+    return over
 
 
 def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> tuple[Floats, Floats]:

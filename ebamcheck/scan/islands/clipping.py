@@ -271,35 +271,27 @@ def common_lengths(
     """Length over which the borders of each pair of polygons coincide within a tolerance, (P,)."""
     result = np.zeros(len(pairs))
     for n in range(len(pairs)):
-        total = 0.0
         for r in range(island_rings[pairs[n, 0]], island_rings[pairs[n, 0] + 1]):
             for i in range(ring_starts[r], ring_starts[r + 1] - 1):
+                ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
+                length = np.hypot(bx - ax, by - ay)
+                if length == 0.0:
+                    continue
+                ux, uy = (bx - ax) / length, (by - ay) / length
+                left, right = min(ax, bx) - tolerance, max(ax, bx) + tolerance
+                low, high = min(ay, by) - tolerance, max(ay, by) + tolerance
                 for q in range(island_rings[pairs[n, 1]], island_rings[pairs[n, 1] + 1]):
                     for k in range(ring_starts[q], ring_starts[q + 1] - 1):
-                        total += _overlap(points, i, k, tolerance)
-        result[n] = total
+                        cx, cy, dx, dy = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
+                        if (
+                            max(cx, dx) < left
+                            or min(cx, dx) > right
+                            or max(cy, dy) < low
+                            or min(cy, dy) > high
+                        ):
+                            continue
+                        off = max(abs(ux * (cy - ay) - uy * (cx - ax)), abs(ux * (dy - ay) - uy * (dx - ax)))
+                        if off <= tolerance:
+                            c, d = ux * (cx - ax) + uy * (cy - ay), ux * (dx - ax) + uy * (dy - ay)
+                            result[n] += max(0.0, min(length, max(c, d)) - max(0.0, min(c, d)))
     return result
-
-
-@kernel
-def _overlap(points: Floats, i: int, k: int, tolerance: float) -> float:
-    """Length over which segment (k, k + 1) lies on segment (i, i + 1)."""
-    ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-    cx, cy, dx, dy = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-    if (
-        max(cx, dx) < min(ax, bx) - tolerance
-        or min(cx, dx) > max(ax, bx) + tolerance
-        or max(cy, dy) < min(ay, by) - tolerance
-        or min(cy, dy) > max(ay, by) + tolerance
-    ):
-        return 0.0
-    length = np.hypot(bx - ax, by - ay)
-    if length == 0.0:
-        return 0.0
-    ux, uy = (bx - ax) / length, (by - ay) / length
-    off_c = ux * (cy - ay) - uy * (cx - ax)
-    off_d = ux * (dy - ay) - uy * (dx - ax)
-    if abs(off_c) > tolerance or abs(off_d) > tolerance:
-        return 0.0
-    c, d = ux * (cx - ax) + uy * (cy - ay), ux * (dx - ax) + uy * (dy - ay)
-    return float(max(0.0, min(length, max(c, d)) - max(0.0, min(c, d))))

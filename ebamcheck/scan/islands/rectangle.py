@@ -11,11 +11,13 @@ import shapely
 from numpy.typing import ArrayLike
 
 from ebamcheck.errors import GeometryError
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 PAPER_STEPS = 10
 """The paper turns the envelope in steps of pi/10 (equation 11)."""
+
+AT_ONCE = 1_000_000
+"""Corners times directions of a hull that are worked out together, about."""
 
 TIE = 1e-12
 """Relative difference of area under which two rectangles count as equal; the first one is kept."""
@@ -67,7 +69,7 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
         (N, 2) mm; only their convex hull matters.
     method
         ``"paper"`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``"exact"`` every direction
-        of an edge of the convex hull, among which the minimum lies (rotating calipers).
+        of an edge of the convex hull, among which the minimum lies.
 
     Raises
     ------
@@ -87,7 +89,10 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
         edges = np.roll(hull, -1, axis=0) - hull
         lengths = np.hypot(edges[:, 0], edges[:, 1])
         directions = edges[lengths > 0] / lengths[lengths > 0, None]
-        boxes = calipers(hull, directions if len(directions) else np.array([[1.0, 0.0]]))
+        parts = np.array_split(directions, max(1, len(hull) * len(directions) // AT_ONCE))
+        boxes = np.concatenate(
+            [_envelopes(hull, part if len(part) else np.array([[1.0, 0.0]])) for part in parts]
+        )
     return _rectangle(*_smallest(boxes))
 
 
@@ -121,51 +126,6 @@ def _envelopes(hull: Floats, directions: Floats) -> Floats:
     across = np.stack([-directions[:, 1], directions[:, 0]], axis=-1) @ hull.T
     extents = [along.min(axis=1), along.max(axis=1), across.min(axis=1), across.max(axis=1)]
     return np.column_stack([directions, *extents])
-
-
-@kernel
-def calipers(hull: Floats, directions: Floats) -> Floats:
-    """Extents as :func:`_envelopes`, for the hull's own edge directions in order, in linear time."""
-    count, corners = len(directions), len(hull)
-    boxes = np.empty((count, 6))
-    # The corner that is extreme in direction 90 k degrees from the edge only moves forward.
-    extreme = np.zeros(4, np.int64)
-    for k in range(count):
-        ux, uy = directions[k, 0], directions[k, 1]
-        boxes[k, 0], boxes[k, 1] = ux, uy
-        for side in range(4):
-            if side == 0:
-                dx, dy = ux, uy
-            elif side == 1:
-                dx, dy = -uy, ux
-            elif side == 2:
-                dx, dy = -ux, -uy
-            else:
-                dx, dy = uy, -ux
-            i = extreme[side]
-            best = dx * hull[i, 0] + dy * hull[i, 1]
-            if k == 0:
-                for j in range(corners):
-                    value = dx * hull[j, 0] + dy * hull[j, 1]
-                    if value > best:
-                        best, i = value, j
-            else:
-                for _ in range(corners):
-                    j = i + 1 if i + 1 < corners else 0
-                    value = dx * hull[j, 0] + dy * hull[j, 1]
-                    if value < best:
-                        break
-                    best, i = value, j
-            extreme[side] = i
-            if side == 0:
-                boxes[k, 3] = best
-            elif side == 1:
-                boxes[k, 5] = best
-            elif side == 2:
-                boxes[k, 2] = -best
-            else:
-                boxes[k, 4] = -best
-    return boxes
 
 
 def _smallest(boxes: Floats) -> tuple[float, float, float, float, float, float]:

@@ -3,7 +3,7 @@
 An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
 ago, hundreds of kelvins warmer than the far side of the same island. So the rise at every end is worked out: old heat
 by the modes of the section at that very place, young heat by the Green's functions of
-:mod:`ebamcheck.scan.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
+:mod:`ebamcheck.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
 order: the least sum of the powers of the rises (as :func:`high_mean` counts them) plus a price on travel, the least that
 keeps the travel allowed. Heat changes little by the ends chosen before, so that a few rounds settle it; the best of them
 is kept, that of the nearest ends among them.
@@ -16,14 +16,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entries
+from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule, island_ends
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import Modes, Timetable, by_depth, late_modes, read_surface, with_late_heat
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import NearField, entry_rise
-from ebamcheck.scan.heat.pieces import OPTIONS
 
 NEAREST = -1
 """Entry option of an island that is entered from its corner nearest to where the last one ended."""
@@ -170,11 +168,11 @@ def cool_options(
     start_s, end_s, travel_mm = clocked(schedule, order, rapid_mm_s, options)
     allowed_mm = max(longest_mm, travel_mm)
     # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
-    old_k = _old_k(heat, modes_at_entries(heat, schedule), order, start_s, end_s)
+    old_k = old_at_entries(heat, order, start_s, end_s, modes_at_entries(heat, schedule))
     least_k, every = np.inf, np.arange(len(order))
     for n in range(ROUNDS + 1):
         start_s, end_s, _ = clocked(schedule, order, rapid_mm_s, options)
-        rise_k = old_k + young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options)
+        rise_k = old_k + _young_k(heat, order, start_s, end_s, options)
         found_k = high_mean(rise_k[every, options])
         if found_k < least_k * (1.0 - TIE):
             best, least_k = options, found_k
@@ -192,25 +190,13 @@ def modes_at_entries(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
 def rises_at_entries(
     heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats, options: Ints
 ) -> Floats:
-    """Temperature rises at all ends of each island when the beam enters it, (I, 4) K by island and option.
-
-    Parameters
-    ----------
-    at
-        (I, 4, K) modes at the ends, see :func:`modes_at_entries`.
-    start_s, end_s
-        (I,) times by island.
-    options
-        (I,) entry options of the islands.
-    """
-    young_k = young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options)
-    return np.asarray(_old_k(heat, at, order, start_s, end_s) + young_k, np.float64)
+    """Temperature rises (I, 4) K at all ends of each island, whose modes are `at` (I, 4, K), when the beam enters it."""
+    old_k = old_at_entries(heat, order, start_s, end_s, at)
+    return np.asarray(old_k + _young_k(heat, order, start_s, end_s, options), np.float64)
 
 
-def _old_k(heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
-    """Rises (I, 4) by heat older than the horizon, at ends with modes (I, 4, K)."""
-    timetable = Timetable(order, start_s, end_s)
-    return old_at_entries(heat.modes, timetable, heat.fresh.horizon_s, heat.start_k, at)
+def _young_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, options: Ints) -> Floats:
+    return young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options, True)[1]
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
@@ -276,43 +262,3 @@ def options_by_price(
             travel += jump if jump > JOINED_MM else 0.0
             option = by
     return options, travel
-
-
-@kernel
-def young_at_entries(
-    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, options: Ints
-) -> Floats:
-    """Rises at all ends (I, 4) by heat younger than the horizon, K."""
-    rise = np.zeros((len(start), OPTIONS))
-    place = np.full(len(start), -1)
-    for n in range(len(order)):
-        place[order[n]] = n
-    for i in order:
-        for p in range(near.first[i], near.first[i + 1]):
-            j = near.other[p]
-            since = start[i] - end[j]
-            if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
-                continue
-            for w in range(OPTIONS):
-                rise[i, w] += source[j] * entry_rise(near, i, w, j, options[j], since, end[j] - start[j])
-    return rise
-
-
-@kernel
-def old_at_entries(modes: Modes, timetable: Timetable, age: float, start: Floats, at: Floats) -> Floats:
-    """Rises at all ends (I, 4) by what the layer begins with, amplitudes (K, N), and by heat of at least an age, K.
-
-    See :func:`~ebamcheck.scan.heat.aged_heat.entered_with_aged`.
-    """
-    aged, state, surface = late_modes(modes, age), by_depth(start), np.empty(len(modes.plane_rate))
-    rise = np.zeros((len(timetable.start_s), OPTIONS))
-    clock, place = 0.0, 0
-    for island in timetable.order:
-        until = timetable.start_s[island]
-        place = with_late_heat(state, aged, timetable, age, clock, until, place)
-        clock = until
-        read_surface(state, modes.in_layer, surface)
-        for k in range(len(surface)):
-            for w in range(OPTIONS):
-                rise[island, w] += at[island, w, k] * surface[k]
-    return rise

@@ -31,11 +31,11 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.scan.order.entries import NEAREST, clocked, cool_options
 from ebamcheck.scan.order.search import greedy_order, thermal_order, touching
 from ebamcheck.settings.config import Config
@@ -119,7 +119,8 @@ class LayerIslands:
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
         lines = NO_LINES if self.lines is None else self.lines
-        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.config)
+        columns, entry = (lines.island, lines.start, lines.end), self.known_schedule.entry
+        return with_fresh_heat(modes, entry, columns, self.section, self.polygons, self.config)
 
 
 Order = Callable[..., Ints]

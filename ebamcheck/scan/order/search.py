@@ -2,9 +2,9 @@
 
 The score of an island is its temperature at the time it would be entered, plus the travel to it and the start of the
 wire, each at its price in kelvin. Its temperature is its mean, or that under the beam where it would be entered
-(:mod:`~ebamcheck.scan.heat.near_field`), whichever is more. No island follows one that it touches while another is left.
+(:mod:`~ebamcheck.heat.near_field`), whichever is more. No island follows one that it touches while another is left.
 A low price of travel makes cool but long ways, so plans for several prices are made. Moves are tried on the table of
-:mod:`ebamcheck.scan.heat.influence`, which gives an entry temperature without the modes.
+:mod:`ebamcheck.heat.influence`, which gives an entry temperature without the modes.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.heat.field import Modes, Timetable, late_heat, read_surface
+from ebamcheck.heat.influence import MOST_ISLANDS, Influence, influence, table_place, work_out
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.near_field import NearField, entry_rise, young_mean
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.filling.turns import JOINED_MM
-from ebamcheck.scan.heat.aged_heat import Modes, Timetable, by_depth, late_modes, read_surface, with_late_heat
-from ebamcheck.scan.heat.influence import MOST_ISLANDS, Influence, influence, table_place, work_out
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import NearField, young_rise
 from ebamcheck.scan.order.entries import (
     EntryOptions,
     clocked,
@@ -156,6 +156,7 @@ class _Heated(NamedTuple):
     """What a greedy plan reads; see :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
 
     modes: Modes
+    late: Modes
     near: NearField
     beside: Bools
     entry: Floats
@@ -190,7 +191,9 @@ def greedy_order(
 ) -> Ints:
     """Order islands by heat from a first one on, for one price of travel (K/mm) and of a wire start (K)."""
     count, columns = len(schedule), (schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
-    layer = _Heated(heat.modes, heat.fresh, beside, *columns, price_k_mm, start_k)
+    layer = _Heated(
+        heat.modes, heat.modes.late(heat.fresh.horizon_s), heat.fresh, beside, *columns, price_k_mm, start_k
+    )
     plan = _Greedy(
         np.empty(count, np.int64), np.empty(count), np.empty(count), np.zeros(count, np.int64),
         np.zeros(count, np.bool_), np.empty(count), np.empty(count), np.empty(count),
@@ -210,7 +213,7 @@ def coolest_first(
     Old heat, of which the modes have all, is linear between the earliest entry and the latest one, so much time later.
     """
     count, horizon = mean.shape[1], layer.near.horizon_s
-    aged, state = late_modes(layer.modes, horizon), by_depth(start)
+    late_modes, state = layer.late, start.copy()
     ahead, early, late = np.empty_like(state), np.empty(len(mean)), np.empty(len(mean))
     left, now, soon = np.arange(count), np.empty(count), np.empty(count)
     clock, reached, place, option, jump = 0.0, 0, first, 0, 0.0
@@ -221,7 +224,7 @@ def coolest_first(
         clock = plan.start_s[island] + layer.time_s[island]
         plan.option[island], plan.end_s[island], plan.scanned[island] = option, clock, True
         timetable = Timetable(plan.order[: n + 1], plan.start_s, plan.end_s)
-        reached = with_late_heat(state, aged, timetable, horizon, last, clock, reached)
+        reached = late_heat(state, late_modes, timetable, horizon, last, clock, reached)
         rest = count - n - 1
         if rest == 0:
             break
@@ -229,7 +232,7 @@ def coolest_first(
         left[place] = left[rest]
         mean[:, place] = mean[:, rest]
         ahead[:] = state
-        with_late_heat(ahead, aged, timetable, horizon, clock, clock + latest, reached)
+        late_heat(ahead, late_modes, timetable, horizon, clock, clock + latest, reached)
         read_surface(state, layer.modes.in_layer, early)
         read_surface(ahead, layer.modes.in_layer, late)
         _set_old_heat(mean, early, late, now[:rest], soon[:rest])
@@ -274,11 +277,9 @@ def _set_fresh_heat(layer: _Heated, plan: _Greedy, n: int) -> None:
             if plan.scanned[i]:
                 continue
             since = now - plan.end_s[last] + plan.jump_mm[i] / layer.rapid_mm_s
-            mean, entry = young_rise(
-                near, near.pair[p], i, plan.option[i], last, plan.option[last], since, layer.time_s[last]
-            )
-            plan.fresh_mean_k[i] += source[last] * mean
-            plan.fresh_entry_k[i] += source[last] * entry
+            time, by, left_by = layer.time_s[last], plan.option[i], plan.option[last]
+            plan.fresh_mean_k[i] += source[last] * young_mean(near, near.pair[p], since, time)
+            plan.fresh_entry_k[i] += source[last] * entry_rise(near, i, by, last, left_by, since, time)
 
 
 @kernel

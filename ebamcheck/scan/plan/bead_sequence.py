@@ -14,10 +14,10 @@ import numpy as np
 import shapely
 
 from ebamcheck.heat import HeatModel
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.part_heat import Beads, uneven
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.turns import follows, turns_and_jumps_mm
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.part_heat import Beads, uneven
 from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.plan.laying import LaidLayer
 from ebamcheck.settings.config import Config

@@ -9,9 +9,8 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.heat.part_heat import PartHeat, decayed
-from ebamcheck.scan.heat.preheating import (
+from ebamcheck.heat.part_heat import PartHeat
+from ebamcheck.heat.preheating import (
     BeamWay,
     SurfaceHeat,
     bare_plate,
@@ -20,6 +19,7 @@ from ebamcheck.scan.heat.preheating import (
     plate_of,
     plate_region,
 )
+from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, LEAST_REST_S
 
@@ -85,7 +85,7 @@ def preheated(
         after.column.warm_plate = heat.content_under_region()
     else:
         after.column = heat.column
-        decayed(after.state, *after._rates, time_s)
+        after.field.age(time_s)
     return after, passes
 
 

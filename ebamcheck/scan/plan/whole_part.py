@@ -1,7 +1,7 @@
 """Layers put in order from below, each beginning with what those under it have left.
 
 A layer's contours heat it first, at the time at which they are laid; then come its islands. Times count the beads, the
-moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.scan.heat.interpass`.
+moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.heat.interpass`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.modes import one_blas_thread
+from ebamcheck.heat.part_heat import BeadPower, Beads, PartHeat
 from ebamcheck.numeric.kernels import thread_count, worker_threads
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.part_heat import BeadPower, Beads, PartHeat
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.bead_sequence import ContourBeads, bead_sequence, contour_beads
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands

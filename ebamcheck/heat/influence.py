@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.heat.field import falling
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.near_field import FAR, OPTIONS, NearField, at_root, young_mean
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import FAR, NearField, at_root, falling, young_mean
-from ebamcheck.scan.heat.pieces import OPTIONS
 
 NODES = 96
-"""Times of the table; :data:`~ebamcheck.scan.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after
+"""Times of the table; :data:`~ebamcheck.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after
 the horizon lies at m^2."""
 
 LEAST_RATE = 1e-9
@@ -103,7 +103,7 @@ class Influence(NamedTuple):
 
 
 def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
-    """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.scan.heat.near_field`.
+    """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.heat.near_field`.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ class FreshTable(NamedTuple):
     Parameters
     ----------
     near, source_k_s, time_s, since_s
-        What it is worked out from: the near field, sources (I,) as in :class:`~ebamcheck.scan.heat.aged_heat.Modes`, the time
+        What it is worked out from: the near field, sources (I,) as in :class:`~ebamcheck.heat.field.Modes`, the time
         in which each island is scanned (I,), and the times of the table (N,); after the last, the horizon, it is nothing.
     slot
         (I, I) row of the next tables for an island and the source, or -1.

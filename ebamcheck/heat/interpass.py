@@ -19,8 +19,8 @@ import numpy as np
 
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
+from ebamcheck.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_window_share
 
@@ -281,7 +281,7 @@ class _Run:
         if self._keep and checked and self.bed_k[bead] > self._limit_k:
             return False
         if not beads.inner[bead] and beads.inner[bead + 1 : bead + 2].any():
-            self._before = Before(self.part.state.copy())
+            self._before = Before(self.part.field.copy())
         if first:
             self._body_k, self._enter_k = self.part.column.mean_rise_k, self.mean_k[0]
             self.part.column.lay(self._job.shape)
@@ -295,7 +295,7 @@ class _Run:
             return None
         first, time_s = self._job.beads.first, self._job.beads.time_s
         laid_s = float(time_s[first[self._begun] : first[bead]].sum())
-        return Before(self._before.state, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
+        return Before(self._before.field, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
 
     def result(self, ring_wait_s: float) -> SimulatedLayer:
         """What was found in the whole layer."""
