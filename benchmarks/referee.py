@@ -24,7 +24,7 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import OrderResult
 from ebamcheck.scan.plan.laying import LaidLayer
-from ebamcheck.scan.plan.times import beam_lines, simulate_order
+from ebamcheck.scan.plan.stacking import beam_lines, simulate_order
 from ebamcheck.settings.config import Config
 
 SPREAD = 3.0

@@ -21,7 +21,7 @@ from ebamcheck.heat.island_heat import island_heat
 from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.plugins import registry
 from ebamcheck.scan import LayerIslands, plan_scan
-from ebamcheck.scan.filling.turns import turns_and_jumps_mm
+from ebamcheck.scan.filling.schedule import turns_and_jumps_mm
 from ebamcheck.scan.order.entries import clocked
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import greedy_order, own_rise

@@ -26,7 +26,6 @@ from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.program import ProgramFiles
 from ebamcheck.result import Check
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path, uppermost_seams, with_bead_ends, written_form
@@ -134,7 +133,7 @@ class _OneLayer:
 
     @classmethod
     def of(cls, layer: OrderedLayer) -> _OneLayer:
-        laid, lines = layer.laid, in_order(layer).vectors
+        laid, lines = layer.laid, layer.lines
         sections = np.empty(1, np.object_)
         sections[0] = laid.regions.section
         return cls(

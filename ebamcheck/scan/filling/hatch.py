@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.islands.rectangle import minimum_rectangle
+from ebamcheck.scan.islands.lattice import minimum_rectangle
 
 WIDEST_PITCH = 0.9
 """Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead."""

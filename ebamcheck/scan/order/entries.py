@@ -20,8 +20,7 @@ from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entr
 from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandSchedule, island_ends
-from ebamcheck.scan.filling.turns import JOINED_MM
+from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, island_ends
 
 NEAREST = -1
 """Entry option of an island that is entered from its corner nearest to where the last one ended."""

@@ -20,8 +20,7 @@ from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.near_field import NearField, entry_rise, young_mean
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.filling.turns import JOINED_MM
+from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule
 from ebamcheck.scan.order.entries import (
     EntryOptions,
     clocked,

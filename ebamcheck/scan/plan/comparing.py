@@ -22,8 +22,7 @@ from ebamcheck.scan.order.search import touching, touching_successors
 from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
-from ebamcheck.scan.plan.stacking import in_order, stack_plans
-from ebamcheck.scan.plan.times import simulate_order
+from ebamcheck.scan.plan.stacking import simulate_order, stack_plans
 from ebamcheck.scan.plan.whole_part import OrderedLayer
 from ebamcheck.settings.config import Config
 
@@ -208,9 +207,7 @@ class OrderComparison:
         known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
         order = scan_order(name, islands, known)
         options = chosen_options(name, islands, order, known)
-        plan = stack_plans(
-            [in_order(OrderedLayer(self.laid, islands, order, options))], self.config, name, seed
-        )
+        plan = stack_plans([OrderedLayer(self.laid, islands, order, options)], self.config, name, seed)
         simulated = simulate_order(plan, self.config)
         count = len(order)
         rank = np.empty(count, np.int64)

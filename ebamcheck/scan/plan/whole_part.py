@@ -23,9 +23,10 @@ from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.heat.part_heat import BeadPower, Beads, PartHeat
 from ebamcheck.numeric.kernels import thread_count, worker_threads
 from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
-from ebamcheck.scan.plan.bead_sequence import ContourBeads, bead_sequence, contour_beads
-from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.scan.plan.laying import ContourBeads, LaidLayer, bead_sequence, contour_beads, lay_islands
 from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 
@@ -96,6 +97,16 @@ class OrderedLayer:
     order: Ints
     options: Ints
     heat: LayerHeat | None = None
+
+    @cached_property
+    def lines(self) -> Vectors:
+        """Lines in scan order, every island entered by its option."""
+        lines, count = self.laid.lines, len(self.order)
+        first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
+        columns = lines.start, lines.end, first, self.order, self.laid.chained, self.options
+        rows, turned = in_sequence(*columns)
+        a, b, swap = lines.start[rows], lines.end[rows], turned[:, None]
+        return Vectors(lines.island[rows], np.where(swap, b, a), np.where(swap, a, b))
 
 
 PowerOf = Callable[[OrderedLayer, float], BeadPower]
