@@ -72,12 +72,8 @@ class LayerShape:
 class HeatColumn:
     """The column at one moment of a program; it grows by :meth:`lay`, and time passes by :meth:`advance`.
 
-    Parameters
-    ----------
-    config
-        Settings: plate, base, chamber and material.
-    tables
-        Tables of the material; None: those of the settings' material.
+    `config`: settings: plate, base, chamber and material; `tables`: tables of the material; None: those of the settings'
+    material.
     """
 
     config: Config
@@ -240,19 +236,12 @@ class HeatColumn:
     ) -> tuple[Floats, Floats]:
         """Heat the uppermost layer bead by bead: :meth:`advance` over the time before each bead, then over its own.
 
-        Parameters
-        ----------
-        beads
-            Time with the beam off before each bead, s, its own time, s, and the energy taken up in it, J; (n,) each.
-        limit_k
-            Interpass temperature: the wait before a bead ends once the metal under it is no warmer.
-        longest_s
-            After a longer wait for one bead the remaining beads are left out.
+        `beads`: time with the beam off before each bead, s, its own time, s, and the energy taken up in it, J; (n,) each;
+        `limit_k`: interpass temperature: the wait before a bead ends once the metal under it is no warmer; `longest_s`:
+        after a longer wait for one bead the remaining beads are left out.
 
-        Returns
-        -------
-        bed_k, wait_s
-            (n,) temperature of the metal under each bead when the beam arrives, K, and the wait before it, s.
+        Returns `bed_k`, `wait_s`: (n,) temperature of the metal under each bead when the beam arrives, K, and the wait
+        before it, s.
         """
         if self._fields is None:
             bed_k = np.full(len(beads[0]), self._bare_k)

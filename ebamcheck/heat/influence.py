@@ -44,16 +44,9 @@ AT_ONCE = 8
 class Sources(NamedTuple):
     """Islands that heat K modes of the section times N of the depth.
 
-    Parameters
-    ----------
-    scale
-        (K, I) by which each heats the section's modes, K/s.
-    weight
-        (K, N) what heating by 1 K/s comes to in the end, in the layer.
-    across, through
-        (K, I), (N, I) what is left of the modes after the time in which each island is scanned.
-    time_s
-        (I,) that time.
+    `scale`: (K, I) by which each heats the section's modes, K/s; `weight`: (K, N) what heating by 1 K/s comes to in the
+    end, in the layer; `across`, `through`: (K, I), (N, I) what is left of the modes after the time in which each island is
+    scanned; `time_s`: (I,) that time.
     """
 
     scale: Floats
@@ -66,14 +59,9 @@ class Sources(NamedTuple):
 class Times(NamedTuple):
     """Times of the table side by side, all of them under the horizon or none.
 
-    Parameters
-    ----------
-    start, stop
-        First of them in the table, and the one after the last.
-    over_s
-        (Q,) by how much they are over the horizon.
-    across, through
-        (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then, and of the depth's.
+    `start`, `stop`: first of them in the table, and the one after the last; `over_s`: (Q,) by how much they are over the
+    horizon; `across`, `through`: (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then,
+    and of the depth's.
     """
 
     start: int
@@ -86,15 +74,9 @@ class Times(NamedTuple):
 class Influence(NamedTuple):
     """Temperature rises by islands and times.
 
-    Parameters
-    ----------
-    rise_k
-        (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end;
-        the last column is what the layer's first temperature leaves, a time after the beginning.
-    nodes_per_root_s
-        A time t after the horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon.
-    fresh
-        What entries have beyond the means.
+    `rise_k`: (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end; the last
+    column is what the layer's first temperature leaves, a time after the beginning; `nodes_per_root_s`: a time t after the
+    horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon; `fresh`: what entries have beyond the means.
     """
 
     rise_k: Table
@@ -105,12 +87,7 @@ class Influence(NamedTuple):
 def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.heat.near_field`.
 
-    Parameters
-    ----------
-    time_s
-        (I,) time in which each island is scanned.
-    longest_s
-        Longest time between two islands.
+    `time_s`: (I,) time in which each island is scanned; `longest_s`: longest time between two islands.
     """
     near, count, young = heat.fresh, len(time_s), YOUNG_NODES - 1
     spacing = max(longest_s - near.horizon_s, 0.0) / (NODES - YOUNG_NODES) ** 2
@@ -262,17 +239,11 @@ Table = NDArray[np.float32]
 class FreshTable(NamedTuple):
     """What young heat does to entries beyond the rises of islands that are near each other.
 
-    Parameters
-    ----------
-    near, source_k_s, time_s, since_s
-        What it is worked out from: the near field, sources (I,) as in :class:`~ebamcheck.heat.field.Modes`, the time
-        in which each island is scanned (I,), and the times of the table (N,); after the last, the horizon, it is nothing.
-    slot
-        (I, I) row of the next tables for an island and the source, or -1.
-    known
-        (P, 4) whether it is worked out, by the entry option of the source.
-    excess_k
-        (P, 4, 4, N) of the temperature of its entry over its mean, by its entry option and that of the source.
+    `near`, `source_k_s`, `time_s`, `since_s`: what it is worked out from: the near field, sources (I,) as in
+    :class:`~ebamcheck.heat.field.Modes`, the time in which each island is scanned (I,), and the times of the table (N,);
+    after the last, the horizon, it is nothing; `slot`: (I, I) row of the next tables for an island and the source, or -1;
+    `known`: (P, 4) whether it is worked out, by the entry option of the source; `excess_k`: (P, 4, 4, N) of the temperature
+    of its entry over its mean, by its entry option and that of the source.
     """
 
     near: NearField

@@ -76,16 +76,8 @@ class SimulatedLayer:
 class LayerJob:
     """What a layer needs to be simulated: its beads, its shape, and where it lies.
 
-    Parameters
-    ----------
-    beads
-        In the sequence in which they are laid.
-    shape
-        Of the layer that is laid.
-    height_mm
-        Its height over the base plate.
-    lowest
-        Whether nothing lies under it, so that there is nothing to wait for.
+    `beads`: in the sequence in which they are laid; `shape`: of the layer that is laid; `height_mm`: its height over the
+    base plate; `lowest`: whether nothing lies under it, so that there is nothing to wait for.
     """
 
     beads: Beads
@@ -97,12 +89,8 @@ class LayerJob:
 def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 0.0) -> SimulatedLayer:
     """Choose power and waits of a layer by the settings, and simulate it.
 
-    Parameters
-    ----------
-    found
-        The part's heat when the layer under it is done, in the modes of this layer.
-    guess
-        Share of the power of the layer below: that of this one is found sooner where it is near.
+    `found`: the part's heat when the layer under it is done, in the modes of this layer; `guess`: share of the power of the
+    layer below: that of this one is found sooner where it is near.
     """
     kept: dict[float, SimulatedLayer] = {}
     share = power_share(job, found, config, guess, kept)
@@ -195,14 +183,9 @@ def simulate(
 ) -> SimulatedLayer | None:
     """Simulate a layer at a share of the power.
 
-    Parameters
-    ----------
-    waits
-        Wait wherever a bead would be entered above the limit.
-    ring_wait_s
-        Wait before each further contour at least: they share one, the longest that one of them asks for.
-    keep
-        Give up, with None, as soon as a bead is entered above the limit.
+    `waits`: wait wherever a bead would be entered above the limit; `ring_wait_s`: wait before each further contour at
+    least: they share one, the longest that one of them asks for; `keep`: give up, with None, as soon as a bead is entered
+    above the limit.
     """
     run = _Run(job, config, share, found.copy(), waits, keep)
     beads, bead = job.beads, 0

@@ -43,18 +43,10 @@ MOST_DEPTH_MODES = 40
 class IslandHeat:
     """Islands as sources and readings of the heat model.
 
-    Parameters
-    ----------
-    modes
-        What every kernel reads first: means over the islands, rates, sources.
-    start_k
-        (K, N) amplitudes when the layer begins.
-    model
-        The heat model whose modes these are.
-    complete
-        Eigenvalue up to which these are all modes of section and depth, 1/mm^2.
-    near
-        Young heat between islands that are near each other, which the modes lack; None: by the modes alone.
+    `modes`: what every kernel reads first: means over the islands, rates, sources; `start_k`: (K, N) amplitudes when the
+    layer begins; `model`: the heat model whose modes these are; `complete`: eigenvalue up to which these are all modes of
+    section and depth, 1/mm^2; `near`: young heat between islands that are near each other, which the modes lack; None: by
+    the modes alone.
     """
 
     modes: Modes
@@ -81,18 +73,9 @@ def island_heat(
 ) -> IslandHeat:
     """Set up the heat model of a layer.
 
-    Parameters
-    ----------
-    section
-        Solid region of the layer.
-    islands
-        (I,) polygons.
-    beam_s, time_s
-        (I,) time with the beam on, and in all, while each island is scanned.
-    height_mm
-        Height of the layer over the base plate.
-    fine
-        Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
+    `section`: solid region of the layer; `islands`: (I,) polygons; `beam_s`, `time_s`: (I,) time with the beam on, and in
+    all, while each island is scanned; `height_mm`: height of the layer over the base plate; `fine`: resolve waves shorter
+    than an island, for a simulation; a plan needs none under its width.
     """
     medium, process = Medium.of(config), config.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))

@@ -28,18 +28,10 @@ LARGEST_CHANGE_J_MM3 = 1.0
 class Column(NamedTuple):
     """Cells of a heat column, from its base up, with the tables of their material.
 
-    Parameters
-    ----------
-    temperature, theta, table_step
-        Tables of temperature, K, and heat potential, W/mm, at equal steps of the heat content; that step, J/mm^3.
-    size, area
-        (n,) height, mm, and section, mm^2, of the cells.
-    radiating
-        (n,) power that a cell radiates over T^4 - Ta^4, W/K^4.
-    ambient
-        Temperature of the chamber, K.
-    cooled
-        Whether the base is held at the temperature of the table; else it is insulated.
+    `temperature`, `theta`, `table_step`: tables of temperature, K, and heat potential, W/mm, at equal steps of the heat
+    content; that step, J/mm^3; `size`, `area`: (n,) height, mm, and section, mm^2, of the cells; `radiating`: (n,) power
+    that a cell radiates over T^4 - Ta^4, W/K^4; `ambient`: temperature of the chamber, K; `cooled`: whether the base is
+    held at the temperature of the table; else it is insulated.
     """
 
     temperature: Floats
@@ -184,16 +176,10 @@ def cooled(
 
     All steps are taken in here: a wait takes dozens of them, and each alone would wait for the interpreter.
 
-    Parameters
-    ----------
-    content, fields
-        As :func:`~ebamcheck.heat.marching.march` has them.
-    under, top
-        First cell of the layer under the uppermost one, and of that.
+    `content`, `fields`: as :func:`~ebamcheck.heat.marching.march` has them; `under`, `top`: first cell of the layer under
+    the uppermost one, and of that.
 
-    Returns
-    -------
-    The wait, s, and the heat to the table and radiated, J.
+    Returns the wait, s, and the heat to the table and radiated, J.
     """
     wait_s, step_s, gone = 0.0, FIRST_WAIT_S, np.zeros(2)
     while bed_temperature_k(content, fields, under, top) > bed_k:
@@ -244,18 +230,11 @@ def driven(
 ) -> tuple[Floats, Floats]:
     """Drive beads; `content` and `counted` (3,) go from their first to their last state.
 
-    Parameters
-    ----------
-    content, fields, under, top
-        As :func:`~ebamcheck.heat.marching.cooled` has them.
-    limit_k
-        Temperature of what a bead lies on above which it is waited for; endless for no waits.
-    longest_s
-        After a longer wait for one bead the rest is left out.
+    `content`, `fields`, `under`, `top`: as :func:`~ebamcheck.heat.marching.cooled` has them; `limit_k`: temperature of what
+    a bead lies on above which it is waited for; endless for no waits; `longest_s`: after a longer wait for one bead the
+    rest is left out.
 
-    Returns
-    -------
-    (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
+    Returns (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
     """
     off_s, time_s, energy_j = beads
     bed_k, waits_s = np.full(len(off_s), np.nan), np.zeros(len(off_s))

@@ -22,14 +22,8 @@ STEFAN_BOLTZMANN_W_M2K4 = 5.670374419e-8
 class Medium:
     """A material with constant data.
 
-    Parameters
-    ----------
-    conductivity_w_mmk
-        Thermal conductivity k.
-    heat_capacity_j_mm3k
-        Heat capacity per volume, rho c.
-    radiation_w_mm2k
-        Heat flux that the surface radiates, over its temperature rise; 0: none.
+    `conductivity_w_mmk`: thermal conductivity k; `heat_capacity_j_mm3k`: heat capacity per volume, rho c;
+    `radiation_w_mm2k`: heat flux that the surface radiates, over its temperature rise; 0: none.
     """
 
     conductivity_w_mmk: float
@@ -69,14 +63,8 @@ NODES = 8192
 class EnthalpyTables:
     """Tables at equal steps of the heat content h, from 0 at the ambient temperature.
 
-    Parameters
-    ----------
-    step_j_mm3
-        Step of the heat content, J/mm^3.
-    temperature_k
-        (Q,) absolute temperature, K.
-    theta_w_mm
-        (Q,) integral of the conductivity from the ambient temperature, W/mm.
+    `step_j_mm3`: step of the heat content, J/mm^3; `temperature_k`: (Q,) absolute temperature, K; `theta_w_mm`: (Q,)
+    integral of the conductivity from the ambient temperature, W/mm.
     """
 
     step_j_mm3: float

@@ -38,14 +38,8 @@ class HeatModel:
     Amplitudes a (K, N) give T(x, y, z) = sum a_kn phi_k(x, y) psi_n(z), the rise over the base, K. Each obeys
     da/dt = -r a + s with r = alpha (lambda_k + mu_n^2).
 
-    Parameters
-    ----------
-    plane, depth
-        Modes of the section and of the depth.
-    medium
-        Material.
-    layer_mm
-        Thickness of the layer in which heat is released, and over which its temperature is averaged.
+    `plane`, `depth`: modes of the section and of the depth; `medium`: material; `layer_mm`: thickness of the layer in which
+    heat is released, and over which its temperature is averaged.
     """
 
     plane: PlaneModes
@@ -95,14 +89,8 @@ HALVINGS = 60
 class DepthModes:
     """Modes psi_n of the depth, normalised: the integral of psi_n^2 over the depth is 1.
 
-    Parameters
-    ----------
-    depth_mm
-        Depth H from the surface to the base.
-    cooled
-        Whether the base is held at its temperature; else it is insulated.
-    wave_number
-        (N,) mu_n, 1/mm, ascending.
+    `depth_mm`: depth H from the surface to the base; `cooled`: whether the base is held at its temperature; else it is
+    insulated; `wave_number`: (N,) mu_n, 1/mm, ascending.
     """
 
     depth_mm: float
@@ -135,14 +123,8 @@ class DepthModes:
 def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 0.0) -> DepthModes:
     """Find the first modes of a depth.
 
-    Parameters
-    ----------
-    count
-        Number of modes N.
-    cooled
-        Whether the base is held at its temperature.
-    loss_per_mm
-        h/k, 1/mm: heat transfer coefficient of the surface over the conductivity.
+    `count`: number of modes N; `cooled`: whether the base is held at its temperature; `loss_per_mm`: h/k, 1/mm: heat
+    transfer coefficient of the surface over the conductivity.
     """
     biot = loss_per_mm * depth_mm
     low: Floats = np.asarray(np.pi * (np.arange(count) + (0.5 if cooled else 0.0)), np.float64)
@@ -162,17 +144,9 @@ def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 
 def carried(old: HeatModel, amplitudes: Floats, new: HeatModel) -> Floats:
     """Project a temperature field onto the modes of a higher body.
 
-    Parameters
-    ----------
-    old, new
-        Models in contour modes, on the same base.
-    amplitudes
-        (K, N) of the old one.
+    `old`, `new`: models in contour modes, on the same base; `amplitudes`: (K, N) of the old one.
 
-    Returns
-    -------
-    array
-        (K', N') amplitudes of the new model: the least-squares approximation of the field by its modes.
+    Returns (K', N') amplitudes of the new model: the least-squares approximation of the field by its modes.
     """
     if not (isinstance(old.plane, ContourModes) and isinstance(new.plane, ContourModes)):
         raise TypeError("heat is carried between modes of contours only")

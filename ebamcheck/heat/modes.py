@@ -95,14 +95,8 @@ def one_blas_thread() -> Iterator[None]:
 class ContourModes:
     """Modes phi_k of a section, normalised: the integral of phi_k^2 over it is 1.
 
-    Parameters
-    ----------
-    eigenvalue
-        (K,) lambda_k, 1/mm^2, ascending; exactly 0 for one mode of each region.
-    values
-        (M, K) values of the modes in the cells, 1/mm.
-    grid
-        The cells.
+    `eigenvalue`: (K,) lambda_k, 1/mm^2, ascending; exactly 0 for one mode of each region; `values`: (M, K) values of the
+    modes in the cells, 1/mm; `grid`: the cells.
     """
 
     eigenvalue: Floats
@@ -148,21 +142,11 @@ def contour_modes(
 ) -> ContourModes:
     """Find the modes of a section up to an eigenvalue.
 
-    Parameters
-    ----------
-    section
-        Polygon or multi-polygon, mm.
-    largest_eigenvalue
-        (2 pi / wavelength)^2 of the shortest wave, 1/mm^2.
-    most_modes
-        Most modes, in effect a lower limit of the eigenvalue; one per region is always kept.
-    cells_per_wave
-        Cells per shortest wavelength.
+    `section`: polygon or multi-polygon, mm; `largest_eigenvalue`: (2 pi / wavelength)^2 of the shortest wave, 1/mm^2;
+    `most_modes`: most modes, in effect a lower limit of the eigenvalue; one per region is always kept; `cells_per_wave`:
+    cells per shortest wavelength.
 
-    Raises
-    ------
-    GeometryError
-        If the section has no area.
+    Raises GeometryError if the section has no area.
     """
     parts = valid_polygons(section)
     area, perimeter = sum(p.area for p in parts), sum(p.length for p in parts)
@@ -258,16 +242,9 @@ LEAST_SHARE = 1e-6
 class SectionGrid:
     """Cells of a section.
 
-    Parameters
-    ----------
-    origin, step
-        (2,) lower left corner, and width and height of a cell, mm.
-    number
-        (rows, columns) number of each cell, -1 outside the section.
-    area_mm2
-        (M,) area of each cell within the section.
-    coupling
-        (M, M) sparse Laplacian of the faces, positive semi-definite: open length over distance.
+    `origin`, `step`: (2,) lower left corner, and width and height of a cell, mm; `number`: (rows, columns) number of each
+    cell, -1 outside the section; `area_mm2`: (M,) area of each cell within the section; `coupling`: (M, M) sparse Laplacian
+    of the faces, positive semi-definite: open length over distance.
     """
 
     origin: Floats
@@ -312,12 +289,8 @@ class SectionGrid:
     def _weights(self, corner: Ints, along: Floats) -> tuple[Floats, Ints]:
         """Weights and cells (P, W^2) around points, by rows from the lower left; -1 outside of the section.
 
-        Parameters
-        ----------
-        corner
-            (P, 2) column and row of the cell to the lower left of each point.
-        along
-            (W, P, 2) weights of W columns and rows, among which `corner` is the lower of the middle two.
+        `corner`: (P, 2) column and row of the cell to the lower left of each point; `along`: (W, P, 2) weights of W columns
+        and rows, among which `corner` is the lower of the middle two.
         """
         reach = np.arange(len(along)) - (len(along) // 2 - 1)
         rows, columns = self.number.shape

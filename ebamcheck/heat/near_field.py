@@ -356,14 +356,7 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
     mean over all directions is exact for what is in sight. Heat does not pass a gap, and what is out of sight behind
     a bend is far.
 
-    Parameters
-    ----------
-    section
-        Polygon or multi-polygon.
-    points
-        (P, 2) mm.
-    variance_mm2
-        (P, Q) along each axis.
+    `section`: polygon or multi-polygon; `points`: (P, 2) mm; `variance_mm2`: (P, Q) along each axis.
     """
     outline = shapely.boundary(section)
     shapely.prepare(outline)
@@ -500,18 +493,9 @@ def sector_table() -> NDArray[np.uint8]:
 class Pieces(NamedTuple):
     """Pieces of lines, side by side those of one island.
 
-    Parameters
-    ----------
-    first
-        (I + 1,) first piece of each island.
-    place
-        (M, 2) middle, mm.
-    share
-        (M,) of the island's heat, and of its area.
-    passed
-        (4, M) share of the island's time after which the beam is there, by the entry option.
-    variance
-        (M,) of the heat around the middle along one axis, mm^2: that of a square tile of the same area.
+    `first`: (I + 1,) first piece of each island; `place`: (M, 2) middle, mm; `share`: (M,) of the island's heat, and of its
+    area; `passed`: (4, M) share of the island's time after which the beam is there, by the entry option; `variance`: (M,)
+    of the heat around the middle along one axis, mm^2: that of a square tile of the same area.
     """
 
     first: Ints

@@ -23,14 +23,9 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 class BeadPower:
     """Power of the beads of one layer along themselves, as columns (n,) of their stretches.
 
-    Parameters
-    ----------
-    bead
-        Which bead each is of, by its number in the sequence.
-    part
-        Its share of the bead's length, times what ramps leave it of the power.
-    least
-        Share of the full power that it has at least, see :func:`ebamcheck.heat.melting.own_power_shares`.
+    `bead`: which bead each is of, by its number in the sequence; `part`: its share of the bead's length, times what ramps
+    leave it of the power; `least`: share of the full power that it has at least, see
+    :func:`ebamcheck.heat.melting.own_power_shares`.
     """
 
     bead: Ints
@@ -177,13 +172,9 @@ class PartHeat:
     ) -> float:
         """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
 
-        Parameters
-        ----------
-        before
-            What differed across the section before the bead's own island was begun: what this has put there itself is
-            part of its melt pool, and counts in the mean alone.
-        aged
-            The columns of this moment, where several waits are tried.
+        `before`: what differed across the section before the bead's own island was begun: what this has put there itself is
+        part of its melt pool, and counts in the mean alone; `aged`: the columns of this moment, where several waits are
+        tried.
         """
         mean_k = (aged or AgedColumns(self.column)).after(wait_s).bed_k
         if self.model is None or not len(shape):

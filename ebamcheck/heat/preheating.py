@@ -49,12 +49,7 @@ WITHIN_MM = 1e-6
 class BeamWay:
     """What the beam does, piece by piece (n,), straight, in order of time.
 
-    Parameters
-    ----------
-    start, end
-        (n, 2) mm.
-    time_s, power_w
-        (n,) time of each, and the beam's power in it; 0 where it is off.
+    `start`, `end`: (n, 2) mm; `time_s`, `power_w`: (n,) time of each, and the beam's power in it; 0 where it is off.
     """
 
     start: Floats
@@ -98,14 +93,8 @@ class SurfaceK:
 class SurfaceHeat:
     """A body whose surface is scanned.
 
-    Parameters
-    ----------
-    column
-        Its mean, which grows warmer.
-    body, region
-        Outline of what the heat spreads in, and of what is scanned, where temperatures are read.
-    depth_mm
-        Of the body, down to the table.
+    `column`: its mean, which grows warmer; `body`, `region`: outline of what the heat spreads in, and of what is scanned,
+    where temperatures are read; `depth_mm`: of the body, down to the table.
     """
 
     def __init__(
@@ -265,17 +254,10 @@ def _free(region: BaseGeometry, z_mm: float, config: Config) -> BaseGeometry:
 def pass_lines(region: BaseGeometry, config: Config, number: int) -> tuple[Floats, Bools]:
     """Lines of one pass, in order, back and forth.
 
-    Parameters
-    ----------
-    number
-        Of the pass, from 0: every second one lies across (crossed), or half a spacing aside (lines).
+    `number`: of the pass, from 0: every second one lies across (crossed), or half a spacing aside (lines).
 
-    Returns
-    -------
-    lines
-        (n, 4) x, y of the start and of the end of each.
-    joined
-        (n,) whether the beam stays on from the line before.
+    Returns `lines`: (n, 4) x, y of the start and of the end of each; `joined`: (n,) whether the beam stays on from the line
+    before.
 
     Examples
     --------

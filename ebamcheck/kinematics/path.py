@@ -114,10 +114,7 @@ class DrivenPath:
 def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     """Motions of a program that move an axis; the axes stop at rapids and where beam or wire switch.
 
-    Raises
-    ------
-    SettingsError
-        If a feed motion has no feed, or starts at an unknown position.
+    Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
     """
     moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
     stopped = np.zeros(len(nc) + 1, np.bool_)

@@ -125,10 +125,7 @@ def feed_profile(nc: NCProgram, config: Config) -> FeedProfile:
     the speed as :mod:`ebamcheck.kinematics.limits` says, and ramps with limited acceleration and jerk join what
     is left.
 
-    Raises
-    ------
-    SettingsError
-        If a motion has no feed.
+    Raises SettingsError if a motion has no feed.
     """
     path = program_path(nc, config)
     return _profile(path, config, tuple(nc.where(int(row)) for row in path.row))
@@ -215,19 +212,11 @@ counted as a dip: its start and end alone do not explain it."""
 def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Stretches of each run along which the speed is under a threshold.
 
-    Parameters
-    ----------
-    cells
-        (C, 6) length, entry, peak and exit speed, acceleration, jerk of each cell.
-    slow
-        (C,) threshold of each cell, mm/s.
-    first
-        (C,) true where a run begins.
+    `cells`: (C, 6) length, entry, peak and exit speed, acceleration, jerk of each cell; `slow`: (C,) threshold of each
+    cell, mm/s; `first`: (C,) true where a run begins.
 
-    Returns
-    -------
-    sort, cell, time, length, least
-        (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the least speed, s, mm, mm/s.
+    Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the
+    least speed, s, mm, mm/s.
     """
     count = len(cells)
     sort, where = np.zeros(2 * count + 1, np.int64), np.zeros(2 * count + 1, np.int64)

@@ -20,14 +20,8 @@ from ebamcheck.numeric.rings import Floats, Ints
 class Footprints:
     """Length of each bead by the cells in which its metal lies.
 
-    Parameters
-    ----------
-    starts
-        (B + 1,) first entry of each bead.
-    cell
-        (n,) row-major index of a cell.
-    length_mm
-        (n,) share of the bead's length: those of a bead add up to its length.
+    `starts`: (B + 1,) first entry of each bead; `cell`: (n,) row-major index of a cell; `length_mm`: (n,) share of the
+    bead's length: those of a bead add up to its length.
     """
 
     starts: Ints
@@ -41,10 +35,7 @@ class Footprints:
     def laid(self, width_mm: Floats, cells: int, cell_mm2: float) -> Floats:
         """Metal in each cell, (cells,), as a height over that of the layer.
 
-        Parameters
-        ----------
-        width_mm
-            (B,) metal that a bead lays on a length of path, over the height of the layer.
+        `width_mm`: (B,) metal that a bead lays on a length of path, over the height of the layer.
         """
         weight = np.repeat(width_mm, np.diff(self.starts)) * self.length_mm
         return np.bincount(self.cell, weight, minlength=cells) / cell_mm2

@@ -30,14 +30,8 @@ MOST_CELLS = 4_000_000
 class Target:
     """Cells around a section.
 
-    Parameters
-    ----------
-    origin
-        (2,) lower left corner, a whole number of cells from the origin of the part, mm.
-    step_mm
-        Width of a cell.
-    share
-        (rows, columns) share of each cell that lies in the section.
+    `origin`: (2,) lower left corner, a whole number of cells from the origin of the part, mm; `step_mm`: width of a cell;
+    `share`: (rows, columns) share of each cell that lies in the section.
     """
 
     origin: Floats

@@ -35,18 +35,9 @@ SHORTEST_TRIMMED = 0.5
 class FilledLayer:
     """Islands of one layer and their lines.
 
-    Parameters
-    ----------
-    islands, kind
-        (I,) polygons, none of which overlap, and the kind of each.
-    lines
-        Sorted by island.
-    chained
-        (I,) whether the lines of an island follow each other end to start.
-    covered
-        Share of the section that contour beads and lines cover.
-    widest_gap_mm
-        Diameter of the largest circle that they leave bare.
+    `islands`, `kind`: (I,) polygons, none of which overlap, and the kind of each; `lines`: sorted by island; `chained`:
+    (I,) whether the lines of an island follow each other end to start; `covered`: share of the section that contour beads
+    and lines cover; `widest_gap_mm`: diameter of the largest circle that they leave bare.
     """
 
     islands: NDArray[np.object_]
@@ -175,12 +166,8 @@ NO_AREA_MM2 = 1e-6
 class GapBeads:
     """Gap beads of one layer.
 
-    Parameters
-    ----------
-    lines, island
-        (N,) centre lines, and (N,) the island in which each lies: one of those given, or a new one.
-    polygons
-        (M,) the new islands, numbered after those given.
+    `lines`, `island`: (N,) centre lines, and (N,) the island in which each lies: one of those given, or a new one;
+    `polygons`: (M,) the new islands, numbered after those given.
     """
 
     lines: NDArray[np.object_]
@@ -239,21 +226,10 @@ def spots_to_close(
 ) -> tuple[list[shapely.Polygon], float]:
     """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered.
 
-    Parameters
-    ----------
-    width_mm
-        Width from which a spot is closed in any case.
-    area_mm2, covered
-        Area of the section, and the share of it that is covered without gap beads.
-    least
-        Share that is to be covered.
+    `width_mm`: width from which a spot is closed in any case; `area_mm2`, `covered`: area of the section, and the share of
+    it that is covered without gap beads; `least`: share that is to be covered.
 
-    Returns
-    -------
-    spots
-        Those to close.
-    widest_mm
-        Width of the widest that stays.
+    Returns `spots`: those to close; `widest_mm`: width of the widest that stays.
     """
     widths = spot_widths_mm(spots)
     by_area = np.argsort([-spot.area for spot in spots], kind="stable")

@@ -60,19 +60,9 @@ def hatch(
     An island narrower than the spacing is filled along its long side, whatever its angle: one line
     there is better than many stubs across.
 
-    Parameters
-    ----------
-    islands
-        (I,) shapely polygons.
-    angle_rad
-        (I,) direction of the lines of each, counter-clockwise from +X.
+    `islands`: (I,) shapely polygons; `angle_rad`: (I,) direction of the lines of each, counter-clockwise from +X.
 
-    Returns
-    -------
-    vectors
-        Sorted by island, in scan order within each.
-    angle_rad
-        (I,) the angles that were used.
+    Returns `vectors`: sorted by island, in scan order within each; `angle_rad`: (I,) the angles that were used.
     """
     geometries = np.asarray(islands, object).reshape(-1)
     angles = np.array(np.broadcast_to(np.asarray(angle_rad, np.float64), geometries.shape))

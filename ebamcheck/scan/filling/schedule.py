@@ -17,14 +17,10 @@ from ebamcheck.settings.process_window import TURN_SPACINGS
 class IslandSchedule:
     """Columns of the islands of a layer.
 
-    Parameters
-    ----------
-    entry, leave
-        (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry options of
-        :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first.
-    beam_s, time_s
-        (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may be driven
-        from either side, with turns at the other ends of its lines: both count by their mean.
+    `entry`, `leave`: (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry
+    options of :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first;
+    `beam_s`, `time_s`: (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may
+    be driven from either side, with turns at the other ends of its lines: both count by their mean.
     """
 
     entry: Floats
@@ -40,12 +36,8 @@ class IslandSchedule:
 def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
     """Work out how islands are driven.
 
-    Parameters
-    ----------
-    lines
-        Lines sorted by island; an island without any takes no time and lies where its neighbour in number ends.
-    chained
-        (I,) whether the lines of an island follow each other.
+    `lines`: lines sorted by island; an island without any takes no time and lies where its neighbour in number ends;
+    `chained`: (I,) whether the lines of an island follow each other.
     """
     count = len(chained)
     a, b = lines.start, lines.end
@@ -102,19 +94,10 @@ def gaps_mm(start: Floats, end: Floats) -> Floats:
 def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
     """Which lines go on where the one before ended, by a turn or without one.
 
-    Parameters
-    ----------
-    island
-        (V,) island of each line, in the order in which they are driven.
-    start, end
-        (V, 2) mm.
-    spacing_mm
-        Distance between parallel beads.
+    `island`: (V,) island of each line, in the order in which they are driven; `start`, `end`: (V, 2) mm; `spacing_mm`:
+    distance between parallel beads.
 
-    Returns
-    -------
-    array
-        (V,) true where the beam stays on: the turn is short, goes back on neither line, and over no line of its island.
+    Returns (V,) true where the beam stays on: the turn is short, goes back on neither line, and over no line of its island.
 
     Examples
     --------

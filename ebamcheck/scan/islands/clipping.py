@@ -217,17 +217,10 @@ TOUCH_MM = 1e-6
 def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
     """Pairs of islands with a common border, and its length.
 
-    Parameters
-    ----------
-    islands
-        (I,) polygons that do not overlap.
+    `islands`: (I,) polygons that do not overlap.
 
-    Returns
-    -------
-    pairs
-        (P, 2) indices, the lesser first, sorted.
-    border_mm
-        (P,) length of the common border; pairs that meet in a point only are left out.
+    Returns `pairs`: (P, 2) indices, the lesser first, sorted; `border_mm`: (P,) length of the common border; pairs that
+    meet in a point only are left out.
     """
     if islands.size < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
@@ -312,14 +305,9 @@ ROUNDING_DEG = 1e-6
 def hatch_directions(found: Cells, spacing_mm: float, turn_deg: float, island_angle_deg: float) -> Floats:
     """Direction of the lines of each island, (I,) rad.
 
-    Parameters
-    ----------
-    spacing_mm
-        Islands narrower than this are filled along their long side.
-    turn_deg
-        Direction of the first colour on this layer.
-    island_angle_deg
-        Turn from colour to colour; at a multiple of 180 all islands have the direction of the layer.
+    `spacing_mm`: islands narrower than this are filled along their long side; `turn_deg`: direction of the first colour on
+    this layer; `island_angle_deg`: turn from colour to colour; at a multiple of 180 all islands have the direction of the
+    layer.
     """
     width, _ = equivalent_rectangles_mm(found.polygons)
     narrow = width < spacing_mm

@@ -48,19 +48,10 @@ MOST_CELLS = 1_000_000
 class Lattice:
     """Cells of one layer.
 
-    Parameters
-    ----------
-    kind
-        ``"hexagon"``, ``"square"`` or ``"stripe"``.
-    side_mm
-        Side d of a hexagon; of the hexagon of the same width, where the cells are others.
-    centres
-        (H, 2) mm, row by row along the long side of the rectangle.
-    colour
-        (H,) 0, 1 or 2 (0 or 1 for squares and stripes), such that no two cells with a common side have the
-        same one; the hatch turns by it.
-    cells
-        (H,) polygons; cells with a common side share its two corners to the last bit.
+    `kind`: ``"hexagon"``, ``"square"`` or ``"stripe"``; `side_mm`: side d of a hexagon; of the hexagon of the same width,
+    where the cells are others; `centres`: (H, 2) mm, row by row along the long side of the rectangle; `colour`: (H,) 0, 1
+    or 2 (0 or 1 for squares and stripes), such that no two cells with a common side have the same one; the hatch turns by
+    it; `cells`: (H,) polygons; cells with a common side share its two corners to the last bit.
     """
 
     kind: str
@@ -101,10 +92,7 @@ def rows_along(long_mm: float, side_mm: float) -> int:
 def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay hexagons of a given side over a rectangle; together they cover all of it.
 
-    Raises
-    ------
-    SettingsError
-        If there would be more than :data:`MOST_CELLS`.
+    Raises SettingsError if there would be more than :data:`MOST_CELLS`.
     """
     across = hexagons_across(rectangle.short_mm, side_mm)
     rows = rows_along(rectangle.long_mm, side_mm)
@@ -131,10 +119,7 @@ def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
 
     One centre lies on the midpoint of L1, as with hexagons; the first row begins at the start of L2.
 
-    Raises
-    ------
-    SettingsError
-        As :func:`hexagon_lattice`.
+    Raises SettingsError as :func:`hexagon_lattice`.
     """
     across = _count_over(rectangle.short_mm, SQRT3 * side_mm)
     return _boxes(rectangle, side_mm, SQUARE, across + 1 - across % 2, SQRT3 * side_mm)
@@ -143,10 +128,7 @@ def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
 def stripe_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay stripes as wide as hexagons of a given side across a rectangle, from one long side to the other.
 
-    Raises
-    ------
-    SettingsError
-        As :func:`hexagon_lattice`.
+    Raises SettingsError as :func:`hexagon_lattice`.
     """
     return _boxes(rectangle, side_mm, STRIPE, 1, max(rectangle.short_mm, SQRT3 * side_mm))
 
@@ -242,14 +224,7 @@ def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -
     The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is
     moved, and grown by as much as it moves, shifts the lattice and still holds every point.
 
-    Parameters
-    ----------
-    points
-        (N, 2) mm, of the section's border.
-    side_mm
-        Side d of the hexagons.
-    layer
-        Index of the layer.
+    `points`: (N, 2) mm, of the section's border; `side_mm`: side d of the hexagons; `layer`: index of the layer.
     """
     smallest = minimum_rectangle(points, config.scan.rectangle)
     turn = math.radians(layer * config.scan.lattice_angle_deg)
@@ -268,12 +243,7 @@ def shift_shares(layer: int) -> tuple[float, float]:
 def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -> Rectangle:
     """Move the midpoint of L1 and the start of L2; the rectangle grows so that it holds what it held.
 
-    Parameters
-    ----------
-    along_short_mm
-        Shift along L1, either way.
-    along_long_mm
-        Shift against L2, at least 0.
+    `along_short_mm`: shift along L1, either way; `along_long_mm`: shift against L2, at least 0.
     """
     x, y = rectangle.to_world(along_short_mm, -0.5 * along_long_mm)
     return Rectangle(
@@ -299,14 +269,8 @@ TIE = 1e-12
 class Rectangle:
     """A rectangle that may be turned.
 
-    Parameters
-    ----------
-    x_mm, y_mm
-        Centre.
-    angle_rad
-        Direction of the side L1, counter-clockwise from +X; in [0, pi) for a smallest rectangle.
-    short_mm, long_mm
-        Lengths L1 and L2 of the sides; L1 <= L2 for a smallest rectangle.
+    `x_mm`, `y_mm`: centre; `angle_rad`: direction of the side L1, counter-clockwise from +X; in [0, pi) for a smallest
+    rectangle; `short_mm`, `long_mm`: lengths L1 and L2 of the sides; L1 <= L2 for a smallest rectangle.
     """
 
     x_mm: float
@@ -335,18 +299,10 @@ class Rectangle:
 def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "exact") -> Rectangle:
     """Find the enclosing rectangle of least area.
 
-    Parameters
-    ----------
-    points
-        (N, 2) mm; only their convex hull matters.
-    method
-        ``"paper"`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``"exact"`` every direction
-        of an edge of the convex hull, among which the minimum lies.
+    `points`: (N, 2) mm; only their convex hull matters; `method`: ``"paper"`` tries the rotations 0, pi/10, 2 pi/10, ...
+    (equation 11); ``"exact"`` every direction of an edge of the convex hull, among which the minimum lies.
 
-    Raises
-    ------
-    GeometryError
-        If there is no point, or one that is not finite.
+    Raises GeometryError if there is no point, or one that is not finite.
     """
     column = np.asarray(points, np.float64).reshape(-1, 2)
     if not len(column) or not np.isfinite(column).all():
@@ -371,12 +327,7 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
 def rectangle_along(points: ArrayLike, angle_rad: float) -> Rectangle:
     """Enclosing rectangle whose side L1 has a given direction, also where it is the longer one.
 
-    Parameters
-    ----------
-    points
-        (N, 2) mm, at least one, all of them finite.
-    angle_rad
-        Direction of L1, counter-clockwise from +X.
+    `points`: (N, 2) mm, at least one, all of them finite; `angle_rad`: direction of L1, counter-clockwise from +X.
     """
     direction = np.array([[math.cos(angle_rad), math.sin(angle_rad)]])
     ux, uy, amin, amax, bmin, bmax = _envelopes(np.asarray(points, np.float64).reshape(-1, 2), direction)[0]

@@ -148,18 +148,11 @@ def cool_options(
 ) -> Ints:
     """Choose the entry option of each island.
 
-    Parameters
-    ----------
-    order
-        (I,) islands in scan order.
-    longest_mm
-        Travel between islands that is allowed; that by the nearest options, where it is longer already.
+    `order`: (I,) islands in scan order; `longest_mm`: travel between islands that is allowed; that by the nearest options,
+    where it is longer already.
 
-    Returns
-    -------
-    Ints
-        (I,) entry options by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and :func:`high_mean`
-        of the rises at the entries, are no more than by the nearest options, but for travel that is allowed.
+    Returns (I,) entry options by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and
+    :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel that is allowed.
     """
     best = options = nearest_options(order, schedule.entry, schedule.leave)
     if len(order) < 2:
@@ -201,12 +194,8 @@ def _young_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, opti
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
     """Entry options (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
 
-    Parameters
-    ----------
-    rise_k
-        (I, 4) rises at the ends.
-    entry, leave
-        (I, 4, 2) as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`.
+    `rise_k`: (I, 4) rises at the ends; `entry`, `leave`: (I, 4, 2) as in
+    :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`.
     """
     top_k = float(rise_k.min(axis=1).max())
     share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)

@@ -148,15 +148,9 @@ class HeatOrder:
 def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None = None) -> Ints:
     """Order the islands of a layer by an order or its name, (I,) indices.
 
-    Parameters
-    ----------
-    heat
-        Heat with which the layer begins; None: that of a cold part, set up where the order needs it.
+    `heat`: heat with which the layer begins; None: that of a cold part, set up where the order needs it.
 
-    Raises
-    ------
-    SettingsError
-        If there is no order of that name.
+    Raises SettingsError if there is no order of that name.
     """
     order = named_order(name)
     if len(islands) < 2:

@@ -119,18 +119,9 @@ program has it."""
 class ContourBeads:
     """The contour beads of a layer, which no order of its islands changes.
 
-    Parameters
-    ----------
-    rings
-        (R,) their centre lines, from their least points on, in the canonical sequence of rings.
-    pieces
-        (K, P) modes in the middles of their pieces, less their means over the section.
-    count
-        (R,) pieces of each.
-    length_mm
-        (R,) lengths with what overlaps the start.
-    apart_mm
-        (R - 1,) shortest ways from each to the next.
+    `rings`: (R,) their centre lines, from their least points on, in the canonical sequence of rings; `pieces`: (K, P) modes
+    in the middles of their pieces, less their means over the section; `count`: (R,) pieces of each; `length_mm`: (R,)
+    lengths with what overlaps the start; `apart_mm`: (R - 1,) shortest ways from each to the next.
     """
 
     rings: list[shapely.LinearRing]
@@ -161,21 +152,11 @@ def bead_sequence(
 ) -> tuple[Beads, float]:
     """Put contours and islands in sequence, as the program drives them.
 
-    Parameters
-    ----------
-    contours
-        Contours of the layer.
-    heat
-        Heat model of the islands, whose modes the beads are read in; None where there are none.
-    order
-        Islands in scan order; without any, the contours alone are taken.
-    options
-        Entry option of each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`.
+    `contours`: contours of the layer; `heat`: heat model of the islands, whose modes the beads are read in; None where
+    there are none; `order`: islands in scan order; without any, the contours alone are taken; `options`: entry option of
+    each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`.
 
-    Returns
-    -------
-    beads, travel_mm
-        And the jumps between islands.
+    Returns the beads, and the jumps between islands, mm.
     """
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)

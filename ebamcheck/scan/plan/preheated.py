@@ -63,12 +63,8 @@ def preheated(
 ) -> tuple[PartHeat, int]:
     """Preheat what layer `k` lies on, if the settings ask for it; the heat then, and the passes.
 
-    Parameters
-    ----------
-    z_mm
-        Z over the plate of the bottom of the layer.
-    under
-        Section of what the lowest layer lies on; None: the base plate.
+    `z_mm`: Z over the plate of the bottom of the layer; `under`: section of what the lowest layer lies on; None: the base
+    plate.
     """
     if not asked_for(k, config) or sections[k].area <= 0.0:
         return part, 0

@@ -281,13 +281,9 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
 
     Contour beads and the pause between layers are not part of it.
 
-    Returns
-    -------
-    DataFrame
-        One row an island, in scan order: ``island``, ``layer``, ``rank`` in its layer, ``start_s`` (beam
-        on its first line), ``end_s``, ``travel_mm`` (jump before it), ``inner_travel_mm`` (jumps
-        between its own lines), ``length_mm`` of its lines, ``turn_mm`` of the turns between them and
-        ``starts`` of the wire. An island without lines has NaN times.
+    Returns one row an island, in scan order: ``island``, ``layer``, ``rank`` in its layer, ``start_s`` (beam on its first
+    line), ``end_s``, ``travel_mm`` (jump before it), ``inner_travel_mm`` (jumps between its own lines), ``length_mm`` of
+    its lines, ``turn_mm`` of the turns between them and ``starts`` of the wire. An island without lines has NaN times.
     """
     scheduled = _scheduled(plan, config)
     island, jump = scheduled.island, scheduled.jump
@@ -324,12 +320,7 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
 def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
     """Straight lines that the beam heats, in the order in which it does: lines and the turns to them.
 
-    Returns
-    -------
-    ends
-        (n, 4) x0, y0, x1, y1, mm.
-    begin_s, end_s
-        (n,) from 0 in every layer.
+    Returns `ends`: (n, 4) x0, y0, x1, y1, mm; `begin_s`, `end_s`: (n,) from 0 in every layer.
     """
     scheduled = _scheduled(plan, config)
     turn = np.flatnonzero(scheduled.turn > 0.0)
@@ -350,11 +341,6 @@ def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
 def neighbour_intervals_s(end_s: Floats, neighbours: Ints) -> Floats:
     """Time between the ends of every two neighbouring islands, (P,) s.
 
-    Parameters
-    ----------
-    end_s
-        (I,) by island.
-    neighbours
-        (P, 2) pairs of islands.
+    `end_s`: (I,) by island; `neighbours`: (P, 2) pairs of islands.
     """
     return np.asarray(np.abs(end_s[neighbours[:, 0]] - end_s[neighbours[:, 1]]), np.float64)

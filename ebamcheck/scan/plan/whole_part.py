@@ -118,16 +118,8 @@ layer once, from below, since the wire that beads get depends on the layers unde
 class Stack:
     """Layers to be put in order.
 
-    Parameters
-    ----------
-    sections
-        Valid sections, from below.
-    heights_mm
-        (L,) their heights, rising.
-    numbers
-        Indices in the part, which turn hatch and cells and seed random choices.
-    plate_mm
-        Height of the base plate.
+    `sections`: valid sections, from below; `heights_mm`: (L,) their heights, rising; `numbers`: indices in the part, which
+    turn hatch and cells and seed random choices; `plate_mm`: height of the base plate.
     """
 
     sections: Sequence[BaseGeometry]
@@ -170,19 +162,11 @@ def ordered_layers(
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
-    Parameters
-    ----------
-    carry
-        Let each order know the heat that is left below; else it is that of a cold part.
-    simulated
-        Simulate each layer on the heat model, and find its waits and power. Always done where heat is carried.
-    power_of
-        Gives the power along beads; None: each has that of its layer.
+    `carry`: let each order know the heat that is left below; else it is that of a cold part; `simulated`: simulate each
+    layer on the heat model, and find its waits and power. Always done where heat is carried; `power_of`: gives the power
+    along beads; None: each has that of its layer.
 
-    Yields
-    ------
-    OrderedLayer
-        As soon as it is done.
+    Yields as soon as it is done.
     """
     if not (carry or simulated):
         yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
@@ -219,23 +203,12 @@ def ordered_on(
 ) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
     """Put one layer in order on the heat that those under it have left, and simulate it.
 
-    Parameters
-    ----------
-    part, last
-        Heat of the part when the layer under this one is done, and how that was simulated, where it is known.
-    thickness_mm
-        Height of the layer.
-    carry
-        Let the order know the heat.
-    lowest
-        Whether nothing lies under it, so that there is nothing to wait for.
-    power_of
-        As for :func:`ordered_layers`.
+    `part`, `last`: heat of the part when the layer under this one is done, and how that was simulated, where it is known;
+    `thickness_mm`: height of the layer; `carry`: let the order know the heat; `lowest`: whether nothing lies under it, so
+    that there is nothing to wait for; `power_of`: as for :func:`ordered_layers`.
 
-    Returns
-    -------
-    tuple
-        The layer; and the heat of the part when it is done, and how it was simulated: those before where it has no metal.
+    Returns the layer; and the heat of the part when it is done, and how it was simulated: those before where it has no
+    metal.
     """
     islands, cold, contours = ready.islands, ready.cold, ready.contours
     with one_blas_thread():
@@ -268,17 +241,9 @@ def scan_part(
 ) -> Generator[dict[str, Any], None, None]:
     """Order all layers of a part with the heat of those under them.
 
-    Parameters
-    ----------
-    sections
-        Valid sections of the layers, from below.
-    heights_mm
-        (L,) their heights over the base plate, rising.
+    `sections`: valid sections of the layers, from below; `heights_mm`: (L,) their heights over the base plate, rising.
 
-    Yields
-    ------
-    dict
-        One row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
+    Yields one row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
     """
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
