@@ -46,26 +46,18 @@ DIED_OUT = 3.0
 WITHIN_AN_ISLAND = 0.15
 """Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
 
-SIGMAS = 2.5
-"""Islands farther apart than so many standard deviations of the spread until the horizon do not count as near."""
+SIGMAS, MOST_REACH = 2.5, 6.0
+"""Islands farther apart than so many standard deviations of the spread until the horizon, or than so many widths of an island,
+do not count as near."""
 
-MOST_REACH = 6.0
-"""Reach of what is near, at most, in widths of an island: on over 3000 islands, of 140 to each."""
-
-PIECES = 4.0
-"""Pieces of a line of an island's width, at most."""
-
-SHORTEST = 0.5
-"""Shortest piece, over the width of a bead."""
+PIECES, SHORTEST = 4.0, 0.5
+"""Pieces of a line of an island's width, at most, and the shortest piece over the width of a bead."""
 
 AGES = 10
 """Intervals of the tables; age n lies at n^2."""
 
-DEPTH_WAVES = 6.0
-"""Waves of the depth in the thickness of a layer: they carry the exact function of the depth."""
-
-MOST_DEPTH_WAVES = 2000
-"""Waves of the depth at most."""
+DEPTH_WAVES, MOST_DEPTH_WAVES = 6.0, 2000
+"""Waves of the depth in the thickness of a layer, which carry the exact function of the depth; and in all, at most."""
 
 FAR = 16.0
 """Squared distances over this times the variance bring nothing: exp(-8)."""
@@ -73,8 +65,8 @@ FAR = 16.0
 SPARE = 1e-9
 """Share, and mm^2, by which a spread that brings nothing stays under the one that would."""
 
-FEWEST_PAIRS = 16
-"""Pairs of islands that a thread is worth."""
+FEWEST_PAIRS, FEWEST_POINTS = 16, 64
+"""Pairs of islands, and points, that a thread is worth."""
 
 
 class NearField(NamedTuple):
@@ -320,11 +312,8 @@ def entry_rise(
 # -- Enclosed share: how much of a Gaussian around a point lies in the metal that the point sees ---------------
 
 
-DIRECTIONS = 32
-"""Rays from each point to the outline."""
-
-SIGHT_SIGMAS = 3.0
-"""The outline farther away than so many standard deviations takes nothing."""
+DIRECTIONS, SIGHT_SIGMAS = 32, 3.0
+"""Rays from each point to the outline, which takes nothing where it is farther away than so many standard deviations."""
 
 LEAST_SHARE = 0.05
 """Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
@@ -344,9 +333,6 @@ FELT = 38.0
 
 STRETCH = 64
 """Segments of the outline that are passed over together where all of them are too far away to be felt; whole words of marks."""
-
-FEWEST_POINTS = 64
-"""Points that a thread is worth."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
