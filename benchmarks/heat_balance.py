@@ -43,7 +43,7 @@ from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.plan.times import beam_lines
+from ebamcheck.scan.plan.stacking import beam_lines
 from ebamcheck.settings.config import Config
 
 BOX = shapely.box(0, 0, 60, 60), 40

@@ -23,11 +23,12 @@ from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import depth_modes
+from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
+from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.aged_heat import Modes, Timetable
-from ebamcheck.scan.heat.island_heat import IslandHeat
+from ebamcheck.scan.order.entries import clocked
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
-from ebamcheck.scan.order.simulation import clocked, entered, entered_into
+from ebamcheck.scan.order.simulation import entered
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config
 
@@ -94,9 +95,10 @@ def references(
                 heat.modes.source_k_s,
             )
             for total, (order, start_s, end_s) in zip(totals, driven, strict=True):
-                total += entered_into(
-                    modes, Timetable(order, start_s, end_s), np.zeros((len(block.wave_x), deep))
-                )
+                cold = np.zeros((len(block.wave_x), deep))
+                timetable = Timetable(order, start_s, end_s)
+                surface = surfaces_at_entries(modes, timetable, 0.0, cold, modes.in_layer)
+                total += np.einsum("ki,ik->i", modes.mean, surface)
         found.append([total.copy() for total in totals])
     return found
 
@@ -107,10 +109,7 @@ def compared(config: Config, sides_mm: tuple[float, float], waves: tuple[float, 
     choices = lay_islands(section, config, 0, HEIGHT_MM).choices(config, 0)
     heat, schedule, rapid = choices.cold_heat(), choices.known_schedule, config.machine.rapid_mm_s
     orders = [scan_order(name, choices, heat) for name in ORDERS]
-    driven = [
-        (order, *clocked(order, schedule.entry, schedule.leave, schedule.time_s, rapid)[:2])
-        for order in orders
-    ]
+    driven = [(order, *clocked(schedule, order, rapid)[:2]) for order in orders]
     converging = references(heat, choices, driven, waves)
     rows = []
     for n, (name, times) in enumerate(zip(ORDERS, driven, strict=True)):

@@ -18,14 +18,13 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.raster import islands_in_cells, oriented_rings
-from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
-from ebamcheck.heat.medium import BEAM_SHARE, STEFAN_BOLTZMANN_W_M2K4
+from ebamcheck.heat.medium import BEAM_SHARE, STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, enthalpy_tables
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import OrderResult
 from ebamcheck.scan.plan.laying import LaidLayer
-from ebamcheck.scan.plan.times import beam_lines, simulate_order
+from ebamcheck.scan.plan.stacking import beam_lines, simulate_order
 from ebamcheck.settings.config import Config
 
 SPREAD = 3.0

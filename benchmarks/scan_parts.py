@@ -17,7 +17,7 @@ import pandas as pd
 import shapely
 
 from benchmarks.machine import machine
-from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
+from benchmarks.scan_orders import DEFAULT_OUTPUT, MODELS, markdown
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.numeric.rings import Ints
@@ -36,6 +36,15 @@ PART, LAYERS, SIDE_MM = "bulkhead", 100, 9.5
 
 CARRIED, MOST_LAYERS = ("prism", "blade", "torus", "nozzle"), 40
 """Reference models on which planning with the heat below is compared with planning from cold, and their lowest layers."""
+
+BUILD_LAYERS = 24
+"""Lowest layers of each part of which the build time is compared."""
+
+BUILD_ORDERS = (
+    ("thermal", "thermal", {}),
+    ("thermal without moves", "thermal", {"annealing_steps": 0}),
+    *((name, name, {}) for name in ("raster", "stride", "nearest", "farthest", "least-heat")),
+)
 
 SETUP_S, PLAN_S, PART_S = 20.0, 1.0, 300.0
 """Targets: heat model and plan of the large layer, and the whole part."""
@@ -113,6 +122,29 @@ def carry_rows() -> list[dict[str, Any]]:
     return rows
 
 
+def build_table() -> pd.DataFrame:
+    """Build time of the lowest layers of ten parts by several orders, and by `thermal` without its moves; travel, and processor time."""
+    rows = []
+    for name, model in models(MODELS).items():
+        low, high = model.bounds[:, 2]
+        step_mm = Config().layer_height_mm
+        heights = np.arange(0.5 * step_mm, high - low, step_mm)[:BUILD_LAYERS]
+        sections = [layer_section(model.section(float(low + z))) for z in heights.tolist()]
+        for what, order, scan in BUILD_ORDERS:
+            began = time.process_time()
+            found = pd.DataFrame(scan_part(sections, heights, Config().changed(scan=scan), order, 0))
+            row = {
+                "part": name,
+                "order": what,
+                "build, s": found["time_s"].sum() + found["wait_s"].sum(),
+                "hottest entry, K": found["entry_max_k"].mean(),
+                "travel, m": 1e-3 * found["travel_mm"].sum(),
+                "processor, s": time.process_time() - began,
+            }
+            rows.append(row)
+    return pd.DataFrame(rows).round(1)
+
+
 def row(what: str, seconds: float, most: float) -> dict[str, Any]:
     """Row of the table."""
     result = "met" if seconds <= most else "missed"
@@ -123,7 +155,11 @@ def main() -> None:
     """Measure, print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=DEFAULT_OUTPUT)
+    parser.add_argument("--builds", action="store_true", help="print the build times of ten parts instead")
     options = parser.parse_args()
+    if options.builds:
+        print(markdown(build_table()))
+        return
     options.output.mkdir(parents=True, exist_ok=True)
     rows, here = [*layer_rows(), *part_rows()], machine()
     threads = os.environ.get("EBAMCHECK_THREADS", str(here["cores"]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.enthalpy import HOTTEST_K, EnthalpyTables
+from ebamcheck.heat.medium import HOTTEST_K, EnthalpyTables
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.order.simulation import clocked
+from ebamcheck.scan.order.entries import clocked
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config
 
@@ -23,4 +23,4 @@ def islands_of(section, **scan):
 
 def times_of(islands, order):
     schedule = islands.known_schedule
-    return clocked(np.asarray(order), schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    return clocked(schedule, np.asarray(order), RAPID)

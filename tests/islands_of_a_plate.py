@@ -6,13 +6,12 @@ import numpy as np
 import shapely
 
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.order.path import touching
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.settings.config import Config
 
 PROFILE = Config()
 RAPID = PROFILE.machine.rapid_mm_s
-FREE = touching(np.zeros((0, 2), np.int64), 1000)
+FREE = np.zeros((1000, 1000), np.bool_)
 """No island touches another: none is kept from following any."""
 
 PLATE = shapely.box(0, 0, 160, 110).difference(shapely.Point(95, 60).buffer(22, 32))

@@ -17,8 +17,8 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.stages import bead_paths, power_by_wire
 from ebamcheck.program import read_program, verify_program
-from ebamcheck.scan.plan.bead_sequence import bead_sequence, contour_beads
-from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.laying import bead_sequence, contour_beads
+from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path
@@ -68,7 +68,7 @@ class Made:
         self.ordered = list(
             ordered_layers(stack, config, config.scan.order, 0, carry=True, power_of=by_wire and power_of)
         )
-        self.plan = stack_plans([in_order(layer) for layer in self.ordered], config, config.scan.order, 0)
+        self.plan = stack_plans(self.ordered, config, config.scan.order, 0)
         self.curves = bead_paths(self.layers, self.plan, config)
         self.files = write_plain_gcode(self.curves, self.plan, config, folder)
 

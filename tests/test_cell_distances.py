@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from ebamcheck.metal.distances import border_distance, moved_to_neighbours
+from ebamcheck.metal.target import border_distance, moved_to_neighbours
 
 
 def masks():

@@ -10,19 +10,21 @@ import shapely
 
 from benchmarks.scan_orders import layers
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.scan.heat.pieces import OPTIONS
-from ebamcheck.scan.order.annealing import high_mean
-from ebamcheck.scan.order.cool_entries import (
+from ebamcheck.heat.near_field import OPTIONS
+from ebamcheck.scan.order.entries import (
+    NEAREST,
     affordable,
-    clocked_by,
+    clocked,
     cool_options,
+    high_mean,
+    in_sequence,
     modes_at_entries,
+    nearest_options,
     options_by_price,
     rises_at_entries,
 )
 from ebamcheck.scan.order.orders import chosen_options, longest_travel_mm, scan_order
-from ebamcheck.scan.order.path import NEAREST, in_sequence
-from ebamcheck.scan.order.simulation import clocked, entry_points, nearest_options
+from ebamcheck.scan.order.simulation import entry_points
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.stacking import plan_scan
@@ -51,7 +53,7 @@ def order(choices):
 def driven_by(islands, order, options):
     """Start, end, travel, and the rises at all ends."""
     schedule = islands.known_schedule
-    start, end, travel = clocked_by(order, schedule.entry, schedule.leave, schedule.time_s, RAPID, options)
+    start, end, travel = clocked(schedule, order, RAPID, options)
     heat = islands.cold_heat()
     at = modes_at_entries(heat, schedule)
     return start, end, travel, rises_at_entries(heat, at, order, start, end, options)
@@ -61,16 +63,6 @@ def entered_at(islands, order, options):
     """Rises (I,) where the beam enters the islands, and the travel."""
     *_, travel, rise_k = driven_by(islands, order, options)
     return rise_k[np.arange(len(order)), options], travel
-
-
-def test_by_the_nearest_options_an_order_is_clocked_as_ever(choices, order):
-    schedule = choices.known_schedule
-    options = nearest_options(order, schedule.entry, schedule.leave)
-    found = clocked_by(order, schedule.entry, schedule.leave, schedule.time_s, RAPID, options)
-    for ours, known in zip(
-        found, clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID), strict=True
-    ):
-        assert ours == pytest.approx(known)
 
 
 def test_the_mean_over_many_ends_is_near_that_of_the_island(choices, order):
@@ -94,7 +86,7 @@ def test_a_field_of_one_mode_is_read_at_the_ends_by_its_own_shape(choices):
     warm = heat.__class__(**{**vars(heat), "start_k": start_k})
     first = np.arange(len(choices))
     zeros = np.zeros(len(choices), np.int64)
-    start, end, _ = clocked_by(first, schedule.entry, schedule.leave, schedule.time_s, RAPID, zeros)
+    start, end, _ = clocked(schedule, first, RAPID, zeros)
     rise_k = rises_at_entries(warm, modes_at_entries(warm, schedule), first, start, end, zeros)
     exact = heat.model.plane.at(schedule.entry[0]) @ (start_k @ heat.modes.in_layer)
     assert np.ptp(exact) > 0.0

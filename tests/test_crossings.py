@@ -8,7 +8,7 @@ import shapely
 from shapely import affinity
 
 from ebamcheck.checks.hatch_form import _runs_across
-from ebamcheck.scan.filling.turns import follows
+from ebamcheck.scan.filling.schedule import follows
 
 POOL_MM = 3.0
 ALONG = shapely.LineString([(-20, 0), (20, 0)])

@@ -13,7 +13,7 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.stages import bead_paths, power_by_wire
 from ebamcheck.program import read_program
-from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
 
@@ -57,7 +57,7 @@ def made(shape, config, folder):
     stack = Stack([layers.section(k) for k in range(LAYERS)], heights, range(LAYERS))
     power_of = power_by_wire(stack.sections, config)
     done = list(ordered_layers(stack, config, order, seed, carry=True, power_of=power_of))
-    plan = stack_plans([in_order(layer) for layer in done], config, order, seed)
+    plan = stack_plans(list(done), config, order, seed)
     files = write_program(bead_paths(layers, plan, config), plan, config, folder)
     return plan, np.concatenate([layer.heat.mean_k for layer in done]), read_program(files.main, config)
 

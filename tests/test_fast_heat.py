@@ -7,9 +7,10 @@ import pytest
 import shapely
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.section_grid import section_grid
-from ebamcheck.scan.heat.near_field import FAR, LEAST, between_pieces, falling
-from ebamcheck.scan.heat.part_heat import AgedColumns, PartHeat
+from ebamcheck.heat.field import LEAST, falling
+from ebamcheck.heat.modes import section_grid
+from ebamcheck.heat.near_field import FAR, between_pieces
+from ebamcheck.heat.part_heat import AgedColumns, PartHeat
 from ebamcheck.settings.config import Config
 
 

@@ -15,12 +15,19 @@ from scipy.stats import norm
 from shapely import affinity
 
 from benchmarks.island_temperatures import compared
-from ebamcheck.heat import Medium
+from ebamcheck.heat import Medium, island_heat
+from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
+from ebamcheck.heat.near_field import (
+    FELT,
+    OPTIONS,
+    enclosed_share,
+    entry_rise,
+    exact_depth,
+    island_tiles,
+    line_pieces,
+    of_layer,
+)
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.heat import island_heat
-from ebamcheck.scan.heat.aged_heat import Modes, Timetable, entered_with_aged
-from ebamcheck.scan.heat.near_field import FELT, enclosed_share, entry_rise, exact_depth, of_layer
-from ebamcheck.scan.heat.pieces import OPTIONS, island_tiles, line_pieces
 from ebamcheck.scan.order.simulation import entry_points
 
 
@@ -31,7 +38,7 @@ def choices():
 
 def test_pieces_hold_all_heat_and_follow_the_way(choices):
     schedule, lines = choices.known_schedule, choices.lines
-    pieces = line_pieces(lines, choices.centroid, choices.area_mm2, 4.0)
+    pieces = line_pieces((lines.island, lines.start, lines.end), choices.centroid, choices.area_mm2, 4.0)
     starts = pieces.first[:-1]
     assert np.add.reduceat(pieces.share, starts) == pytest.approx(1.0)
     for option in range(OPTIONS):
@@ -47,7 +54,9 @@ def test_pieces_hold_all_heat_and_follow_the_way(choices):
 
 def test_an_island_without_lines_is_one_piece_at_its_centroid():
     lines = Vectors(np.array([1]), np.array([[0.0, 0.0]]), np.array([[3.0, 0.0]]))
-    pieces = line_pieces(lines, np.array([[7.0, 8.0], [1.5, 0.0]]), np.array([2.0, 12.0]), 4.0)
+    pieces = line_pieces(
+        (lines.island, lines.start, lines.end), np.array([[7.0, 8.0], [1.5, 0.0]]), np.array([2.0, 12.0]), 4.0
+    )
     assert pieces.first.tolist() == [0, 1, 2]
     assert pieces.place.tolist() == [[7.0, 8.0], [1.5, 0.0]]
     assert pieces.share.tolist() == [1.0, 1.0]
@@ -189,7 +198,7 @@ def test_late_heat_is_that_of_islands_one_by_one(fallen):
     start_s = np.array([0.0, 4.0, 8.5, 15.0, 19.0])
     end_s, order, age = start_s + np.array([4.0, 3.0, 5.0, 3.5, 6.0]), np.arange(5), 1.5 + fallen
     begun = random.normal(size=(7, 4))
-    found = entered_with_aged(modes, Timetable(order, start_s, end_s), age, begun)
+    surface = surfaces_at_entries(modes.late(age), Timetable(order, start_s, end_s), age, begun, in_layer)
     rate = np.add.outer(plane_rate, depth_rate)
     for island in order:
         now = start_s[island]
@@ -202,7 +211,7 @@ def test_late_heat_is_that_of_islands_one_by_one(fallen):
                 state = state + source[earlier] * np.exp(-rate * youngest) * held * np.multiply.outer(
                     mean[:, earlier], in_layer
                 )
-        assert found[island] == pytest.approx(mean[:, island] @ state @ in_layer, rel=1e-8)
+        assert surface[island] == pytest.approx(state @ in_layer, rel=1e-8)
 
 
 @pytest.mark.parametrize("since", [0.3, 1.0, 2.0])

@@ -13,7 +13,7 @@ from shapely import affinity
 from ebamcheck.geometry.raster import bare_samples
 from ebamcheck.geometry.regions import ARC_SEGMENTS, JOIN_MM
 from ebamcheck.scan import plan_scan
-from ebamcheck.scan.filling.gaps import (
+from ebamcheck.scan.filling.fill import (
     LEAST_SPOT,
     bare_spots,
     gap_beads,

@@ -21,7 +21,7 @@ from benchmarks.closed_form_heat import (
 )
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
-from ebamcheck.heat.section_grid import section_grid
+from ebamcheck.heat.modes import section_grid
 from ebamcheck.settings.config import Config
 
 # -- closed forms --------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from shapely import affinity
 from benchmarks.closed_form_heat import rectangle_modes, slope_at_base
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import contour_modes, depth_modes
-from ebamcheck.heat.section_grid import section_grid
+from ebamcheck.heat.modes import section_grid
 
 # -- cells ---------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from benchmarks.closed_form_heat import after_line, rectangle_modes
 from benchmarks.referee import judged, referee, referee_of, refereed_entries, time_steps
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, depth_modes
-from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.heat.medium import enthalpy_tables
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MaterialSettings

@@ -20,8 +20,10 @@ from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.errors import SettingsError
+from ebamcheck.heat import interpass
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.heat.interpass import shortest_wait_s
+from ebamcheck.heat.medium import enthalpy_tables
 from ebamcheck.heat.melting import (
     entry_limit_k,
     least_power_share,
@@ -34,8 +36,6 @@ from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.pipeline.stages import bead_paths, plan_program
 from ebamcheck.program import program_summary, read_program, verify_program
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.heat import interpass
-from ebamcheck.scan.heat.interpass import shortest_wait_s
 from ebamcheck.scan.plan import whole_part
 from ebamcheck.settings.config import Config
 
@@ -368,7 +368,7 @@ def test_a_layer_that_fits_is_simulated_once_and_is_the_one_with_waits(name, mon
             again = simulated(job, found, config, result.power_share, waits)
             for key in ("bed_k", "mean_k", "bead_wait_s"):
                 assert np.array_equal(getattr(again, key), getattr(result, key))
-            assert np.array_equal(again.after.state, result.after.state)
+            assert np.array_equal(again.after.field.state, result.after.field.state)
             assert np.array_equal(again.after.column.content, result.after.column.content)
             assert again.time_s == result.time_s
             alike.append(result)

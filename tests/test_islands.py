@@ -20,21 +20,18 @@ from ebamcheck.scan.islands.clipping import (
     Cells,
     clip_lattice,
     column,
+    hatch_directions,
     least_island_mm,
+    least_turn_deg,
+    long_direction_deg,
     partition,
     polygon_edges,
     shared_borders,
     shared_edges,
     sliver_groups,
-)
-from ebamcheck.scan.islands.directions import (
-    hatch_directions,
-    least_turn_deg,
-    long_direction_deg,
     turn_between_deg,
 )
-from ebamcheck.scan.islands.lattice import LATTICES
-from ebamcheck.scan.islands.rectangle import rectangle_along
+from ebamcheck.scan.islands.lattice import LATTICES, rectangle_along
 from ebamcheck.scan.islands.regions import layer_regions
 from ebamcheck.settings.config import Config
 

@@ -15,11 +15,12 @@ from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.scan.islands.clipping import shared_borders
 from ebamcheck.scan.islands.lattice import (
     BEADS_ACROSS,
+    Rectangle,
     hexagon_lattice,
     hexagons_across,
+    minimum_rectangle,
     planned_side_mm,
 )
-from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle
 
 ROOT3 = math.sqrt(3.0)
 

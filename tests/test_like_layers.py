@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from prism_program import Made
 
 from ebamcheck.checks.metal import deposit
-from ebamcheck.metal.pools import pooled
+from ebamcheck.metal.footprints import pooled
 
 ANGLE = 2.0 * np.pi * np.arange(48) / 48
 SECTIONS = {

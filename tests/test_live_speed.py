@@ -10,10 +10,10 @@ from scipy.interpolate import BSpline
 from ebamcheck import installed
 from ebamcheck.checks.path_checks import spline_points
 from ebamcheck.curves.per_part import keep_surface_of, once_a_part
-from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.heat.interpass import greatest_that_fits
+from ebamcheck.heat.medium import enthalpy_tables
+from ebamcheck.heat.near_field import DIRECTIONS, ON_OUTLINE_MM, _stretches, in_sight, sector_table
 from ebamcheck.installed import entry_points
-from ebamcheck.scan.heat.interpass import greatest_that_fits
-from ebamcheck.scan.heat.near_field import DIRECTIONS, ON_OUTLINE_MM, in_sight
 from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config
 
@@ -82,7 +82,9 @@ def test_what_is_in_sight_is_what_the_plain_sum_says(corners):
     # The last point closes the ring; a ring of its own, far away, follows: no segment goes from the one to the other.
     far = np.array([[900.0, 0.0], [901.0, 0.0]])
     goes_on = np.append(np.arange(len(ring)) + 1 < len(ring), [True, False])
-    assert in_sight(points, variance, np.vstack([ring, far]), goes_on) == pytest.approx(wanted, abs=1e-12)
+    outline = np.vstack([ring, far])
+    found = in_sight(points, variance, outline, goes_on, _stretches(outline), sector_table())
+    assert found == pytest.approx(wanted, abs=1e-12)
 
 
 def test_what_follows_from_a_part_is_worked_out_once_where_it_is_kept():

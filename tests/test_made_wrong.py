@@ -20,14 +20,13 @@ from ebamcheck.checks.heat_again import (
 from ebamcheck.checks.interpass_checks import AGAIN, INTERPASS, heat_checks
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import MELTING, window_check
-from ebamcheck.heat import melting
+from ebamcheck.heat import interpass, melting
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.metal import target
 from ebamcheck.nc import files, inputs
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate
 from ebamcheck.program import verify_program
-from ebamcheck.scan.heat import interpass
 from ebamcheck.settings import process, process_window
 from ebamcheck.settings.config import Config
 from ebamcheck.writing import tracks, wire

@@ -13,14 +13,16 @@ from ebamcheck.scan import plan_scan, plan_stack
 from ebamcheck.scan.islands.clipping import shared_borders
 from ebamcheck.scan.islands.lattice import (
     LATTICES,
+    Rectangle,
     hexagon_lattice,
     layer_place,
+    minimum_rectangle,
+    rectangle_along,
     shift_shares,
     shifted,
     square_lattice,
     stripe_lattice,
 )
-from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle, rectangle_along
 from ebamcheck.settings.config import Config
 
 PROFILE = Config()

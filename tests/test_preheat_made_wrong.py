@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from prism_program import Made
 
 from ebamcheck.checks.preheating import WIDEST, pass_way, preheat_checks, widest_gap_mm
+from ebamcheck.heat import preheating
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.scan.heat import preheating
-from ebamcheck.scan.heat.preheating import BeamWay, SurfaceHeat, pass_lines
+from ebamcheck.heat.preheating import BeamWay, SurfaceHeat, pass_lines
 from ebamcheck.scan.plan import preheated
 from ebamcheck.settings.config import Config
 

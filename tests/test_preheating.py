@@ -16,9 +16,9 @@ from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat import Medium
+from ebamcheck.heat.preheating import SIGMAS, BeamWay, SurfaceHeat, bare_plate, pass_lines, spot_peak_k
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.nc.templates import usable_templates
-from ebamcheck.scan.heat.preheating import SIGMAS, BeamWay, SurfaceHeat, bare_plate, pass_lines, spot_peak_k
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.verification.verify import verify
 

@@ -13,8 +13,7 @@ from shapely import affinity
 from ebamcheck.scan import plan_scan, simulate_order
 from ebamcheck.scan.filling.fill import TRIM
 from ebamcheck.scan.islands.clipping import clip_lattice, partition
-from ebamcheck.scan.islands.lattice import hexagon_lattice
-from ebamcheck.scan.islands.rectangle import minimum_rectangle
+from ebamcheck.scan.islands.lattice import hexagon_lattice, minimum_rectangle
 from ebamcheck.scan.islands.regions import layer_regions
 from ebamcheck.scan.plan.columns import METRICS
 

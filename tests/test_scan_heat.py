@@ -17,16 +17,15 @@ import ebamcheck
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import Medium
-from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.heat.island_heat import island_heat
+from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.plugins import registry
 from ebamcheck.scan import LayerIslands, plan_scan
-from ebamcheck.scan.filling.turns import turns_and_jumps_mm
-from ebamcheck.scan.heat.island_heat import island_heat
-from ebamcheck.scan.order.annealing import high_mean
-from ebamcheck.scan.order.greedy_heat import greedy_order
+from ebamcheck.scan.filling.schedule import turns_and_jumps_mm
+from ebamcheck.scan.order.entries import clocked
 from ebamcheck.scan.order.orders import scan_order
-from ebamcheck.scan.order.simulation import clocked, entered, entry_points, entry_temperatures
-from ebamcheck.scan.order.thermal import own_rise
+from ebamcheck.scan.order.search import greedy_order, own_rise
+from ebamcheck.scan.order.simulation import entered, entry_points, entry_temperatures
 from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.stages import order_names
@@ -58,7 +57,7 @@ def test_driven_islands_are_the_heat_model_step_by_step(laid, choices):
     schedule = choices.known_schedule
     heat = replace(choices.cold_heat(), near=None)
     order = np.random.default_rng(3).permutation(len(choices))
-    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    start, end, _ = clocked(schedule, order, RAPID)
     entry_k, excess = entry_temperatures(heat, choices.area_mm2, order, start, end)
     assert entry_k == pytest.approx(entered(heat, order, start, end)[0])
     # By the model itself, from the same modes.
@@ -104,7 +103,7 @@ def test_heat_of_a_thin_plate_is_energy_over_heat_capacity():
     choices = lay_islands(section, config, 0, 0.0).choices(config, 0)
     schedule, heat = choices.known_schedule, choices.cold_heat()
     order = np.arange(len(choices))
-    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    start, end, _ = clocked(schedule, order, RAPID)
     medium = Medium.of(config)
     end[order[-1]] += 1e6
     start[order[-1]] += 1e6
@@ -120,7 +119,7 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
     order = greedy_order(heat, schedule, FREE, RAPID, 4, price, start_k)
     assert order[0] == 4
     assert np.array_equal(np.sort(order), np.arange(len(choices)))
-    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    start, end, _ = clocked(schedule, order, RAPID)
     option = 0
     for n in range(len(order) - 1):
         x, y = schedule.leave[order[n], option]
@@ -137,21 +136,6 @@ def test_greedy_takes_the_best_score_at_every_step(choices):
         # Between the earliest and the latest entry the kernel takes temperature as linear: 3 % at most.
         assert score[order[n + 1]] <= 1.03 * score.min() + 1.0
         option = int(np.argmin(reach[order[n + 1]]))
-
-
-def test_a_greedy_plan_that_is_too_hot_ends_early_and_begins_as_the_whole_one(choices):
-    schedule, heat = choices.known_schedule, choices.cold_heat()
-    whole = greedy_order(heat, schedule, FREE, RAPID, 4, 0.5, 0.0)
-    start, end, _ = clocked(whole, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-    high_k = high_mean(np.maximum(*entry_points(heat, schedule, whole, start, end)))
-    for share in (0.1, 0.3, 2.0):
-        order = greedy_order(heat, schedule, FREE, RAPID, 4, 0.5, 0.0, share * high_k)
-        assert np.array_equal(order, whole[: len(order)])
-        assert (len(order) < len(whole)) == (share < 1.0)
-        start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
-        so_far_k = high_mean(np.maximum(*entry_points(heat, schedule, order, start, end)))
-        assert (so_far_k > share * high_k) == (share < 1.0)
-        assert so_far_k <= high_k * (1.0 + 1e-12)
 
 
 def test_own_rise_is_that_of_one_island_alone(choices):
@@ -202,7 +186,7 @@ def test_travel_is_paid_for(choices):
     travel = []
     for price in (0.0, 1.0, 100.0):
         order = greedy_order(heat, schedule, FREE, RAPID, 0, price, 0.0)
-        travel.append(clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)[2])
+        travel.append(clocked(schedule, order, RAPID)[2])
     assert travel[0] > travel[1] > travel[2]
 
 
@@ -219,7 +203,7 @@ def test_a_finer_simulation_agrees_with_the_plan_on_what_is_hot(laid, choices):
     fine = island_heat(PLATE, laid.islands, schedule.beam_s, schedule.time_s, PROFILE, 10.0, fine=True)
     assert fine.modes.mean.shape[0] > coarse.modes.mean.shape[0]
     order = scan_order("farthest", choices)
-    start, end, _ = clocked(order, schedule.entry, schedule.leave, schedule.time_s, RAPID)
+    start, end, _ = clocked(schedule, order, RAPID)
     coarse_k, _ = entry_temperatures(coarse, choices.area_mm2, order, start, end)
     fine_k, _ = entry_temperatures(fine, choices.area_mm2, order, start, end)
     assert np.corrcoef(coarse_k, fine_k)[0, 1] > 0.99

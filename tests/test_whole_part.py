@@ -14,7 +14,7 @@ from benchmarks.closed_form_heat import after_spot
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes
-from ebamcheck.heat.projection import overlap_of_depths
+from ebamcheck.heat.model import overlap_of_depths
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.scan import plan_stack
 from ebamcheck.scan.order import orders as order

@@ -35,8 +35,8 @@ from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.json_values import parsed_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, levelled, target_of
-from ebamcheck.metal.distances import border_distance
 from ebamcheck.metal.surface import FILM, HALF
+from ebamcheck.metal.target import border_distance
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.numeric.kernels import run_each

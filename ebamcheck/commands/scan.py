@@ -23,6 +23,7 @@ from ebamcheck.commands import options
 from ebamcheck.commands.progress import watched
 from ebamcheck.errors import ExitCode, SettingsError, interruptible
 from ebamcheck.heat import ContourModes
+from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.json_values import plain
 from ebamcheck.layers.heights import cut_heights, heights_within
 from ebamcheck.layers.stack import from_polygons
@@ -31,7 +32,6 @@ from ebamcheck.nc.control import simulators
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import write_program
-from ebamcheck.scan.heat.island_heat import IslandHeat
 from ebamcheck.scan.order.simulation import entered, island_history
 from ebamcheck.scan.plan.comparing import (
     RANDOM,

@@ -102,13 +102,10 @@ def _errors_alone() -> Iterator[None]:
 
 
 def _what_a_box_has_not() -> None:
-    """Splines in a program, and metal that lies beside the part."""
+    """Splines in a program."""
     from ebamcheck.checks.matching import shape_distance
-    from ebamcheck.metal.distances import moved_to_neighbours
 
     shape_distance(np.eye(2)[None], np.eye(2)[None])
-    field = np.eye(2)
-    moved_to_neighbours(np.zeros((2, 2)), field, field > 0.0, field == 0.0)
 
 
 def _write(corners: NDArray[np.float32], path: Path) -> None:

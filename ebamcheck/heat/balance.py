@@ -27,11 +27,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.driving import BeadTimes, driven
-from ebamcheck.heat.enthalpy import EnthalpyTables, enthalpy_tables
-from ebamcheck.heat.marching import FEW_STEPS, SHORT_S, STEPS, ColumnFields, march
-from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
-from ebamcheck.heat.waiting import cooled
+from ebamcheck.heat.marching import FEW_STEPS, SHORT_S, STEPS, BeadTimes, ColumnFields, cooled, driven, march
+from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, enthalpy_tables
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
@@ -75,12 +72,8 @@ class LayerShape:
 class HeatColumn:
     """The column at one moment of a program; it grows by :meth:`lay`, and time passes by :meth:`advance`.
 
-    Parameters
-    ----------
-    config
-        Settings: plate, base, chamber and material.
-    tables
-        Tables of the material; None: those of the settings' material.
+    `config`: settings: plate, base, chamber and material; `tables`: tables of the material; None: those of the settings'
+    material.
     """
 
     config: Config
@@ -243,19 +236,12 @@ class HeatColumn:
     ) -> tuple[Floats, Floats]:
         """Heat the uppermost layer bead by bead: :meth:`advance` over the time before each bead, then over its own.
 
-        Parameters
-        ----------
-        beads
-            Time with the beam off before each bead, s, its own time, s, and the energy taken up in it, J; (n,) each.
-        limit_k
-            Interpass temperature: the wait before a bead ends once the metal under it is no warmer.
-        longest_s
-            After a longer wait for one bead the remaining beads are left out.
+        `beads`: time with the beam off before each bead, s, its own time, s, and the energy taken up in it, J; (n,) each;
+        `limit_k`: interpass temperature: the wait before a bead ends once the metal under it is no warmer; `longest_s`:
+        after a longer wait for one bead the remaining beads are left out.
 
-        Returns
-        -------
-        bed_k, wait_s
-            (n,) temperature of the metal under each bead when the beam arrives, K, and the wait before it, s.
+        Returns `bed_k`, `wait_s`: (n,) temperature of the metal under each bead when the beam arrives, K, and the wait
+        before it, s.
         """
         if self._fields is None:
             bed_k = np.full(len(beads[0]), self._bare_k)
@@ -271,34 +257,24 @@ class HeatColumn:
         self.radiated_j += heat_j.item(1)
 
 
-@kernel
 def radiating_mm2(
     size: Floats, area: Floats, outer: Floats, inner: Floats, hole: Floats, emissivity: float
 ) -> Floats:
     """Surface (n,) of each cell by which it radiates to the chamber, times its emissivity, mm^2."""
-    count = len(size)
-    result = np.zeros(count)
-    bottom, wall_mm2 = count, 0.0
-    while bottom > 0 and hole[bottom - 1] > 0.0:
-        bottom -= 1
-        wall_mm2 += inner[bottom] * size[bottom]
-    black = 0.0
-    if bottom < count and emissivity > 0.0:
+    whole = area + hole
+    ledge = np.maximum(whole - np.append(whole[1:], hole[-1:]), 0.0)
+    ledge[1:] += np.where(outer[:-1] > 0.0, np.maximum(whole[1:] - whole[:-1], 0.0), 0.0)
+    result = emissivity * (outer * size + ledge)
+    closed = np.flatnonzero(hole <= 0.0)
+    bottom = closed[-1] + 1 if len(closed) else 0
+    if bottom < len(size) and emissivity > 0.0:
+        open_mm, wall, width = size[bottom:], inner[bottom:], hole[bottom:]
         # The floor is as wide as the channel at its bottom.
-        black = 1.0 / (1.0 + (1.0 / emissivity - 1.0) * hole[count - 1] / (wall_mm2 + hole[bottom]))
-    below_mm = 0.0
-    for i in range(count - 1, -1, -1):
-        result[i] = emissivity * outer[i] * size[i]
-        whole = area[i] + hole[i]
-        over = area[i + 1] + hole[i + 1] if i + 1 < count else hole[i]
-        result[i] += emissivity * max(whole - over, 0.0)
-        if i > 0 and outer[i - 1] > 0.0:
-            result[i] += emissivity * max(whole - area[i - 1] - hole[i - 1], 0.0)
-        if i >= bottom:
-            along = (below_mm + 0.5 * size[i]) * inner[i] / (4.0 * hole[i])
-            seen = (along**2 + 0.5) / np.sqrt(along**2 + 1.0) - along
-            result[i] += black * seen * inner[i] * size[i]
-        below_mm += size[i]
+        black = 1.0 / (1.0 + (1.0 / emissivity - 1.0) * width[-1] / (wall @ open_mm + width[0]))
+        below_mm = np.cumsum(open_mm[::-1])[::-1] - 0.5 * open_mm
+        along = below_mm * wall / (4.0 * width)
+        seen = (along**2 + 0.5) / np.sqrt(along**2 + 1.0) - along
+        result[bottom:] += black * seen * wall * open_mm
     return result
 
 

@@ -28,18 +28,10 @@ LARGEST_CHANGE_J_MM3 = 1.0
 class Column(NamedTuple):
     """Cells of a heat column, from its base up, with the tables of their material.
 
-    Parameters
-    ----------
-    temperature, theta, table_step
-        Tables of temperature, K, and heat potential, W/mm, at equal steps of the heat content; that step, J/mm^3.
-    size, area
-        (n,) height, mm, and section, mm^2, of the cells.
-    radiating
-        (n,) power that a cell radiates over T^4 - Ta^4, W/K^4.
-    ambient
-        Temperature of the chamber, K.
-    cooled
-        Whether the base is held at the temperature of the table; else it is insulated.
+    `temperature`, `theta`, `table_step`: tables of temperature, K, and heat potential, W/mm, at equal steps of the heat
+    content; that step, J/mm^3; `size`, `area`: (n,) height, mm, and section, mm^2, of the cells; `radiating`: (n,) power
+    that a cell radiates over T^4 - Ta^4, W/K^4; `ambient`: temperature of the chamber, K; `cooled`: whether the base is
+    held at the temperature of the table; else it is insulated.
     """
 
     temperature: Floats
@@ -109,9 +101,7 @@ def march(
             # What the first stage changes, over its share of the step, goes on for the rest of it.
             old += (content - old) * ((1.0 - STAGE) / STAGE)
         for turn in range(NEWTON_STEPS):
-            _look_up(content, column, work)
-            _eliminate(content, old, source, base, time, work)
-            largest = _solve(work)
+            largest = _newton_step(content, old, source, base, time, column, work)
             last = largest < NEWTON_J_MM3 or turn == NEWTON_STEPS - 1
             # All cells change alike, so that the balance holds along the way; the last step is a whole one.
             share = 1.0 if last else min(1.0, LARGEST_CHANGE_J_MM3 / largest)
@@ -127,25 +117,23 @@ def march(
 
 
 @kernel
-def _look_up(content: Floats, column: Column, work: _Step) -> None:
-    """Set the heat potential and the radiation of each cell, with their slopes, by the tables at its heat content."""
+def _newton_step(
+    content: Floats, old: Floats, source: Floats, base: float, time: float, column: Column, work: _Step
+) -> float:
+    """Set and solve the equations of a Newton step; returns the largest change, J/mm^3."""
     ambient, step, temperature, theta = column.ambient, column.table_step, column.temperature, column.theta
-    for i in range(len(content)):
+    count, apart, link, flow, flow_slope = len(content), work.apart, work.link, work.flow, work.flow_slope
+    # Heat potential and radiation of each cell, with their slopes, by the tables at its heat content.
+    for i in range(count):
         # A plain division is asked whether it is by nothing, and so done one cell at a time.
         place = np.true_divide(content[i], step)
         node = min(max(int(place), 0), temperature.size - 2)
         slope = temperature[node + 1] - temperature[node]
         warm = temperature[node] + slope * (place - node)
         rise = theta[node + 1] - theta[node]
-        work.flow[i], work.flow_slope[i] = theta[node] + rise * (place - node), np.true_divide(rise, step)
+        flow[i], flow_slope[i] = theta[node] + rise * (place - node), np.true_divide(rise, step)
         work.lost[i] = column.radiating[i] * (warm**4 - ambient**4)
         work.lost_slope[i] = column.radiating[i] * 4.0 * warm**3 * np.true_divide(slope, step)
-
-
-@kernel
-def _eliminate(content: Floats, old: Floats, source: Floats, base: float, time: float, work: _Step) -> None:
-    """Set the equations of a Newton step, and eliminate what lies under their diagonal."""
-    count, apart, link, flow, flow_slope = len(content), work.apart, work.link, work.flow, work.flow_slope
     for i in range(count):
         stored = np.true_divide(work.volume[i] * (content[i] - old[i]), time)
         rest = source[i] - work.lost[i] - stored
@@ -161,20 +149,117 @@ def _eliminate(content: Floats, old: Floats, source: Floats, base: float, time: 
             pivot += link[i + 1] * flow_slope[i]
             work.upper[i] = -link[i + 1] * flow_slope[i + 1]
         if i > 0:
+            # What lies under the diagonal is eliminated.
             lower = np.true_divide(-flow_slope[i - 1], apart[i])
             factor = np.true_divide(lower, work.diagonal[i - 1])
             pivot -= factor * work.upper[i - 1]
             rest -= factor * work.right[i - 1]
         work.diagonal[i], work.right[i] = pivot, rest
-
-
-@kernel
-def _solve(work: _Step) -> float:
-    """Put the solution in the place of the right side; returns the largest change, J/mm^3."""
-    largest, count = 0.0, work.right.size
+    largest = 0.0
     for i in range(count - 1, -1, -1):
         if i + 1 < count:
             work.right[i] -= work.upper[i] * work.right[i + 1]
         work.right[i] = np.true_divide(work.right[i], work.diagonal[i])
         largest = max(largest, abs(work.right[i]))
     return largest
+
+
+FIRST_WAIT_S, WAIT_GROWTH = 1.0, 0.5
+"""Least step of a wait, and least step over the wait so far: steps grow with the wait."""
+
+
+@kernel
+def cooled(
+    content: Floats, fields: ColumnFields, under: int, top: int, bed_k: float, longest_s: float
+) -> tuple[float, Floats]:
+    """Age a column, without power, until its bed is no warmer than `bed_k`, or the wait is over `longest_s`.
+
+    All steps are taken in here: a wait takes dozens of them, and each alone would wait for the interpreter.
+
+    `content`, `fields`: as :func:`~ebamcheck.heat.marching.march` has them; `under`, `top`: first cell of the layer under
+    the uppermost one, and of that.
+
+    Returns the wait, s, and the heat to the table and radiated, J.
+    """
+    wait_s, step_s, gone = 0.0, FIRST_WAIT_S, np.zeros(2)
+    while bed_temperature_k(content, fields, under, top) > bed_k:
+        gone += march(content, fields, top, 0.0, step_s, FEW_STEPS if step_s <= SHORT_S else STEPS)
+        wait_s, step_s = wait_s + step_s, max(FIRST_WAIT_S, WAIT_GROWTH * wait_s)
+        if wait_s > longest_s:
+            break
+    return wait_s, gone
+
+
+@kernel
+def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: int) -> float:
+    """Mean temperature of the warmer one of the uppermost layer and that under it; NaN where a heat content is none, after a time
+    without end for instance."""
+    table, step, size, warmest = fields[0], fields[2], fields[3], 0.0
+    for start, stop in ((top, len(content)), (under, top)):
+        total_k, whole_mm = 0.0, 0.0
+        for i in range(start, stop):
+            if np.isnan(content[i]):
+                return np.nan
+            place = min(max(np.true_divide(content[i], step), 0.0), table.size - 1.0)
+            node = min(int(place), table.size - 2)
+            total_k += ((table[node + 1] - table[node]) * (place - node) + table[node]) * size[i]
+            whole_mm += size[i]
+        mean_k = np.true_divide(total_k, whole_mm)
+        if mean_k > warmest:
+            warmest = mean_k
+    return warmest
+
+
+BeadTimes = tuple[Floats, Floats, Floats]
+"""Time with the beam off before each bead, s, its own time, s, and the energy that the layer takes up in it, J; (n,) each."""
+
+ABSORBED, BASE, RADIATED = range(3)
+"""Totals of a column, J: heat taken up, passed to the table, and radiated."""
+
+
+@kernel
+def driven(
+    content: Floats,
+    fields: ColumnFields,
+    under: int,
+    top: int,
+    beads: BeadTimes,
+    limit_k: float,
+    longest_s: float,
+    counted: Floats,
+) -> tuple[Floats, Floats]:
+    """Drive beads; `content` and `counted` (3,) go from their first to their last state.
+
+    `content`, `fields`, `under`, `top`: as :func:`~ebamcheck.heat.marching.cooled` has them; `limit_k`: temperature of what
+    a bead lies on above which it is waited for; endless for no waits; `longest_s`: after a longer wait for one bead the
+    rest is left out.
+
+    Returns (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
+    """
+    off_s, time_s, energy_j = beads
+    bed_k, waits_s = np.full(len(off_s), np.nan), np.zeros(len(off_s))
+    for n in range(len(off_s)):
+        _aged(content, fields, top, off_s[n], 0.0, counted)
+        bed_k[n] = bed_temperature_k(content, fields, under, top)
+        if bed_k[n] > limit_k:
+            waits_s[n], gone = cooled(content, fields, under, top, limit_k, longest_s)
+            counted[BASE] += gone[0]
+            counted[RADIATED] += gone[1]
+            if waits_s[n] > longest_s:
+                break
+        _aged(content, fields, top, time_s[n], energy_j[n], counted)
+    return bed_k, waits_s
+
+
+@kernel
+def _aged(
+    content: Floats, fields: ColumnFields, top: int, duration_s: float, energy_j: float, counted: Floats
+) -> None:
+    """Let a time go by, in which the cells from `top` up take up heat; none where it is no time."""
+    if duration_s <= 0.0:
+        return
+    steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
+    gone = march(content, fields, top, np.true_divide(energy_j, duration_s), duration_s, steps)
+    counted[ABSORBED] += energy_j
+    counted[BASE] += gone[0]
+    counted[RADIATED] += gone[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.heat.enthalpy import enthalpy_tables
+from ebamcheck.heat.medium import enthalpy_tables
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import MOST_SPACINGS, along_window, wire_speed_mm_s
@@ -47,16 +47,9 @@ def own_power_shares(config: Config, width_mm: Floats, thickness_mm: float) -> F
     A layer has the power that its beads need at one spacing. A wider one gets as much more as its metal is more, up to the full
     power; and as much as `process.metal_energy_j_mm3` asks for.
 
-    Parameters
-    ----------
-    width_mm
-        (n,) metal of each bead, in section over the height of its layer.
-    thickness_mm
-        That height.
+    `width_mm`: (n,) metal of each bead, in section over the height of its layer; `thickness_mm`: that height.
 
-    Returns
-    -------
-    (n,) 0 where a bead lays one spacing or less.
+    Returns (n,) 0 where a bead lays one spacing or less.
 
     Examples
     --------

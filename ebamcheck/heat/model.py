@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.heat.depth import DepthModes
 from ebamcheck.heat.medium import Medium
+from ebamcheck.heat.modes import ContourModes
 from ebamcheck.numeric.rings import Floats
 
 
@@ -37,14 +38,8 @@ class HeatModel:
     Amplitudes a (K, N) give T(x, y, z) = sum a_kn phi_k(x, y) psi_n(z), the rise over the base, K. Each obeys
     da/dt = -r a + s with r = alpha (lambda_k + mu_n^2).
 
-    Parameters
-    ----------
-    plane, depth
-        Modes of the section and of the depth.
-    medium
-        Material.
-    layer_mm
-        Thickness of the layer in which heat is released, and over which its temperature is averaged.
+    `plane`, `depth`: modes of the section and of the depth; `medium`: material; `layer_mm`: thickness of the layer in which
+    heat is released, and over which its temperature is averaged.
     """
 
     plane: PlaneModes
@@ -84,3 +79,94 @@ class HeatModel:
         return float(
             self.medium.heat_capacity_j_mm3k * (self.plane.integral() @ amplitudes @ self.depth.integral())
         )
+
+
+HALVINGS = 60
+"""Bisections of an interval of pi/2: enough for the last bit of a double."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthModes:
+    """Modes psi_n of the depth, normalised: the integral of psi_n^2 over the depth is 1.
+
+    `depth_mm`: depth H from the surface to the base; `cooled`: whether the base is held at its temperature; else it is
+    insulated; `wave_number`: (N,) mu_n, 1/mm, ascending.
+    """
+
+    depth_mm: float
+    cooled: bool
+    wave_number: Floats
+
+    @property
+    def scale(self) -> Floats:
+        """Factor (N,) that normalises the modes."""
+        mu = self.wave_number
+        half, turn = 0.5 * self.depth_mm, 0.5 * self.depth_mm * np.sinc(2.0 * mu * self.depth_mm / math.pi)
+        return np.asarray(1.0 / np.sqrt(half - turn if self.cooled else half + turn), np.float64)
+
+    def at(self, below_mm: ArrayLike) -> Floats:
+        """Modes at depths below the surface, (P, N)."""
+        angle = np.multiply.outer(self.depth_mm - np.asarray(below_mm, np.float64), self.wave_number)
+        return np.asarray(self.scale * (np.sin(angle) if self.cooled else np.cos(angle)), np.float64)
+
+    def mean_of_layer(self, layer_mm: float) -> Floats:
+        """Mean of the modes over the uppermost millimetres, (N,)."""
+        # The mean of a sine or cosine is its middle value times a sinc, also where mu is zero.
+        middle = self.at(0.5 * layer_mm)
+        return np.asarray(middle * np.sinc(0.5 * self.wave_number * layer_mm / math.pi), np.float64)
+
+    def integral(self) -> Floats:
+        """Integral of the modes over the whole depth, (N,)."""
+        return self.depth_mm * self.mean_of_layer(self.depth_mm)
+
+
+def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 0.0) -> DepthModes:
+    """Find the first modes of a depth.
+
+    `count`: number of modes N; `cooled`: whether the base is held at its temperature; `loss_per_mm`: h/k, 1/mm: heat
+    transfer coefficient of the surface over the conductivity.
+    """
+    biot = loss_per_mm * depth_mm
+    low: Floats = np.asarray(np.pi * (np.arange(count) + (0.5 if cooled else 0.0)), np.float64)
+    if biot == 0.0:
+        return DepthModes(depth_mm, cooled, low / depth_mm)
+    high = low + 0.5 * np.pi
+    # Both conditions read x sin(x - c) = biot cos(x - c), c = pi/2 if cooled: one root between low and high.
+    shift = 0.5 * np.pi if cooled else 0.0
+    sign = np.cos(low - shift)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        below = sign * (middle * np.sin(middle - shift) - biot * np.cos(middle - shift)) < 0.0
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return DepthModes(depth_mm, cooled, np.asarray(0.5 * (low + high) / depth_mm, np.float64))
+
+
+def carried(old: HeatModel, amplitudes: Floats, new: HeatModel) -> Floats:
+    """Project a temperature field onto the modes of a higher body.
+
+    `old`, `new`: models in contour modes, on the same base; `amplitudes`: (K, N) of the old one.
+
+    Returns (K', N') amplitudes of the new model: the least-squares approximation of the field by its modes.
+    """
+    if not (isinstance(old.plane, ContourModes) and isinstance(new.plane, ContourModes)):
+        raise TypeError("heat is carried between modes of contours only")
+    across = overlap_of_sections(old.plane, new.plane)
+    return np.asarray(across @ amplitudes @ overlap_of_depths(old.depth, new.depth).T, np.float64)
+
+
+def overlap_of_sections(old: ContourModes, new: ContourModes) -> Floats:
+    """Integrals (K', K) of new times old modes over the intersection of the sections."""
+    row, column = np.nonzero(new.grid.number >= 0)
+    centres = new.grid.origin + (np.column_stack([column, row]) + 0.5) * new.grid.step
+    return np.asarray(new.values.T @ (new.grid.area_mm2[:, None] * old.at(centres)), np.float64)
+
+
+def overlap_of_depths(old: DepthModes, new: DepthModes) -> Floats:
+    """Integrals (N', N) of new times old modes over the old depth; both are counted from the base upwards."""
+    height = min(old.depth_mm, new.depth_mm)
+    less = np.subtract.outer(new.wave_number, old.wave_number)
+    more = np.add.outer(new.wave_number, old.wave_number)
+    # Half the sum or difference of two sines over their wave numbers; sinc is also right where these vanish.
+    close, far = (height * np.sinc(wave * height / math.pi) for wave in (less, more))
+    product = 0.5 * (close - far if old.cooled else close + far)
+    return np.asarray(np.multiply.outer(new.scale, old.scale) * product, np.float64)

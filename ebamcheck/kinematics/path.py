@@ -10,7 +10,6 @@ import numpy as np
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program import NCProgram
 from ebamcheck.settings.config import Config
@@ -97,7 +96,8 @@ class DrivenPath:
 
     def derivatives(self, rows: Ints, t: Floats) -> tuple[Floats, Floats]:
         """First and second derivative of X and Y by t, each (n, 2)."""
-        first, second = _of_polynomials(self.coefficients, rows, t)
+        (_, b, c, d), along = self.coefficients[rows].transpose(2, 0, 1), t[:, None]
+        first, second = b + along * (2.0 * c + 3.0 * along * d), 2.0 * c + 6.0 * along * d
         round_ = np.flatnonzero(self.is_arc[rows])
         if round_.size:
             r = rows[round_]
@@ -111,25 +111,10 @@ class DrivenPath:
         return first, second
 
 
-@kernel
-def _of_polynomials(coefficients: Floats, rows: Ints, t: Floats) -> tuple[Floats, Floats]:
-    """First and second derivative by t, each (n, 2), of the cubics `rows` (n,) of `coefficients` (B, 2, 4) at `t` (n,)."""
-    first, second = np.empty((len(rows), 2)), np.empty((len(rows), 2))
-    for i in range(len(rows)):
-        for axis in range(2):
-            c = coefficients[rows[i], axis]
-            first[i, axis] = c[1] + t[i] * (2.0 * c[2] + 3.0 * t[i] * c[3])
-            second[i, axis] = 2.0 * c[2] + 6.0 * t[i] * c[3]
-    return first, second
-
-
 def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     """Motions of a program that move an axis; the axes stop at rapids and where beam or wire switch.
 
-    Raises
-    ------
-    SettingsError
-        If a feed motion has no feed, or starts at an unknown position.
+    Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
     """
     moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
     stopped = np.zeros(len(nc) + 1, np.bool_)

@@ -11,7 +11,7 @@ import pandas as pd
 
 from ebamcheck.kinematics.limits import Cells, cells_of
 from ebamcheck.kinematics.path import DrivenPath, polyline_path, program_path
-from ebamcheck.kinematics.ramps import look_ahead, ramp_at, ramp_length, ramp_time, speeds_along, time_to
+from ebamcheck.kinematics.ramps import look_ahead, ramp_time, speeds_along, time_to
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -125,10 +125,7 @@ def feed_profile(nc: NCProgram, config: Config) -> FeedProfile:
     the speed as :mod:`ebamcheck.kinematics.limits` says, and ramps with limited acceleration and jerk join what
     is left.
 
-    Raises
-    ------
-    SettingsError
-        If a motion has no feed.
+    Raises SettingsError if a motion has no feed.
     """
     path = program_path(nc, config)
     return _profile(path, config, tuple(nc.where(int(row)) for row in path.row))
@@ -215,19 +212,11 @@ counted as a dip: its start and end alone do not explain it."""
 def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Ints, Floats, Floats, Floats]:
     """Stretches of each run along which the speed is under a threshold.
 
-    Parameters
-    ----------
-    cells
-        (C, 6) length, entry, peak and exit speed, acceleration, jerk of each cell.
-    slow
-        (C,) threshold of each cell, mm/s.
-    first
-        (C,) true where a run begins.
+    `cells`: (C, 6) length, entry, peak and exit speed, acceleration, jerk of each cell; `slow`: (C,) threshold of each
+    cell, mm/s; `first`: (C,) true where a run begins.
 
-    Returns
-    -------
-    sort, cell, time, length, least
-        (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the least speed, s, mm, mm/s.
+    Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the
+    least speed, s, mm, mm/s.
     """
     count = len(cells)
     sort, where = np.zeros(2 * count + 1, np.int64), np.zeros(2 * count + 1, np.int64)
@@ -241,10 +230,11 @@ def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Int
         whole = top < slow[c]
         if begin < slow[c] or whole:
             if whole:
-                took, path = _whole(cells[c])
+                up, down, path = ramp_time(begin, top, a, j), ramp_time(top, end, a, j), cells[c, 0]
+                ramps = 0.5 * (begin + top) * up + 0.5 * (top + end) * down
+                took = up + down + (max(path - ramps, 0.0) / top if top > 0.0 else 0.0)
             else:
-                took = time_to(begin, top, slow[c], a, j)
-                path = ramp_at(begin, top, took, a, j)[1]
+                took, path = time_to(begin, top, slow[c], a, j)
             if not under:
                 sort[found], where[found], least[found] = (START if first[c] else DIP), c, begin
                 time[found], length[found] = 0.0, 0.0
@@ -262,21 +252,11 @@ def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Int
             if last:
                 sort[found - 1] = DIP if sort[found - 1] == START else END
         elif end < slow[c]:
-            took = time_to(end, top, slow[c], a, j)
             sort[found], where[found], least[found] = (END if last else DIP), c, end
-            time[found], length[found] = took, ramp_at(end, top, took, a, j)[1]
+            time[found], length[found] = time_to(end, top, slow[c], a, j)
             found += 1
             under = True
     return sort[:found], where[:found], time[:found], length[:found], least[:found]
-
-
-@kernel
-def _whole(cell: Floats) -> tuple[float, float]:
-    """Time and length of a cell."""
-    length, begin, top, end, a, j = cell
-    ramps = ramp_length(begin, top, a, j) + ramp_length(top, end, a, j)
-    took = ramp_time(top - begin, a, j) + ramp_time(top - end, a, j)
-    return took + (max(length - ramps, 0.0) / top if top > 0.0 else 0.0), length
 
 
 def dip_table(

@@ -16,6 +16,8 @@ from ebamcheck.checks.consumables import FRESH, Spent, consumed, spent_after
 from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import MetalBelow, deposit_checks
 from ebamcheck.heat.balance import HeatColumn
+from ebamcheck.heat.interpass import SimulatedLayer
+from ebamcheck.heat.part_heat import PartHeat
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.height_map import MENDING, MapFigures, Reading, Refused, Warmth, figures_of
 from ebamcheck.mesh.part import Part
@@ -24,8 +26,6 @@ from ebamcheck.metal.surface import MENDED
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.program import Check
-from ebamcheck.scan.heat.interpass import SimulatedLayer
-from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.wire import metal_region
 
@@ -196,7 +196,7 @@ def corrected(before: Before, found: Warmth, config: Config) -> tuple[Before, Co
     assert column.tables is not None
     rise_k = factor * (column.temperature_k - chamber_k)
     column.content = column.tables.heat_content(chamber_k + rise_k)
-    part.state = factor * part.state
+    part.field.state *= factor
     return replace(then, part=part), Correction(found, modelled_k, factor)
 
 

@@ -43,7 +43,7 @@ from ebamcheck.result import Check
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated
-from ebamcheck.scan.plan.stacking import in_order, stack_plans
+from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
@@ -310,7 +310,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = replace(stack_plans([in_order(done)], config, order, seed), under=under, stands=before.surface)
+        plan = replace(stack_plans([done], config, order, seed), under=under, stands=before.surface)
         wait_s = 0.0 if last is None or last is before.last else last.wait_s
         return plan, replace(before, part=part, last=last), wait_s
 

@@ -18,6 +18,7 @@ from ebamcheck.atomic_file import made_folder
 from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
+from ebamcheck.heat.part_heat import PartHeat
 from ebamcheck.json_values import json_text
 from ebamcheck.live import publishing
 from ebamcheck.live.before import Before, Ground
@@ -31,7 +32,6 @@ from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.nc.templates import checked_tilt
 from ebamcheck.numeric.rings import Floats
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
-from ebamcheck.scan.heat.part_heat import PartHeat
 from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config, validated

@@ -31,25 +31,10 @@ def balanced_widths(
     width_mm: Floats,
     limits_mm: tuple[float, float],
 ) -> Floats:
-    """Widths of metal that lay a section flat.
+    """Widths of metal (B,) that lay a section flat, mm.
 
-    Parameters
-    ----------
-    found
-        Footprints of the beads.
-    share
-        (rows, columns) share of each cell that is to be metal, one layer high.
-    weight
-        (rows, columns) how much each cell counts.
-    width_mm
-        (B,) widths to begin with.
-    limits_mm
-        Least and greatest that the process allows.
-
-    Returns
-    -------
-    array
-        (B,) mm.
+    `share` and `weight` (rows, columns) are what of each cell is to be metal, one layer high, and how much it counts; the widths
+    (B,) to begin with are changed between the limits.
     """
     columns = found.starts, found.cell, found.length_mm
     width = np.array(width_mm, np.float64)

@@ -12,8 +12,7 @@ import copy
 import numpy as np
 from scipy import ndimage
 
-from ebamcheck.metal.distances import border_distance, moved_to_neighbours
-from ebamcheck.metal.target import REACHED, Target, cell_mm
+from ebamcheck.metal.target import REACHED, Target, border_distance, cell_mm, moved_to_neighbours
 from ebamcheck.numeric.rings import Bools, Floats
 
 LEVELLED_BEADS = 0.5
@@ -39,12 +38,8 @@ DOME = 0.5**0.5
 def bead_centres(inside: Bools, bead_cells: float) -> Bools:
     """Cells of a section on which the middle of a bead can lie without reaching over the border.
 
-    Parameters
-    ----------
-    inside
-        (rows, columns) cells of the section, with at least one beside it that is none.
-    bead_cells
-        Width of a bead, in cells.
+    `inside`: (rows, columns) cells of the section, with at least one beside it that is none; `bead_cells`: width of a bead,
+    in cells.
 
     Examples
     --------
@@ -102,10 +97,8 @@ class Surface:
     def with_map(self, over_mm: Floats) -> Surface:
         """Return a surface as uneven as it was measured.
 
-        Parameters
-        ----------
-        over_mm
-            (rows, columns) height of each cell over the measured height of the layer; cells without metal do not count.
+        `over_mm`: (rows, columns) height of each cell over the measured height of the layer; cells without metal do not
+        count.
         """
         made = self.copy()
         made._over_mm = np.where(self._share > 0.0, over_mm, 0.0)
@@ -146,12 +139,8 @@ class Surface:
     def add(self, target: Target, laid_mm: Floats, thickness_mm: float) -> None:
         """Build a layer.
 
-        Parameters
-        ----------
-        laid_mm
-            (rows, columns) height of the metal in the cells of `target`.
-        thickness_mm
-            Height that the layer is to have.
+        `laid_mm`: (rows, columns) height of the metal in the cells of `target`; `thickness_mm`: height that the layer is to
+        have.
         """
         over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
         if target.share.size:

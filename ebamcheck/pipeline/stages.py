@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.backend import Progress
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.curves.turned import turned_over
+from ebamcheck.heat.part_heat import BeadPower
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
@@ -25,8 +26,6 @@ from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.program import ProgramFiles
 from ebamcheck.result import Check
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.heat.part_heat import BeadPower
-from ebamcheck.scan.plan.stacking import in_order
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path, uppermost_seams, with_bead_ends, written_form
@@ -132,7 +131,7 @@ class _OneLayer:
 
     @classmethod
     def of(cls, layer: OrderedLayer) -> _OneLayer:
-        laid, lines = layer.laid, in_order(layer).vectors
+        laid, lines = layer.laid, layer.lines
         sections = np.empty(1, np.object_)
         sections[0] = laid.regions.section
         return cls(

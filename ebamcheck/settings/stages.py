@@ -114,7 +114,7 @@ class ScanSettings(Section):
     start_travel_mm: Length = 10.0
     """Travel that weighs as much as one start of the wire, for `thermal`."""
     annealing_steps: Annotated[int, Between(0, 10_000_000)] = 40000
-    """Moves of islands that `thermal` tries at the end, keeping those that help: at most 800 an island and 30,000, none over 500 islands."""
+    """Moves of islands that `thermal` tries at the end, keeping those that help: at most 800 an island and a million over their number, none over 500 islands."""
     carry_heat: bool = True
     """Orders by heat begin each layer with what those under it have left; off: each layer on a cold part."""
     least_coverage: Share = 0.98

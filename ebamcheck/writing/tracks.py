@@ -22,7 +22,7 @@ from ebamcheck.nc.inputs import (
     layer_thickness,
 )
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.turns import follows
+from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.cuts import segment_lengths
 from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Circles, Form, circles, contour_segments

@@ -18,9 +18,9 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.regions import ARC_SEGMENTS
 from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
-from ebamcheck.metal.distances import border_distance
-from ebamcheck.metal.pools import pooled
+from ebamcheck.metal.footprints import pooled
 from ebamcheck.metal.surface import HALF
+from ebamcheck.metal.target import border_distance
 from ebamcheck.nc.inputs import ScanColumns, interpass_of
 from ebamcheck.numeric.kernels import kernel, run_each
 from ebamcheck.numeric.rings import Bools, Floats, Ints

@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.nearest import segments_of
-from ebamcheck.geometry.raster import bare_samples, covered_fraction
-from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.filling.gaps import bare_spots, gap_beads, line_rows, spots_to_close
-from ebamcheck.scan.filling.hatch import Vectors, hatch, joined
+from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
+from ebamcheck.geometry.regions import valid_polygons
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.hatch import SHORTEST_LINE, Vectors, hatch, joined
 from ebamcheck.scan.filling.walls import wall_lines
 from ebamcheck.scan.islands import clipping as cells
-from ebamcheck.scan.islands.directions import hatch_directions
+from ebamcheck.scan.islands.clipping import hatch_directions
 from ebamcheck.scan.islands.regions import Regions
 from ebamcheck.settings.config import Config
 
@@ -25,7 +27,7 @@ TRIM = 0.3
 lies, or the round end of the bead: lines that reach the border lay a seventh more than the part has. On a square of
 100 mm 0.2 to 0.4 leave the surface as flat; 0.3 needs the least spread of wire speeds."""
 
-SHORTEST_LINE = 0.5
+SHORTEST_TRIMMED = 0.5
 """Lines are not trimmed to under this times the bead width, and not lengthened either."""
 
 
@@ -33,18 +35,9 @@ SHORTEST_LINE = 0.5
 class FilledLayer:
     """Islands of one layer and their lines.
 
-    Parameters
-    ----------
-    islands, kind
-        (I,) polygons, none of which overlap, and the kind of each.
-    lines
-        Sorted by island.
-    chained
-        (I,) whether the lines of an island follow each other end to start.
-    covered
-        Share of the section that contour beads and lines cover.
-    widest_gap_mm
-        Diameter of the largest circle that they leave bare.
+    `islands`, `kind`: (I,) polygons, none of which overlap, and the kind of each; `lines`: sorted by island; `chained`:
+    (I,) whether the lines of an island follow each other end to start; `covered`: share of the section that contour beads
+    and lines cover; `widest_gap_mm`: diameter of the largest circle that they leave bare.
     """
 
     islands: NDArray[np.object_]
@@ -79,7 +72,7 @@ def fill_islands(
     turn = config.scan.first_angle_deg + layer * config.scan.layer_angle_deg
     angle = hatch_directions(found, spacing, turn, config.scan.island_angle_deg)
     hatched, _ = hatch(found.polygons, angle, width, spacing)
-    hatched = trimmed(hatched, TRIM * spacing, SHORTEST_LINE * width)
+    hatched = trimmed(hatched, TRIM * spacing, SHORTEST_TRIMMED * width)
     count = len(found.polygons)
     owner, start, end = [hatched.island], [hatched.start], [hatched.end]
     for number, wall in enumerate(walls, count):
@@ -110,7 +103,7 @@ def trimmed(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
 
 
 def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledLayer:
-    """Lay gap beads, see :mod:`ebamcheck.scan.filling.gaps`, and measure the coverage."""
+    """Lay gap beads, and measure the coverage."""
     width, section = config.process.bead_width_mm, regions.section
     beads = _beads(regions, filled.lines)
     bare = bare_samples(section, beads, width)
@@ -140,3 +133,252 @@ def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledL
 def _beads(regions: Regions, lines: Vectors) -> Floats:
     """Centre lines of all beads, (S, 4)."""
     return np.vstack([segments_of(shapely.boundary(regions.contour)), np.hstack([lines.start, lines.end])])
+
+
+LEAST_SPOT = 0.02
+"""Spots under this times the squared bead width are left: a hundredth of a bead's own spot or two."""
+
+LEAST_SHARE = 0.002
+"""So are, in sections of small parts, spots under this share of a part of mean area: a tenth of what the gate of the
+coverage leaves bare."""
+
+REACH = 0.97
+"""Share of half a bead width within which a gap bead must reach all of its spot: what is left is the
+sagitta of the arcs (0.5 % with :data:`ARC_SEGMENTS`) and the tolerance of the machine."""
+
+ARC_SEGMENTS = 8
+"""Chords in a quarter of a bead's round end."""
+
+LEFT_OVER = 0.02
+"""Share of a spot that a straight bead may leave; else the bead follows the spot's centre line."""
+
+COVERAGE_MARGIN = 0.002
+"""By how much more than its gate asks a layer is covered: the error of the coverage's samples."""
+
+PLACE = 0.25
+"""Reach of a gap's island around its bead, over the bead width: so small that two gaps find room side by side."""
+
+NO_AREA_MM2 = 1e-6
+"""Pieces smaller than this are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class GapBeads:
+    """Gap beads of one layer.
+
+    `lines`, `island`: (N,) centre lines, and (N,) the island in which each lies: one of those given, or a new one;
+    `polygons`: (M,) the new islands, numbered after those given.
+    """
+
+    lines: NDArray[np.object_]
+    island: Ints
+    polygons: NDArray[np.object_]
+
+
+def bare_spots(
+    section: BaseGeometry, bare: BareSamples, segments: Floats, bead_width_mm: float
+) -> list[shapely.Polygon]:
+    """Parts of a section that are further than half a bead width from every segment, (x0, y0, x1, y1) mm.
+
+    Spots that hold no sample, or are under :data:`LEAST_SPOT` or :data:`LEAST_SHARE`, are left out.
+    """
+    parts = np.asarray(valid_polygons(section), object)
+    least_mm2 = min(LEAST_SPOT * bead_width_mm**2, LEAST_SHARE * section.area / max(1, parts.size))
+    boxes = _boxes(bare, 0.5 * least_mm2)
+    if not boxes.size:
+        return []
+    lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), object)
+    tree, around = shapely.STRtree(lines), shapely.STRtree(parts)
+    found: list[shapely.Polygon] = []
+    for patch in valid_polygons(shapely.union_all(boxes)):
+        near = np.sort(tree.query(patch, predicate="dwithin", distance=0.5 * bead_width_mm))
+        beads = shapely.buffer(lines[near], 0.5 * bead_width_mm, quad_segs=2 * ARC_SEGMENTS)
+        left = shapely.difference(_within(parts, around, patch), shapely.union_all(beads))
+        found += valid_polygons(left)
+    return [spot for spot in found if spot.area >= least_mm2]
+
+
+def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
+    """Boxes around the patches of bare samples, one sample wider."""
+    labels, count = ndimage.label(bare.grid, structure=np.ones((3, 3)))
+    if not count:
+        return np.zeros(0, object)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    kept = [
+        place
+        for place, n in zip(ndimage.find_objects(labels), sizes, strict=True)
+        if place is not None and n * bare.step_mm**2 >= least_mm2
+    ]
+    if not kept:
+        return np.zeros(0, object)
+    low = np.array([(x.start - 1, y.start - 1) for y, x in kept]) * bare.step_mm + bare.origin
+    high = np.array([(x.stop + 1, y.stop + 1) for y, x in kept]) * bare.step_mm + bare.origin
+    return np.asarray(shapely.box(*low.T, *high.T), object)
+
+
+def spot_widths_mm(spots: Sequence[shapely.Polygon]) -> Floats:
+    """Diameter of the largest circle in each spot, (S,)."""
+    return np.array([2.0 * shapely.maximum_inscribed_circle(spot).length for spot in spots], np.float64)
+
+
+def spots_to_close(
+    spots: Sequence[shapely.Polygon], width_mm: float, area_mm2: float, covered: float, least: float
+) -> tuple[list[shapely.Polygon], float]:
+    """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered.
+
+    `width_mm`: width from which a spot is closed in any case; `area_mm2`, `covered`: area of the section, and the share of
+    it that is covered without gap beads; `least`: share that is to be covered.
+
+    Returns `spots`: those to close; `widest_mm`: width of the widest that stays.
+    """
+    widths = spot_widths_mm(spots)
+    by_area = np.argsort([-spot.area for spot in spots], kind="stable")
+    chosen, left = [], []
+    missing_mm2 = (least + COVERAGE_MARGIN - covered) * area_mm2
+    for k in (*by_area[widths[by_area] >= width_mm], *by_area[widths[by_area] < width_mm]):
+        if widths[k] >= width_mm or missing_mm2 > 0.0:
+            chosen.append(spots[k])
+            missing_mm2 -= spots[k].area
+        else:
+            left.append(float(widths[k]))
+    return chosen, max(left, default=0.0)
+
+
+def gap_beads(
+    spots: Sequence[shapely.Polygon],
+    section: BaseGeometry,
+    islands: NDArray[np.object_],
+    bead_width_mm: float,
+    spacing_mm: float,
+) -> GapBeads:
+    """Lay a bead over each spot, within the section.
+
+    What lies in an island is driven with it. The rest gets islands of its own, which overlap no other.
+    """
+    tree = shapely.STRtree(islands)
+    parts = np.asarray(valid_polygons(section), object)
+    around = shapely.STRtree(parts)
+    shortest_mm = SHORTEST_LINE * bead_width_mm
+    lines: list[shapely.LineString] = []
+    owner: list[int] = []
+    new: list[shapely.Polygon] = []
+    for spot in spots:
+        local = shapely.box(*(np.array(spot.bounds) + np.array([-1, -1, 1, 1]) * 2.0 * bead_width_mm))
+        region = _within(parts, around, local)
+        near = {int(k): islands[k] for k in np.sort(tree.query(local))}
+        near |= {
+            len(islands) + int(k): new[k] for k in np.flatnonzero(shapely.intersects(local, _column(new)))
+        }
+        free = shapely.difference(region, shapely.union_all(list(near.values())))
+        over = _beads_over(spot, region, free, bead_width_mm, spacing_mm)
+        found = [
+            (k, p) for line in over for k, island in near.items() for p in _pieces(line, island, shortest_mm)
+        ]
+        beside = [part for line in over for part in _pieces(line, free, shortest_mm)]
+        for place, held in _places(beside, free, PLACE * bead_width_mm):
+            found += [(len(islands) + len(new), part) for part in held]
+            new.append(place)
+        owner += [k for k, _ in found]
+        lines += [part for _, part in found]
+    return GapBeads(_column(lines), np.array(owner, np.int64), _column(new))
+
+
+def _within(parts: NDArray[np.object_], tree: shapely.STRtree, box: shapely.Polygon) -> BaseGeometry:
+    """What of the parts of a section, in a tree, lies in a box: at once, a cut costs time with all of them."""
+    return shapely.intersection(shapely.MultiPolygon(list(parts[np.sort(tree.query(box))])), box)
+
+
+def _pieces(line: shapely.LineString, region: BaseGeometry, shortest_mm: float) -> list[shapely.LineString]:
+    """Parts of a line in a region that are long enough to be driven, or the most of it."""
+    parts = [p for p in shapely.get_parts(shapely.intersection(line, region)) if p.geom_type == "LineString"]
+    least_mm = min(shortest_mm, 0.5 * line.length)
+    return [p for p in parts if p.length > least_mm]
+
+
+def _places(
+    lines: Sequence[shapely.LineString], free: BaseGeometry, reach_mm: float
+) -> list[tuple[shapely.Polygon, list[shapely.LineString]]]:
+    """Islands of the gap beads of one spot, and the lines in each: what lies around them and is in no other island.
+
+    Lines whose surroundings meet share an island.
+    """
+    around = shapely.union_all(shapely.buffer(_column(lines), reach_mm, quad_segs=ARC_SEGMENTS))
+    parts = [p for p in valid_polygons(shapely.intersection(around, free)) if p.area > NO_AREA_MM2]
+    held: list[list[shapely.LineString]] = [[] for _ in parts]
+    for line in lines if parts else ():
+        held[int(np.argmax(shapely.length(shapely.intersection(_column(parts), line))))].append(line)
+    return [(part, inside) for part, inside in zip(parts, held, strict=True) if inside]
+
+
+def _beads_over(
+    spot: shapely.Polygon, region: BaseGeometry, free: BaseGeometry, bead_width_mm: float, spacing_mm: float
+) -> list[shapely.LineString]:
+    """Lines within a region whose beads cover a spot: as short as they can be, as deep as they can lie."""
+    reach_mm = 0.5 * REACH * bead_width_mm
+    hull = shapely.get_coordinates(shapely.convex_hull(spot))[:-1]
+    way = _long_way(hull)
+    # All points from which the whole spot is within reach.
+    around = shapely.intersection_all(shapely.buffer(shapely.points(hull), reach_mm, quad_segs=ARC_SEGMENTS))
+    for allowed in (free, region):
+        here = [p for p in valid_polygons(shapely.intersection(around, allowed)) if p.area > NO_AREA_MM2]
+        if here:
+            # As much metal as is missing, but no line that is too short to be driven.
+            length = max(spot.area / spacing_mm, 2.0 * SHORTEST_LINE * bead_width_mm)
+            centre = _deepest(here, region)
+            line = shapely.LineString([centre - 0.5 * length * way, centre + 0.5 * length * way])
+            return _holding(shapely.intersection(line, allowed), centre)
+    straight = shapely.intersection(_trimmed(hull, way, reach_mm), region)
+    left = shapely.difference(spot, shapely.buffer(straight, reach_mm, quad_segs=ARC_SEGMENTS)).area
+    pieces = [p for p in shapely.get_parts(straight) if p.length > 0.0]
+    if left <= LEFT_OVER * spot.area and len(pieces) == 1:
+        return pieces
+    return [shapely.LineString(line) for line in wall_lines(spot, bead_width_mm, spacing_mm)] or pieces
+
+
+def _holding(lines: BaseGeometry, point: Floats) -> list[shapely.LineString]:
+    """The part of a cut line that goes through a point."""
+    parts = [p for p in shapely.get_parts(lines) if p.length > 0.0]
+    return [min(parts, key=lambda p: float(p.distance(shapely.Point(point))))] if parts else []
+
+
+def _long_way(hull: Floats) -> Floats:
+    """Unit vector along the long axis of a spot: that of the greatest spread of its corners."""
+    centred = hull - hull.mean(axis=0)
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    way = vectors[:, 1]
+    return np.asarray(way if (way[0], way[1]) > (0.0, 0.0) else -way, np.float64)
+
+
+def _deepest(parts: Sequence[shapely.Polygon], region: BaseGeometry) -> Floats:
+    """Point of some polygons that lies furthest from the border of a region."""
+    points = np.vstack(
+        [shapely.get_coordinates([*(p.representative_point() for p in parts), p]) for p in parts]
+    )
+    depth = shapely.distance(shapely.points(points), shapely.boundary(region))
+    return np.asarray(points[int(np.argmax(depth))], np.float64)
+
+
+def _trimmed(hull: Floats, way: Floats, reach_mm: float) -> shapely.LineString:
+    """Line along a spot's long axis, as short as it can be with every corner within reach of it."""
+    middle = 0.5 * (hull.min(axis=0) + hull.max(axis=0))
+    along, across = (hull - middle) @ way, (hull - middle) @ np.array([-way[1], way[0]])
+    shift = 0.5 * (across.min() + across.max())
+    slack = np.sqrt(np.maximum(reach_mm**2 - (across - shift) ** 2, 0.0))
+    start, end = float((along + slack).min()), float((along - slack).max())
+    middle = middle + shift * np.array([-way[1], way[0]])
+    return shapely.LineString([middle + min(start, end) * way, middle + max(start, end) * way])
+
+
+def _column(geometries: Sequence[BaseGeometry]) -> NDArray[np.object_]:
+    found = np.empty(len(geometries), object)
+    found[:] = geometries
+    return found
+
+
+def line_rows(lines: NDArray[np.object_]) -> tuple[Ints, Floats, Floats]:
+    """Segments of lines: line of each (S,), start (S, 2) and end (S, 2), mm."""
+    sizes = shapely.get_num_points(lines)
+    points = shapely.get_coordinates(lines)
+    last = np.cumsum(sizes) - 1
+    starts = np.delete(np.arange(len(points)), last)
+    return np.repeat(np.arange(len(lines)), sizes - 1).astype(np.int64), points[starts], points[starts + 1]

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.numeric.sorting import put_in_order, stable_order
-from ebamcheck.scan.islands.rectangle import minimum_rectangle
+from ebamcheck.scan.islands.lattice import minimum_rectangle
 
 WIDEST_PITCH = 0.9
 """Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead."""
@@ -32,7 +31,6 @@ def widest_pitch_mm(bead_width_mm: float, spacing_mm: float) -> float:
     return max(spacing_mm, WIDEST_PITCH * bead_width_mm)
 
 
-@kernel
 def lines_across(depth_mm: float, spacing_mm: float, widest_mm: float) -> int:
     """Lines that fill a strip of the given depth: nearest to the spacing, none wider apart than allowed.
 
@@ -62,19 +60,9 @@ def hatch(
     An island narrower than the spacing is filled along its long side, whatever its angle: one line
     there is better than many stubs across.
 
-    Parameters
-    ----------
-    islands
-        (I,) shapely polygons.
-    angle_rad
-        (I,) direction of the lines of each, counter-clockwise from +X.
+    `islands`: (I,) shapely polygons; `angle_rad`: (I,) direction of the lines of each, counter-clockwise from +X.
 
-    Returns
-    -------
-    vectors
-        Sorted by island, in scan order within each.
-    angle_rad
-        (I,) the angles that were used.
+    Returns `vectors`: sorted by island, in scan order within each; `angle_rad`: (I,) the angles that were used.
     """
     geometries = np.asarray(islands, object).reshape(-1)
     angles = np.array(np.broadcast_to(np.asarray(angle_rad, np.float64), geometries.shape))
@@ -151,8 +139,9 @@ def scan_lines(
             across[i - first] = c * dy - s * dx
         low, high = across.min(), across.max()
         depth = high - low
-        count = lines_across(depth, spacing, widest)
-        crossings = np.empty(last - first)
+        # As :func:`lines_across`.
+        count = max(1, int(np.floor(depth / spacing + 0.5)), int(np.ceil(depth / widest - 1e-9)))
+        row = np.empty(last - first)
         forward = True
         for n in range(count):
             level = low + depth * (n + 0.5) / count
@@ -161,10 +150,13 @@ def scan_lines(
                 for i in range(ring_starts[r] - first, ring_starts[r + 1] - first - 1):
                     a, b = across[i], across[i + 1]
                     if (a <= level) != (b <= level):
-                        crossings[found] = along[i] + (along[i + 1] - along[i]) * ((level - a) / (b - a))
+                        crossing = along[i] + (along[i + 1] - along[i]) * ((level - a) / (b - a))
+                        place = found
+                        while place > 0 and row[place - 1] > crossing:
+                            row[place] = row[place - 1]
+                            place -= 1
+                        row[place] = crossing
                         found += 1
-            row = crossings[:found].copy()
-            put_in_order(row, stable_order(row))
             drawn = False
             for m in range(found // 2):
                 pair = m if forward else found // 2 - 1 - m
@@ -175,7 +167,8 @@ def scan_lines(
                     p, q = q, p
                 if used == capacity:
                     capacity *= 2
-                    owner, start, end = _grown(owner, start, end, capacity)
+                    owner = np.concatenate((owner, owner))
+                    start, end = np.concatenate((start, start)), np.concatenate((end, end))
                 owner[used] = k
                 start[used, 0], start[used, 1] = x0 + c * p - s * level, y0 + s * p + c * level
                 end[used, 0], end[used, 1] = x0 + c * q - s * level, y0 + s * q + c * level
@@ -184,15 +177,3 @@ def scan_lines(
             if drawn:
                 forward = not forward
     return owner[:used].copy(), start[:used].copy(), end[:used].copy()
-
-
-@kernel
-def _grown(owner: Ints, start: Floats, end: Floats, capacity: int) -> tuple[Ints, Floats, Floats]:
-    """Copy the columns into longer ones."""
-    new_owner = np.empty(capacity, np.int64)
-    new_start = np.empty((capacity, 2))
-    new_end = np.empty((capacity, 2))
-    new_owner[: owner.size] = owner
-    new_start[: owner.size] = start
-    new_end[: owner.size] = end
-    return new_owner, new_start, new_end

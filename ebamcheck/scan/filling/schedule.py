@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.turns import turns_and_jumps_mm
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process_window import TURN_SPACINGS
 
 
 @dataclass(frozen=True, eq=False)
 class IslandSchedule:
     """Columns of the islands of a layer.
 
-    Parameters
-    ----------
-    entry, leave
-        (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry options of
-        :func:`ebamcheck.scan.order.path.in_sequence`; an option that is not open to an island repeats its first.
-    beam_s, time_s
-        (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may be driven
-        from either side, with turns at the other ends of its lines: both count by their mean.
+    `entry`, `leave`: (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry
+    options of :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first;
+    `beam_s`, `time_s`: (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may
+    be driven from either side, with turns at the other ends of its lines: both count by their mean.
     """
 
     entry: Floats
@@ -39,12 +36,8 @@ class IslandSchedule:
 def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
     """Work out how islands are driven.
 
-    Parameters
-    ----------
-    lines
-        Lines sorted by island; an island without any takes no time and lies where its neighbour in number ends.
-    chained
-        (I,) whether the lines of an island follow each other.
+    `lines`: lines sorted by island; an island without any takes no time and lies where its neighbour in number ends;
+    `chained`: (I,) whether the lines of an island follow each other.
     """
     count = len(chained)
     a, b = lines.start, lines.end
@@ -52,13 +45,8 @@ def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSch
         return IslandSchedule(
             np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count)
         )
-    after = np.cumsum(np.bincount(lines.island, minlength=count))
-    last = np.maximum(after - 1, 0)
-    first = np.minimum(np.concatenate([[0], after[:-1]]), len(a) - 1)
-    entry = np.stack([a[first], b[first], b[last], a[last]], axis=1)
-    leave = np.stack([b[last], a[last], a[first], b[first]], axis=1)
-    for option in (1, 3):
-        entry[chained, option], leave[chained, option] = entry[chained, 0], leave[chained, 0]
+    first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))])
+    entry, leave = island_ends(a, b, first, chained)
     spacing = config.process.hatch_spacing_mm
     turn, jump = turns_and_jumps_mm(lines.island, a, b, spacing)
     other_turn, other_jump = turns_and_jumps_mm(lines.island, b, a, spacing)
@@ -68,3 +56,108 @@ def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSch
     beam_s = np.bincount(lines.island, np.hypot(*(b - a).T) + turn, count) / config.process.travel_speed_mm_s
     inner_s = np.bincount(lines.island, jump, count) / config.machine.rapid_mm_s
     return IslandSchedule(entry, leave, beam_s, np.asarray(beam_s + inner_s, np.float64))
+
+
+def island_ends(start: Floats, end: Floats, first: Ints, chained: Bools) -> tuple[Floats, Floats]:
+    """Points at which islands are entered and left by each option, (I, 4, 2) both, by the first line (I + 1,) of each."""
+    a, b = np.minimum(first[:-1], len(start) - 1), np.maximum(first[1:] - 1, 0)
+    entry = np.stack([start[a], end[a], end[b], start[b]], axis=1)
+    leave = np.stack([end[b], start[b], start[a], end[a]], axis=1)
+    for option in (1, 3):
+        entry[chained, option], leave[chained, option] = entry[chained, 0], leave[chained, 0]
+    return entry, leave
+
+
+SHARPEST_TURN = -math.cos(math.radians(20.0))
+"""Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its
+track again. Turns between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them."""
+
+BESIDE_SPACINGS, SHORT_SPACINGS = 0.25, 0.6
+"""The middle of a turn is at least this many spacings away from every line of its island, if the turn is longer than the second of
+them: nearer it would lay metal on metal. Between parallel lines, two thirds of a spacing apart, it is a third of one away."""
+
+SHORTEST_MM = 0.01
+"""A line or turn that is shorter has no direction that counts."""
+
+TINY = 1e-300
+"""Least divisor."""
+
+
+def gaps_mm(start: Floats, end: Floats) -> Floats:
+    """Distance from the end of each line before to its start, (V,) mm; infinite for the first."""
+    gaps = np.full(len(start), np.inf)
+    if len(start) > 1:
+        gaps[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    return gaps
+
+
+def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
+    """Which lines go on where the one before ended, by a turn or without one.
+
+    `island`: (V,) island of each line, in the order in which they are driven; `start`, `end`: (V, 2) mm; `spacing_mm`:
+    distance between parallel beads.
+
+    Returns (V,) true where the beam stays on: the turn is short, goes back on neither line, and over no line of its island.
+
+    Examples
+    --------
+    >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
+    >>> follows(np.zeros(3, np.int64), *ends, 4.32).tolist()
+    [False, True, False]
+    >>> hairpin = np.array([[0.0, 0.0], [13.0, 0.1]]), np.array([[10.0, 0.0], [5.0, 0.5]])
+    >>> follows(np.zeros(2, np.int64), *hairpin, 4.32).tolist()
+    [False, False]
+    """
+    same = np.zeros(len(start), np.bool_)
+    same[1:] = island[1:] == island[:-1]
+    near = gaps_mm(start, end) <= TURN_SPACINGS * spacing_mm
+    on = np.asarray(same & near & ~_turns_back(start, end), np.bool_)
+    return on & ~_over_lines(on, island, start, end, spacing_mm)
+
+
+def _turns_back(start: Floats, end: Floats) -> Bools:
+    """Whether the turn to each line (V,) goes back on the line before, or that line on the turn."""
+    back = np.zeros(len(start), np.bool_)
+    way, turn = end - start, start[1:] - end[:-1]
+    length, turn_mm = np.hypot(*way.T), np.hypot(*turn.T)
+    for beside in (slice(None, -1), slice(1, None)):
+        known = np.minimum(length[beside], turn_mm) > SHORTEST_MM
+        along = np.einsum("ij,ij->i", way[beside], turn)
+        back[1:] |= known & (along < SHARPEST_TURN * length[beside] * turn_mm)
+    return back
+
+
+def _over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
+    """Whether the turn to a line (V,), among those that are `on`, leads over a line of its island."""
+    over = np.zeros(len(on), np.bool_)
+    turn = np.flatnonzero(on[1:]) + 1
+    turn = turn[np.hypot(*(start[turn] - end[turn - 1]).T) > SHORT_SPACINGS * spacing_mm]
+    if not len(turn):
+        return over
+    run = np.cumsum(np.diff(island, prepend=island[:1]) != 0)
+    size = np.bincount(run)
+    count = size[run[turn]]
+    first = np.cumsum(count) - count
+    line = np.arange(count.sum()) - np.repeat(first - (np.cumsum(size) - size)[run[turn]], count)
+    way, away = (
+        (end - start)[line],
+        np.repeat(0.5 * (end[turn - 1] + start[turn]), count, axis=0) - start[line],
+    )
+    along = (away * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), TINY)
+    aside = np.hypot(*(np.clip(along, 0.0, 1.0)[:, None] * way - away).T)
+    over[turn] = np.minimum.reduceat(aside, first) < BESIDE_SPACINGS * spacing_mm
+    return over
+
+
+def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> tuple[Floats, Floats]:
+    """Length driven with the beam on, and with it off, from the line before to each line of the same island, (V,) mm."""
+    on = follows(island, start, end, spacing_mm)
+    inside = np.zeros(len(start), np.bool_)
+    inside[1:] = island[1:] == island[:-1]
+    gaps = np.where(inside, gaps_mm(start, end), 0.0)
+    gaps[gaps <= JOINED_MM] = 0.0
+    return np.where(on, gaps, 0.0), np.where(on, 0.0, gaps)
+
+
+JOINED_MM = 1e-6
+"""A line that starts within this of the end of the last one goes on without a jump or a wire start."""

@@ -12,10 +12,10 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.geometry.regions import ring_columns, valid_polygons
+from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns, valid_polygons
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.islands.lattice import SQRT3, Lattice
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.islands.lattice import SQRT3, Lattice, minimum_rectangle
 
 WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
 """Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these."""
@@ -217,17 +217,10 @@ TOUCH_MM = 1e-6
 def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
     """Pairs of islands with a common border, and its length.
 
-    Parameters
-    ----------
-    islands
-        (I,) polygons that do not overlap.
+    `islands`: (I,) polygons that do not overlap.
 
-    Returns
-    -------
-    pairs
-        (P, 2) indices, the lesser first, sorted.
-    border_mm
-        (P,) length of the common border; pairs that meet in a point only are left out.
+    Returns `pairs`: (P, 2) indices, the lesser first, sorted; `border_mm`: (P,) length of the common border; pairs that
+    meet in a point only are left out.
     """
     if islands.size < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
@@ -271,35 +264,92 @@ def common_lengths(
     """Length over which the borders of each pair of polygons coincide within a tolerance, (P,)."""
     result = np.zeros(len(pairs))
     for n in range(len(pairs)):
-        total = 0.0
         for r in range(island_rings[pairs[n, 0]], island_rings[pairs[n, 0] + 1]):
             for i in range(ring_starts[r], ring_starts[r + 1] - 1):
+                ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
+                length = np.hypot(bx - ax, by - ay)
+                if length == 0.0:
+                    continue
+                ux, uy = (bx - ax) / length, (by - ay) / length
+                left, right = min(ax, bx) - tolerance, max(ax, bx) + tolerance
+                low, high = min(ay, by) - tolerance, max(ay, by) + tolerance
                 for q in range(island_rings[pairs[n, 1]], island_rings[pairs[n, 1] + 1]):
                     for k in range(ring_starts[q], ring_starts[q + 1] - 1):
-                        total += _overlap(points, i, k, tolerance)
-        result[n] = total
+                        cx, cy, dx, dy = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
+                        if (
+                            max(cx, dx) < left
+                            or min(cx, dx) > right
+                            or max(cy, dy) < low
+                            or min(cy, dy) > high
+                        ):
+                            continue
+                        off = max(abs(ux * (cy - ay) - uy * (cx - ax)), abs(ux * (dy - ay) - uy * (dx - ax)))
+                        if off <= tolerance:
+                            c, d = ux * (cx - ax) + uy * (cy - ay), ux * (dx - ax) + uy * (dy - ay)
+                            result[n] += max(0.0, min(length, max(c, d)) - max(0.0, min(c, d)))
     return result
 
 
-@kernel
-def _overlap(points: Floats, i: int, k: int, tolerance: float) -> float:
-    """Length over which segment (k, k + 1) lies on segment (i, i + 1)."""
-    ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-    cx, cy, dx, dy = points[k, 0], points[k, 1], points[k + 1, 0], points[k + 1, 1]
-    if (
-        max(cx, dx) < min(ax, bx) - tolerance
-        or min(cx, dx) > max(ax, bx) + tolerance
-        or max(cy, dy) < min(ay, by) - tolerance
-        or min(cy, dy) > max(ay, by) + tolerance
-    ):
-        return 0.0
-    length = np.hypot(bx - ax, by - ay)
-    if length == 0.0:
-        return 0.0
-    ux, uy = (bx - ax) / length, (by - ay) / length
-    off_c = ux * (cy - ay) - uy * (cx - ax)
-    off_d = ux * (dy - ay) - uy * (dx - ax)
-    if abs(off_c) > tolerance or abs(off_d) > tolerance:
-        return 0.0
-    c, d = ux * (cx - ax) + uy * (cy - ay), ux * (dx - ax) + uy * (dy - ay)
-    return float(max(0.0, min(length, max(c, d)) - max(0.0, min(c, d))))
+LEAST_TURN_DEG = 15.0
+"""Directions closer than this count as one: a quarter of the usual turn, so that halves between always part."""
+
+LEAST_SHARE = 0.25
+"""A smaller turn from island to island that is asked for parts directions by this share of it."""
+
+STEPS = np.concatenate([np.arange(12.0) + part for part in (0.0, 0.5, 0.25, 0.75)])
+"""Turns that are tried, in this order, in steps of the angle that is set."""
+
+ROUNDING_DEG = 1e-6
+
+
+def hatch_directions(found: Cells, spacing_mm: float, turn_deg: float, island_angle_deg: float) -> Floats:
+    """Direction of the lines of each island, (I,) rad.
+
+    `spacing_mm`: islands narrower than this are filled along their long side; `turn_deg`: direction of the first colour on
+    this layer; `island_angle_deg`: turn from colour to colour; at a multiple of 180 all islands have the direction of the
+    layer.
+    """
+    width, _ = equivalent_rectangles_mm(found.polygons)
+    narrow = width < spacing_mm
+    angle = turn_deg + island_angle_deg * found.colour.astype(np.float64)
+    angle[narrow] = [long_direction_deg(island) for island in found.polygons[narrow]]
+    least = least_turn_deg(island_angle_deg)
+    if least > ROUNDING_DEG:
+        pairs, _ = shared_borders(found.polygons)
+        area = np.asarray(shapely.area(found.polygons), np.float64)
+        for i in _clashing(pairs, angle, narrow, area, least):
+            beside = np.concatenate([pairs[pairs[:, 0] == i, 1], pairs[pairs[:, 1] == i, 0]])
+            tried = np.concatenate([angle[i : i + 1], turn_deg + island_angle_deg * STEPS])
+            apart = turn_between_deg(tried[:, None], angle[beside]).min(axis=1)
+            wide = np.flatnonzero(apart >= least - ROUNDING_DEG)
+            angle[i] = tried[wide[0] if wide.size else np.argmax(apart)]
+    return np.radians(angle)
+
+
+def least_turn_deg(island_angle_deg: float) -> float:
+    """Least angle between the hatches of two islands that touch."""
+    turn = float(turn_between_deg(np.float64(island_angle_deg), np.float64(0.0)))
+    return min(LEAST_TURN_DEG, LEAST_SHARE * turn)
+
+
+def turn_between_deg(first: Floats | np.float64, second: Floats | np.float64) -> Floats:
+    """Angle between two directions of lines, 0 to 90."""
+    turn = np.abs(first - second) % 180.0
+    return np.asarray(np.minimum(turn, 180.0 - turn), np.float64)
+
+
+def long_direction_deg(island: shapely.Polygon) -> float:
+    """Direction of the long side of the smallest rectangle around an island."""
+    hull = shapely.get_coordinates(shapely.convex_hull(island))
+    return math.degrees(minimum_rectangle(hull).angle_rad) + 90.0
+
+
+def _clashing(pairs: Ints, angle: Floats, narrow: Bools, area: Floats, least_deg: float) -> list[int]:
+    """Of each two that touch and share a direction the one that is to turn: not the narrow one, else the smaller."""
+    a, b = pairs.T
+    same = turn_between_deg(angle[a], angle[b]) < least_deg - ROUNDING_DEG
+    a, b = (column[same & ~(narrow[a] & narrow[b])] for column in (a, b))
+    first = np.where(narrow[a] | narrow[b], narrow[b], area[a] <= area[b])
+    turned = np.unique(np.where(first, a, b))
+    by_area: list[int] = turned[np.lexsort((turned, area[turned]))].tolist()
+    return by_area

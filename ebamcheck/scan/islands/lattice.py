@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.islands.rectangle import Rectangle, minimum_rectangle, rectangle_along
 from ebamcheck.settings.config import Config
 
 SQRT3 = math.sqrt(3.0)
@@ -48,19 +48,10 @@ MOST_CELLS = 1_000_000
 class Lattice:
     """Cells of one layer.
 
-    Parameters
-    ----------
-    kind
-        ``"hexagon"``, ``"square"`` or ``"stripe"``.
-    side_mm
-        Side d of a hexagon; of the hexagon of the same width, where the cells are others.
-    centres
-        (H, 2) mm, row by row along the long side of the rectangle.
-    colour
-        (H,) 0, 1 or 2 (0 or 1 for squares and stripes), such that no two cells with a common side have the
-        same one; the hatch turns by it.
-    cells
-        (H,) polygons; cells with a common side share its two corners to the last bit.
+    `kind`: ``"hexagon"``, ``"square"`` or ``"stripe"``; `side_mm`: side d of a hexagon; of the hexagon of the same width,
+    where the cells are others; `centres`: (H, 2) mm, row by row along the long side of the rectangle; `colour`: (H,) 0, 1
+    or 2 (0 or 1 for squares and stripes), such that no two cells with a common side have the same one; the hatch turns by
+    it; `cells`: (H,) polygons; cells with a common side share its two corners to the last bit.
     """
 
     kind: str
@@ -101,10 +92,7 @@ def rows_along(long_mm: float, side_mm: float) -> int:
 def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay hexagons of a given side over a rectangle; together they cover all of it.
 
-    Raises
-    ------
-    SettingsError
-        If there would be more than :data:`MOST_CELLS`.
+    Raises SettingsError if there would be more than :data:`MOST_CELLS`.
     """
     across = hexagons_across(rectangle.short_mm, side_mm)
     rows = rows_along(rectangle.long_mm, side_mm)
@@ -131,10 +119,7 @@ def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
 
     One centre lies on the midpoint of L1, as with hexagons; the first row begins at the start of L2.
 
-    Raises
-    ------
-    SettingsError
-        As :func:`hexagon_lattice`.
+    Raises SettingsError as :func:`hexagon_lattice`.
     """
     across = _count_over(rectangle.short_mm, SQRT3 * side_mm)
     return _boxes(rectangle, side_mm, SQUARE, across + 1 - across % 2, SQRT3 * side_mm)
@@ -143,10 +128,7 @@ def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
 def stripe_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
     """Lay stripes as wide as hexagons of a given side across a rectangle, from one long side to the other.
 
-    Raises
-    ------
-    SettingsError
-        As :func:`hexagon_lattice`.
+    Raises SettingsError as :func:`hexagon_lattice`.
     """
     return _boxes(rectangle, side_mm, STRIPE, 1, max(rectangle.short_mm, SQRT3 * side_mm))
 
@@ -242,14 +224,7 @@ def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -
     The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is
     moved, and grown by as much as it moves, shifts the lattice and still holds every point.
 
-    Parameters
-    ----------
-    points
-        (N, 2) mm, of the section's border.
-    side_mm
-        Side d of the hexagons.
-    layer
-        Index of the layer.
+    `points`: (N, 2) mm, of the section's border; `side_mm`: side d of the hexagons; `layer`: index of the layer.
     """
     smallest = minimum_rectangle(points, config.scan.rectangle)
     turn = math.radians(layer * config.scan.lattice_angle_deg)
@@ -268,12 +243,7 @@ def shift_shares(layer: int) -> tuple[float, float]:
 def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -> Rectangle:
     """Move the midpoint of L1 and the start of L2; the rectangle grows so that it holds what it held.
 
-    Parameters
-    ----------
-    along_short_mm
-        Shift along L1, either way.
-    along_long_mm
-        Shift against L2, at least 0.
+    `along_short_mm`: shift along L1, either way; `along_long_mm`: shift against L2, at least 0.
     """
     x, y = rectangle.to_world(along_short_mm, -0.5 * along_long_mm)
     return Rectangle(
@@ -283,3 +253,118 @@ def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -
         rectangle.short_mm + 2.0 * abs(along_short_mm),
         rectangle.long_mm + along_long_mm,
     )
+
+
+PAPER_STEPS = 10
+"""The paper turns the envelope in steps of pi/10 (equation 11)."""
+
+AT_ONCE = 1_000_000
+"""Corners times directions of a hull that are worked out together, about."""
+
+TIE = 1e-12
+"""Relative difference of area under which two rectangles count as equal; the first one is kept."""
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A rectangle that may be turned.
+
+    `x_mm`, `y_mm`: centre; `angle_rad`: direction of the side L1, counter-clockwise from +X; in [0, pi) for a smallest
+    rectangle; `short_mm`, `long_mm`: lengths L1 and L2 of the sides; L1 <= L2 for a smallest rectangle.
+    """
+
+    x_mm: float
+    y_mm: float
+    angle_rad: float
+    short_mm: float
+    long_mm: float
+
+    @property
+    def area_mm2(self) -> float:
+        """Area L1 L2."""
+        return self.short_mm * self.long_mm
+
+    def to_world(self, along_short: ArrayLike, along_long: ArrayLike) -> Floats:
+        """Points (..., 2), mm, from coordinates along the short and the long side about the centre."""
+        a, b = np.asarray(along_short, np.float64), np.asarray(along_long, np.float64)
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        return np.stack([self.x_mm + c * a - s * b, self.y_mm + s * a + c * b], axis=-1)
+
+    def polygon(self) -> shapely.Polygon:
+        """The rectangle as a polygon."""
+        a, b = 0.5 * self.short_mm, 0.5 * self.long_mm
+        return shapely.Polygon(self.to_world([-a, a, a, -a], [-b, -b, b, b]))
+
+
+def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "exact") -> Rectangle:
+    """Find the enclosing rectangle of least area.
+
+    `points`: (N, 2) mm; only their convex hull matters; `method`: ``"paper"`` tries the rotations 0, pi/10, 2 pi/10, ...
+    (equation 11); ``"exact"`` every direction of an edge of the convex hull, among which the minimum lies.
+
+    Raises GeometryError if there is no point, or one that is not finite.
+    """
+    column = np.asarray(points, np.float64).reshape(-1, 2)
+    if not len(column) or not np.isfinite(column).all():
+        raise GeometryError(
+            f"minimum rectangle of {len(column)} points: give at least one point, all of them finite"
+        )
+    hull = _convex_hull(column)
+    if method == "paper":
+        angles = np.arange(PAPER_STEPS) * (math.pi / PAPER_STEPS)
+        boxes = _envelopes(hull, np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+    else:
+        edges = np.roll(hull, -1, axis=0) - hull
+        lengths = np.hypot(edges[:, 0], edges[:, 1])
+        directions = edges[lengths > 0] / lengths[lengths > 0, None]
+        parts = np.array_split(directions, max(1, len(hull) * len(directions) // AT_ONCE))
+        boxes = np.concatenate(
+            [_envelopes(hull, part if len(part) else np.array([[1.0, 0.0]])) for part in parts]
+        )
+    return _rectangle(*_smallest(boxes))
+
+
+def rectangle_along(points: ArrayLike, angle_rad: float) -> Rectangle:
+    """Enclosing rectangle whose side L1 has a given direction, also where it is the longer one.
+
+    `points`: (N, 2) mm, at least one, all of them finite; `angle_rad`: direction of L1, counter-clockwise from +X.
+    """
+    direction = np.array([[math.cos(angle_rad), math.sin(angle_rad)]])
+    ux, uy, amin, amax, bmin, bmax = _envelopes(np.asarray(points, np.float64).reshape(-1, 2), direction)[0]
+    a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)
+    return Rectangle(ux * a - uy * b, uy * a + ux * b, angle_rad, amax - amin, bmax - bmin)
+
+
+def _convex_hull(points: Floats) -> Floats:
+    """Corners of the convex hull, counter-clockwise, (H, 2); fewer than three where it has no area."""
+    hull = shapely.convex_hull(shapely.LineString(points) if len(points) > 1 else shapely.Point(points[0]))
+    if hull.geom_type == "Polygon":
+        return shapely.get_coordinates(shapely.orient_polygons(hull))[:-1]
+    return shapely.get_coordinates(hull)
+
+
+def _envelopes(hull: Floats, directions: Floats) -> Floats:
+    """Extent of the hull along and across each direction, (K, 6): ux, uy, amin, amax, bmin, bmax."""
+    along = directions @ hull.T
+    across = np.stack([-directions[:, 1], directions[:, 0]], axis=-1) @ hull.T
+    extents = [along.min(axis=1), along.max(axis=1), across.min(axis=1), across.max(axis=1)]
+    return np.column_stack([directions, *extents])
+
+
+def _smallest(boxes: Floats) -> tuple[float, float, float, float, float, float]:
+    """The box of least area; among equal ones the first."""
+    areas = (boxes[:, 3] - boxes[:, 2]) * (boxes[:, 5] - boxes[:, 4])
+    k = int(np.flatnonzero(areas <= areas.min() * (1.0 + TIE))[0])
+    ux, uy, amin, amax, bmin, bmax = (float(v) for v in boxes[k])
+    return ux, uy, amin, amax, bmin, bmax
+
+
+def _rectangle(ux: float, uy: float, amin: float, amax: float, bmin: float, bmax: float) -> Rectangle:
+    """Name the sides by their length and bring the direction into [0, pi)."""
+    a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)
+    x, y = ux * a - uy * b, uy * a + ux * b
+    angle = math.atan2(uy, ux)
+    first, second = amax - amin, bmax - bmin
+    if first > second:
+        angle, first, second = angle + 0.5 * math.pi, second, first
+    return Rectangle(x, y, angle % math.pi, first, second)

@@ -48,18 +48,9 @@ the sake of its surface, which the fill does not reach."""
 class Regions:
     """The regions of one layer, all of them inside the section.
 
-    Parameters
-    ----------
-    section
-        The solid region.
-    contour
-        Region whose border is the centre line of the contour bead.
-    solids
-        Fill to be partitioned.
-    narrow_fills
-        Fill between two contour beads, to be filled along the wall.
-    bare_walls
-        Parts of the section where no contour bead fits.
+    `section`: the solid region; `contour`: region whose border is the centre line of the contour bead; `solids`: fill to be
+    partitioned; `narrow_fills`: fill between two contour beads, to be filled along the wall; `bare_walls`: parts of the
+    section where no contour bead fits.
     """
 
     section: BaseGeometry

@@ -14,8 +14,8 @@ of adjacent regions"), since the nearest island is a neighbour that is still hot
 opposite; ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th
 island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and
 ``thermal`` have: they ask a heat model (:mod:`ebamcheck.heat`) which island is coolest when the beam gets
-there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.thermal`), and at the end of the island that is
-coolest (:mod:`ebamcheck.scan.order.cool_entries`); the others enter at the nearest. All of them are entry points of the
+there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.search`), and at the end of the island that is
+coolest (:mod:`ebamcheck.scan.order.entries`); the others enter at the nearest. All of them are entry points of the
 group ``ebamcheck.orders``, as are those of other distributions.
 """
 
@@ -31,17 +31,13 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
-from ebamcheck.scan.order.cool_entries import cool_options
-from ebamcheck.scan.order.greedy_heat import greedy_order
-from ebamcheck.scan.order.path import NEAREST, touching
-from ebamcheck.scan.order.simulation import clocked
-from ebamcheck.scan.order.thermal import thermal_order
+from ebamcheck.scan.order.entries import NEAREST, clocked, cool_options
+from ebamcheck.scan.order.search import greedy_order, thermal_order, touching
 from ebamcheck.settings.config import Config
 
 LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
@@ -123,7 +119,8 @@ class LayerIslands:
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
         """Add the fresh heat between these islands to a heat model of the layer that has its modes alone."""
         lines = NO_LINES if self.lines is None else self.lines
-        return with_fresh_heat(modes, self.known_schedule, lines, self.section, self.polygons, self.config)
+        columns, entry = (lines.island, lines.start, lines.end), self.known_schedule.entry
+        return with_fresh_heat(modes, entry, columns, self.section, self.polygons, self.config)
 
 
 Order = Callable[..., Ints]
@@ -151,15 +148,9 @@ class HeatOrder:
 def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None = None) -> Ints:
     """Order the islands of a layer by an order or its name, (I,) indices.
 
-    Parameters
-    ----------
-    heat
-        Heat with which the layer begins; None: that of a cold part, set up where the order needs it.
+    `heat`: heat with which the layer begins; None: that of a cold part, set up where the order needs it.
 
-    Raises
-    ------
-    SettingsError
-        If there is no order of that name.
+    Raises SettingsError if there is no order of that name.
     """
     order = named_order(name)
     if len(islands) < 2:
@@ -255,7 +246,7 @@ def thermal(islands: LayerIslands, heat: IslandHeat) -> Ints:
     return thermal_order(
         heat,
         islands.known_schedule,
-        islands.neighbours,
+        touching(islands.neighbours, len(islands)),
         islands.config.machine.rapid_mm_s,
         width_mm=float(np.sqrt(islands.area_mm2.mean())),
         longest_mm=longest_travel_mm(islands),
@@ -267,9 +258,9 @@ def thermal(islands: LayerIslands, heat: IslandHeat) -> Ints:
 
 def longest_travel_mm(islands: LayerIslands) -> float:
     """Travel between islands that `thermal` may take: its share of that of `farthest`."""
-    schedule, rapid = islands.known_schedule, islands.config.machine.rapid_mm_s
-    *_, travel = clocked(farthest(islands), schedule.entry, schedule.leave, schedule.time_s, rapid)
-    return islands.config.scan.travel_share * float(travel)
+    rapid = islands.config.machine.rapid_mm_s
+    *_, travel_mm = clocked(islands.known_schedule, farthest(islands), rapid)
+    return islands.config.scan.travel_share * travel_mm
 
 
 def chosen_options(
@@ -286,38 +277,18 @@ def chosen_options(
     return np.full(len(order), NEAREST, np.int64)
 
 
-@kernel
 def greedy(centroid: Floats, first: int, rule: int) -> Ints:
     """Take islands one by one by their distance to those taken; among equal ones, the first."""
-    count = len(centroid)
-    order = np.empty(count, np.int64)
-    taken = np.zeros(count, np.bool_)
-    score = np.zeros(count) if rule == SUM else np.full(count, np.inf)
-    current = first
-    for n in range(count):
-        order[n] = current
-        taken[current] = True
-        x, y = centroid[current, 0], centroid[current, 1]
-        following = -1
-        for i in range(count):
-            if taken[i]:
-                continue
-            distance = np.hypot(centroid[i, 0] - x, centroid[i, 1] - y)
-            if rule == LAST:
-                score[i] = distance
-            elif rule == SUM:
-                score[i] += distance
-            else:
-                score[i] = min(score[i], distance)
-            better = following < 0 or (
-                score[i] > score[following] + TIE_MM
-                if rule == FARTHEST
-                else score[i] < score[following] - TIE_MM
-            )
-            if better:
-                following = i
-        current = following
-    return order
+    sign = -1.0 if rule == FARTHEST else 1.0
+    order, left = [first], np.full(len(centroid), True)
+    score = np.zeros(len(centroid)) if rule == SUM else np.full(len(centroid), np.inf)
+    while len(order) < len(centroid):
+        left[order[-1]] = False
+        distance = np.hypot(*(centroid - centroid[order[-1]]).T)
+        score = distance if rule == LAST else score + distance if rule == SUM else np.minimum(score, distance)
+        signed = np.where(left, sign * score, np.inf)
+        order.append(int(np.argmax(signed < signed.min() + TIE_MM)))
+    return np.array(order, np.int64)
 
 
 LEAST_HEAT = HeatOrder(least_heat)

@@ -53,7 +53,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
 from ebamcheck.metal import Surface
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.filling.turns import follows
+from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns
 

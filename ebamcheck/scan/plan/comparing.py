@@ -13,17 +13,16 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import layer_section
+from ebamcheck.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.plugins import registry
-from ebamcheck.scan.heat.island_heat import IslandHeat, island_heat
-from ebamcheck.scan.order.cool_entries import modes_at_entries, rises_at_entries
+from ebamcheck.scan.order.entries import modes_at_entries, nearest_options, rises_at_entries
 from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
-from ebamcheck.scan.order.path import touching, touching_successors
-from ebamcheck.scan.order.simulation import entry_temperatures, nearest_options
+from ebamcheck.scan.order.search import touching, touching_successors
+from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
-from ebamcheck.scan.plan.stacking import in_order, stack_plans
-from ebamcheck.scan.plan.times import simulate_order
+from ebamcheck.scan.plan.stacking import simulate_order, stack_plans
 from ebamcheck.scan.plan.whole_part import OrderedLayer
 from ebamcheck.settings.config import Config
 
@@ -208,9 +207,7 @@ class OrderComparison:
         known = self.planning_heat if needs_heat(name) and len(islands) > 1 else None
         order = scan_order(name, islands, known)
         options = chosen_options(name, islands, order, known)
-        plan = stack_plans(
-            [in_order(OrderedLayer(self.laid, islands, order, options))], self.config, name, seed
-        )
+        plan = stack_plans([OrderedLayer(self.laid, islands, order, options)], self.config, name, seed)
         simulated = simulate_order(plan, self.config)
         count = len(order)
         rank = np.empty(count, np.int64)

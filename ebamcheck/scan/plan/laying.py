@@ -10,16 +10,21 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.heat import HeatModel
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.part_heat import Beads, uneven
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.fill import fill_layer
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import island_schedule
+from ebamcheck.scan.filling.schedule import follows, island_schedule, turns_and_jumps_mm
 from ebamcheck.scan.islands import clipping as cells
 from ebamcheck.scan.islands.clipping import shared_borders
 from ebamcheck.scan.islands.lattice import LATTICES, layer_place, planned_side_mm
 from ebamcheck.scan.islands.regions import Regions, layer_regions
+from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import LayerIslands
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.process import ProcessSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,3 +105,168 @@ def _partition(regions: Regions, side_mm: float, config: Config, layer: int) -> 
     return cells.partition(
         regions.solids, lattice, config.process.bead_width_mm, config.process.hatch_spacing_mm
     )
+
+
+PIECE_BEADS = 1.0
+"""Length of the pieces in which contours are heated, over the width of a bead: no mode changes within less."""
+
+NEAR_SPACINGS = 2.0
+"""A move with the beam off of at most this many bead spacings stays at the layer's height; a longer one rises, as the
+program has it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContourBeads:
+    """The contour beads of a layer, which no order of its islands changes.
+
+    `rings`: (R,) their centre lines, from their least points on, in the canonical sequence of rings; `pieces`: (K, P) modes
+    in the middles of their pieces, less their means over the section; `count`: (R,) pieces of each; `length_mm`: (R,)
+    lengths with what overlaps the start; `apart_mm`: (R - 1,) shortest ways from each to the next.
+    """
+
+    rings: list[shapely.LinearRing]
+    pieces: Floats
+    count: Ints
+    length_mm: Floats
+    apart_mm: Floats
+
+
+def contour_beads(laid: LaidLayer, config: Config, heat: IslandHeat | None) -> ContourBeads:
+    """Put the contours of a layer in sequence; `heat` as for :func:`bead_sequence`."""
+    rings = _rings(laid)
+    count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
+    ring_mm = np.array([ring.length for ring in rings])
+    ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
+    apart_mm = shapely.distance(np.array(rings[:-1], object), np.array(rings[1:], object))
+    pieces = _along(rings, count, None if heat is None else heat.model)
+    return ContourBeads(rings, pieces, count, ring_mm, np.asarray(apart_mm, np.float64))
+
+
+def bead_sequence(
+    laid: LaidLayer,
+    contours: ContourBeads,
+    config: Config,
+    heat: IslandHeat | None,
+    order: Ints,
+    options: Ints,
+) -> tuple[Beads, float]:
+    """Put contours and islands in sequence, as the program drives them.
+
+    `contours`: contours of the layer; `heat`: heat model of the islands, whose modes the beads are read in; None where
+    there are none; `order`: islands in scan order; without any, the contours alone are taken; `options`: entry option of
+    each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`.
+
+    Returns the beads, and the jumps between islands, mm.
+    """
+    speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
+    count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)
+    path = _island_path(laid, order, options, config)
+    columns, times = [contours.pieces], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
+    shares = [np.repeat(mean_power(ring_mm, config.process), count)]
+    if heat is not None and len(order):
+        columns.append(uneven(heat.modes.mean[:, path.island], heat.model))
+        times.append(path.bead_mm / speed)
+        shares.append(mean_power(path.bead_mm, config.process))
+    move_mm = np.concatenate([_to_rings(contours, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
+    up_and_down_mm = 2.0 * config.machine.safe_height_mm
+    rises = _rises(move_mm, config)
+    rises[:1] = up_and_down_mm
+    inner = np.zeros(len(move_mm), np.bool_)
+    inner[rings:] = np.diff(path.island, prepend=-1) == 0
+    beads = Beads(
+        pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
+        first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(path.island)]))]),
+        move_s=(move_mm + rises) / rapid,
+        rise_s=(up_and_down_mm - rises) / rapid,
+        time_s=np.concatenate(times),
+        on=np.concatenate(shares),
+        rings=rings,
+        islands=path.island,
+        inner=inner,
+    )
+    between = np.flatnonzero(~inner[rings:])[1:] + rings
+    return beads, float(move_mm[between].sum())
+
+
+def mean_power(bead_mm: Floats, process: ProcessSettings) -> Floats:
+    """Mean power of beads (n,) over the full one: on a ramp it is half-way between its ends, see `process.ramp_up_mm`.
+
+    Examples
+    --------
+    >>> mean_power(np.array([20.0, 5.0]), ProcessSettings(ramp_up_mm=6.0, crater_fill_mm=4.0, ramp_power=0.5))
+    array([0.875, 0.75 ])
+    """
+    ramps_mm = process.ramp_up_mm + process.crater_fill_mm
+    ramped = np.minimum(ramps_mm / np.maximum(bead_mm, np.finfo(float).tiny), 1.0)
+    return np.asarray(1.0 - 0.5 * (1.0 - process.ramp_power) * ramped, np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class _IslandPath:
+    """Beads of islands in sequence (n,): island, where each starts and ends, and its length with the turns in it, mm."""
+
+    island: Ints
+    start: Floats
+    end: Floats
+    bead_mm: Floats
+
+
+def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) -> _IslandPath:
+    lines, count = laid.lines, len(laid.islands)
+    if not len(order):
+        return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+    first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
+    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, options)
+    island, swap = lines.island[rows], turned[:, None]
+    a = np.where(swap, lines.end[rows], lines.start[rows])
+    b = np.where(swap, lines.start[rows], lines.end[rows])
+    spacing = config.process.hatch_spacing_mm
+    turn, _ = turns_and_jumps_mm(island, a, b, spacing)
+    begins = np.flatnonzero(~follows(island, a, b, spacing))
+    ends = np.append(begins[1:], len(island)) - 1
+    bead_mm = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins)
+    return _IslandPath(island[begins], a[begins], b[ends], bead_mm)
+
+
+def _rises(move_mm: Floats, config: Config) -> Floats:
+    """Way up and down on moves with the beam off, mm."""
+    far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
+    return np.where(far, 2.0 * config.machine.safe_height_mm, 0.0)
+
+
+def _to_rings(contours: ContourBeads, entry: Floats) -> Floats:
+    """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
+    to_island = [
+        shapely.distance(ring, shapely.Point(entry[0])) for ring in contours.rings[-1:] if len(entry)
+    ]
+    none_known = np.zeros(min(1, len(contours.rings) + len(entry)))
+    return np.concatenate([none_known, contours.apart_mm, np.array(to_island, np.float64)])
+
+
+def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
+    """Centre lines of the contour beads from their least points on, in the canonical sequence of rings."""
+    parts = shapely.get_parts(laid.regions.contour)
+    rings = [ring for part in parts for ring in (part.exterior, *part.interiors)]
+    turned = []
+    for ring in rings:
+        points = shapely.get_coordinates(ring)[:-1]
+        least = int(np.lexsort((points[:, 1], points[:, 0]))[0])
+        turned.append(shapely.LinearRing(np.roll(points, -least, axis=0)))
+    return sorted(turned, key=lambda ring: ring.coords[0])
+
+
+def _pieces(length_mm: float, config: Config) -> int:
+    return max(1, round(length_mm / (PIECE_BEADS * config.process.bead_width_mm)))
+
+
+def _along(rings: list[shapely.LinearRing], count: Ints, model: HeatModel | None) -> Floats:
+    """Modes (K, P) in the middles of the pieces of rings, less their means over the section."""
+    if model is None:
+        return np.zeros((0, int(count.sum())))
+    places = [
+        shapely.line_interpolate_point(ring, (np.arange(n) + 0.5) / n, normalized=True)
+        for ring, n in zip(rings, count, strict=True)
+    ]
+    if not places:
+        return np.zeros((len(model.plane.eigenvalue), 0))
+    return uneven(model.plane.at(shapely.get_coordinates(np.concatenate(places))).T, model)

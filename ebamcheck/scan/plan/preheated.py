@@ -9,9 +9,8 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.heat.part_heat import PartHeat, decayed
-from ebamcheck.scan.heat.preheating import (
+from ebamcheck.heat.part_heat import PartHeat
+from ebamcheck.heat.preheating import (
     BeamWay,
     SurfaceHeat,
     bare_plate,
@@ -20,6 +19,7 @@ from ebamcheck.scan.heat.preheating import (
     plate_of,
     plate_region,
 )
+from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, LEAST_REST_S
 
@@ -63,12 +63,8 @@ def preheated(
 ) -> tuple[PartHeat, int]:
     """Preheat what layer `k` lies on, if the settings ask for it; the heat then, and the passes.
 
-    Parameters
-    ----------
-    z_mm
-        Z over the plate of the bottom of the layer.
-    under
-        Section of what the lowest layer lies on; None: the base plate.
+    `z_mm`: Z over the plate of the bottom of the layer; `under`: section of what the lowest layer lies on; None: the base
+    plate.
     """
     if not asked_for(k, config) or sections[k].area <= 0.0:
         return part, 0
@@ -85,7 +81,7 @@ def preheated(
         after.column.warm_plate = heat.content_under_region()
     else:
         after.column = heat.column
-        decayed(after.state, *after._rates, time_s)
+        after.field.age(time_s)
     return after, passes
 
 

@@ -17,48 +17,19 @@ from ebamcheck.backend import Progress
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.scan.islands import clipping as cells
+from ebamcheck.scan.order.entries import jumps_mm
 from ebamcheck.scan.order.orders import needs_heat
-from ebamcheck.scan.order.path import in_sequence
 from ebamcheck.scan.plan.columns import METRICS, ScanPlan, empty_vectors
-from ebamcheck.scan.plan.laying import LaidLayer
-from ebamcheck.scan.plan.times import EARLY, neighbour_intervals_s, simulate_order
-from ebamcheck.scan.plan.whole_part import LayerHeat, OrderedLayer, PowerOf, Stack, ordered_layers
+from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf, Stack, ordered_layers
 from ebamcheck.settings.config import Config
 
 HEAT = ("body_mean_k", "entry_max_k", "wait_s", "ring_wait_s", "power_share", "enter_k", "leave_k")
 """Metrics that the heat model of a layer gives; NaN where it was not asked."""
 
 
-@dataclass(frozen=True, eq=False)
-class LayerPlan:
-    """One layer of a :class:`ScanPlan`: its islands, the order in which they are scanned, and the lines in it."""
-
-    laid: LaidLayer
-    order: Ints
-    vectors: Vectors
-    heat: LayerHeat | None = None
-
-
-def in_order(layer: OrderedLayer) -> LayerPlan:
-    """Lines of a layer whose islands are put in order."""
-    laid = layer.laid
-    return LayerPlan(
-        laid, layer.order, _path(laid.lines, layer.order, laid.chained, layer.options), layer.heat
-    )
-
-
-def _path(vectors: Vectors, order: Ints, chained: Bools, options: Ints) -> Vectors:
-    """Lines in scan order, every island entered by its option."""
-    first = np.concatenate([[0], np.cumsum(np.bincount(vectors.island, minlength=order.size))])
-    rows, turned = in_sequence(vectors.start, vectors.end, first.astype(np.int64), order, chained, options)
-    a, b = vectors.start[rows], vectors.end[rows]
-    swap = turned[:, None]
-    return Vectors(vectors.island[rows], np.where(swap, b, a), np.where(swap, a, b))
-
-
-def stack_plans(planned: Sequence[LayerPlan], config: Config, order: str, seed: int) -> ScanPlan:
+def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, seed: int) -> ScanPlan:
     """Join layers into one plan and measure it."""
     base = np.cumsum([0] + [len(p.laid.islands) for p in planned])
     islands = _joined([p.laid.islands for p in planned], np.zeros(0, object))
@@ -85,7 +56,7 @@ def stack_plans(planned: Sequence[LayerPlan], config: Config, order: str, seed: 
     return replace(plan, metrics=_measured(plan, planned, config))
 
 
-def _waits_s(layer: LayerPlan, inner: bool) -> Floats:
+def _waits_s(layer: OrderedLayer, inner: bool) -> Floats:
     """Waits before the islands of a layer, or before each further bead of them."""
     if layer.heat is None:
         return np.zeros(len(layer.order))
@@ -96,15 +67,15 @@ def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any
     return np.concatenate(columns) if columns else empty
 
 
-def _vector_table(by_layer: Sequence[tuple[LayerPlan, Any]]) -> pd.DataFrame:
+def _vector_table(by_layer: Sequence[tuple[OrderedLayer, Any]]) -> pd.DataFrame:
     if not by_layer:
         return empty_vectors()
-    start = np.concatenate([p.vectors.start for p, _ in by_layer])
-    end = np.concatenate([p.vectors.end for p, _ in by_layer])
+    start = np.concatenate([p.lines.start for p, _ in by_layer])
+    end = np.concatenate([p.lines.end for p, _ in by_layer])
     option = end - start
     return pd.DataFrame(
         {
-            "island": np.concatenate([p.vectors.island + b for p, b in by_layer]),
+            "island": np.concatenate([p.lines.island + b for p, b in by_layer]),
             "x0": start[:, 0],
             "y0": start[:, 1],
             "x1": end[:, 0],
@@ -127,7 +98,7 @@ def _settings(config: Config, order: str, seed: int) -> dict[str, Any]:
     }
 
 
-def _measured(plan: ScanPlan, planned: Sequence[LayerPlan], config: Config) -> pd.DataFrame:
+def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -> pd.DataFrame:
     """One row a layer, as :data:`METRICS` says."""
     simulated = simulate_order(plan, config)
     end = np.full(len(plan.islands), np.nan)
@@ -223,7 +194,7 @@ def plan_scan(
     asked = needs_heat(name)
     carry = asked and config.scan.carry_heat
     planned = ordered_layers(stack, config, name, number, carry=carry, simulated=asked)
-    return stack_plans([in_order(done) for done in planned], config, name, number)
+    return stack_plans(list(planned), config, name, number)
 
 
 def plan_stack(
@@ -262,7 +233,114 @@ def plan_stack(
     simulated = config.process.interpass != "off" or config.preheat.when != "off"
     planned = []
     for done in ordered_layers(stack, config, name, number, carry, simulated, power_of):
-        planned.append(in_order(done))
+        planned.append(done)
         if progress is not None:
             progress(1)
     return stack_plans(planned, config, name, number)
+
+
+EARLY = 0.1
+"""Quantile of the intervals between neighbours that is reported: the tenth that is the most rushed."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Schedule:
+    """Lines of a plan as they are driven, (V,) each: `turn` and `jump` before a line with the beam on and off, mm."""
+
+    island: Ints
+    start: Floats
+    end: Floats
+    length: Floats
+    turn: Floats
+    jump: Floats
+    new_layer: Bools
+    begin_s: Floats
+    end_s: Floats
+
+
+def _scheduled(plan: ScanPlan, config: Config) -> _Schedule:
+    table = plan.vectors
+    island = table["island"].to_numpy()
+    start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
+    length = np.hypot(*(end - start).T)
+    new_layer = np.diff(plan.island_layer[island], prepend=-1) != 0
+    option = jumps_mm(start, end, new_layer)
+    on = follows(island, start, end, config.process.hatch_spacing_mm)
+    turn, jump = np.where(on, option, 0.0), np.where(on, 0.0, option)
+    laying = length / config.process.travel_speed_mm_s
+    to_it = turn / config.process.travel_speed_mm_s + jump / config.machine.rapid_mm_s
+    total = np.cumsum(laying + to_it)
+    group = np.cumsum(new_layer) - 1
+    offset = (total - laying)[new_layer][group] if len(length) else total
+    ends = total - offset
+    return _Schedule(island, start, end, length, turn, jump, new_layer, ends - laying, ends)
+
+
+def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
+    """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0.
+
+    Contour beads and the pause between layers are not part of it.
+
+    Returns one row an island, in scan order: ``island``, ``layer``, ``rank`` in its layer, ``start_s`` (beam on its first
+    line), ``end_s``, ``travel_mm`` (jump before it), ``inner_travel_mm`` (jumps between its own lines), ``length_mm`` of
+    its lines, ``turn_mm`` of the turns between them and ``starts`` of the wire. An island without lines has NaN times.
+    """
+    scheduled = _scheduled(plan, config)
+    island, jump = scheduled.island, scheduled.jump
+    new_island = np.diff(island, prepend=-1) != 0
+
+    count = len(plan.order)
+    first = np.flatnonzero(new_island)
+    last = np.flatnonzero(np.diff(island, append=-1) != 0)
+    start_s, end_s, before = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
+    start_s[island[first]], end_s[island[first]] = scheduled.begin_s[first], scheduled.end_s[last]
+    before[island[first]] = jump[first]
+    by_island = {
+        "inner_travel_mm": np.where(new_island, 0.0, jump),
+        "length_mm": scheduled.length,
+        "turn_mm": scheduled.turn,
+        "starts": (jump > 0) | scheduled.new_layer,
+    }
+    order = plan.order
+    totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
+    return pd.DataFrame(
+        {
+            "island": order,
+            "layer": plan.island_layer[order],
+            "rank": np.arange(count) - np.searchsorted(plan.island_layer, plan.island_layer[order]),
+            "start_s": start_s[order],
+            "end_s": end_s[order],
+            "travel_mm": before[order],
+            **totals,
+            "starts": totals["starts"].astype(np.int64),
+        }
+    )
+
+
+def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
+    """Straight lines that the beam heats, in the order in which it does: lines and the turns to them.
+
+    Returns `ends`: (n, 4) x0, y0, x1, y1, mm; `begin_s`, `end_s`: (n,) from 0 in every layer.
+    """
+    scheduled = _scheduled(plan, config)
+    turn = np.flatnonzero(scheduled.turn > 0.0)
+    turn_s = scheduled.turn[turn] / config.process.travel_speed_mm_s
+    ends = np.vstack(
+        [
+            np.hstack([scheduled.start, scheduled.end]),
+            np.hstack([scheduled.end[turn - 1], scheduled.start[turn]]),
+        ]
+    )
+    begin = np.concatenate([scheduled.begin_s, scheduled.begin_s[turn] - turn_s])
+    end = np.concatenate([scheduled.end_s, scheduled.begin_s[turn]])
+    # A turn is driven before the line that it leads to.
+    order = np.argsort(np.concatenate([np.arange(len(scheduled.length)), turn - 0.5]), kind="stable")
+    return ends[order], begin[order], end[order]
+
+
+def neighbour_intervals_s(end_s: Floats, neighbours: Ints) -> Floats:
+    """Time between the ends of every two neighbouring islands, (P,) s.
+
+    `end_s`: (I,) by island; `neighbours`: (P, 2) pairs of islands.
+    """
+    return np.asarray(np.abs(end_s[neighbours[:, 0]] - end_s[neighbours[:, 1]]), np.float64)

@@ -1,7 +1,7 @@
 """Layers put in order from below, each beginning with what those under it have left.
 
 A layer's contours heat it first, at the time at which they are laid; then come its islands. Times count the beads, the
-moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.scan.heat.interpass`.
+moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.heat.interpass`.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ import numpy as np
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.modes import one_blas_thread
+from ebamcheck.heat.part_heat import BeadPower, Beads, PartHeat
 from ebamcheck.numeric.kernels import thread_count, worker_threads
 from ebamcheck.numeric.rings import Floats, Ints
-from ebamcheck.scan.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.part_heat import BeadPower, Beads, PartHeat
+from ebamcheck.scan.filling.hatch import Vectors
+from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
-from ebamcheck.scan.plan.bead_sequence import ContourBeads, bead_sequence, contour_beads
-from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
+from ebamcheck.scan.plan.laying import ContourBeads, LaidLayer, bead_sequence, contour_beads, lay_islands
 from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 
@@ -89,13 +90,23 @@ class ReadyIslands:
 @dataclass(frozen=True, eq=False)
 class OrderedLayer:
     """A layer, what its order knew of its islands, the order (I,), the entry option (I,) of each island (see
-    :func:`~ebamcheck.scan.order.path.in_sequence`), and its heat where it was simulated."""
+    :func:`~ebamcheck.scan.order.entries.in_sequence`), and its heat where it was simulated."""
 
     laid: LaidLayer
     islands: LayerIslands
     order: Ints
     options: Ints
     heat: LayerHeat | None = None
+
+    @cached_property
+    def lines(self) -> Vectors:
+        """Lines in scan order, every island entered by its option."""
+        lines, count = self.laid.lines, len(self.order)
+        first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
+        columns = lines.start, lines.end, first, self.order, self.laid.chained, self.options
+        rows, turned = in_sequence(*columns)
+        a, b, swap = lines.start[rows], lines.end[rows], turned[:, None]
+        return Vectors(lines.island[rows], np.where(swap, b, a), np.where(swap, a, b))
 
 
 PowerOf = Callable[[OrderedLayer, float], BeadPower]
@@ -107,16 +118,8 @@ layer once, from below, since the wire that beads get depends on the layers unde
 class Stack:
     """Layers to be put in order.
 
-    Parameters
-    ----------
-    sections
-        Valid sections, from below.
-    heights_mm
-        (L,) their heights, rising.
-    numbers
-        Indices in the part, which turn hatch and cells and seed random choices.
-    plate_mm
-        Height of the base plate.
+    `sections`: valid sections, from below; `heights_mm`: (L,) their heights, rising; `numbers`: indices in the part, which
+    turn hatch and cells and seed random choices; `plate_mm`: height of the base plate.
     """
 
     sections: Sequence[BaseGeometry]
@@ -159,19 +162,11 @@ def ordered_layers(
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below.
 
-    Parameters
-    ----------
-    carry
-        Let each order know the heat that is left below; else it is that of a cold part.
-    simulated
-        Simulate each layer on the heat model, and find its waits and power. Always done where heat is carried.
-    power_of
-        Gives the power along beads; None: each has that of its layer.
+    `carry`: let each order know the heat that is left below; else it is that of a cold part; `simulated`: simulate each
+    layer on the heat model, and find its waits and power. Always done where heat is carried; `power_of`: gives the power
+    along beads; None: each has that of its layer.
 
-    Yields
-    ------
-    OrderedLayer
-        As soon as it is done.
+    Yields as soon as it is done.
     """
     if not (carry or simulated):
         yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
@@ -208,23 +203,12 @@ def ordered_on(
 ) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
     """Put one layer in order on the heat that those under it have left, and simulate it.
 
-    Parameters
-    ----------
-    part, last
-        Heat of the part when the layer under this one is done, and how that was simulated, where it is known.
-    thickness_mm
-        Height of the layer.
-    carry
-        Let the order know the heat.
-    lowest
-        Whether nothing lies under it, so that there is nothing to wait for.
-    power_of
-        As for :func:`ordered_layers`.
+    `part`, `last`: heat of the part when the layer under this one is done, and how that was simulated, where it is known;
+    `thickness_mm`: height of the layer; `carry`: let the order know the heat; `lowest`: whether nothing lies under it, so
+    that there is nothing to wait for; `power_of`: as for :func:`ordered_layers`.
 
-    Returns
-    -------
-    tuple
-        The layer; and the heat of the part when it is done, and how it was simulated: those before where it has no metal.
+    Returns the layer; and the heat of the part when it is done, and how it was simulated: those before where it has no
+    metal.
     """
     islands, cold, contours = ready.islands, ready.cold, ready.contours
     with one_blas_thread():
@@ -257,17 +241,9 @@ def scan_part(
 ) -> Generator[dict[str, Any], None, None]:
     """Order all layers of a part with the heat of those under them.
 
-    Parameters
-    ----------
-    sections
-        Valid sections of the layers, from below.
-    heights_mm
-        (L,) their heights over the base plate, rising.
+    `sections`: valid sections of the layers, from below; `heights_mm`: (L,) their heights over the base plate, rising.
 
-    Yields
-    ------
-    dict
-        One row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
+    Yields one row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
     """
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.heat.field import falling
+from ebamcheck.heat.island_heat import IslandHeat
+from ebamcheck.heat.near_field import FAR, OPTIONS, NearField, at_root, young_mean
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.heat.island_heat import IslandHeat
-from ebamcheck.scan.heat.near_field import FAR, NearField, at_root, falling, young_mean
-from ebamcheck.scan.heat.pieces import OPTIONS
 
 NODES = 96
-"""Times of the table; :data:`~ebamcheck.scan.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after
+"""Times of the table; :data:`~ebamcheck.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after
 the horizon lies at m^2."""
 
 LEAST_RATE = 1e-9
@@ -44,16 +44,9 @@ AT_ONCE = 8
 class Sources(NamedTuple):
     """Islands that heat K modes of the section times N of the depth.
 
-    Parameters
-    ----------
-    scale
-        (K, I) by which each heats the section's modes, K/s.
-    weight
-        (K, N) what heating by 1 K/s comes to in the end, in the layer.
-    across, through
-        (K, I), (N, I) what is left of the modes after the time in which each island is scanned.
-    time_s
-        (I,) that time.
+    `scale`: (K, I) by which each heats the section's modes, K/s; `weight`: (K, N) what heating by 1 K/s comes to in the
+    end, in the layer; `across`, `through`: (K, I), (N, I) what is left of the modes after the time in which each island is
+    scanned; `time_s`: (I,) that time.
     """
 
     scale: Floats
@@ -66,14 +59,9 @@ class Sources(NamedTuple):
 class Times(NamedTuple):
     """Times of the table side by side, all of them under the horizon or none.
 
-    Parameters
-    ----------
-    start, stop
-        First of them in the table, and the one after the last.
-    over_s
-        (Q,) by how much they are over the horizon.
-    across, through
-        (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then, and of the depth's.
+    `start`, `stop`: first of them in the table, and the one after the last; `over_s`: (Q,) by how much they are over the
+    horizon; `across`, `through`: (M, Q), (N, Q) what is left then of the modes of the section that are not nothing by then,
+    and of the depth's.
     """
 
     start: int
@@ -86,15 +74,9 @@ class Times(NamedTuple):
 class Influence(NamedTuple):
     """Temperature rises by islands and times.
 
-    Parameters
-    ----------
-    rise_k
-        (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end;
-        the last column is what the layer's first temperature leaves, a time after the beginning.
-    nodes_per_root_s
-        A time t after the horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon.
-    fresh
-        What entries have beyond the means.
+    `rise_k`: (I, I + 1, Q) mean rise of an island by another one that was scanned from cold, a time after its end; the last
+    column is what the layer's first temperature leaves, a time after the beginning; `nodes_per_root_s`: a time t after the
+    horizon lies nodes_per_root_s sqrt(t) nodes after the node of the horizon; `fresh`: what entries have beyond the means.
     """
 
     rise_k: Table
@@ -102,17 +84,10 @@ class Influence(NamedTuple):
     fresh: FreshTable
 
 
-def influence(heat: IslandHeat, time_s: Floats, longest_s: float, whole: bool = True) -> Influence:
-    """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.scan.heat.near_field`.
+def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
+    """Tabulate the heat model of a layer: old heat by its modes, young heat as in :mod:`ebamcheck.heat.near_field`.
 
-    Parameters
-    ----------
-    time_s
-        (I,) time in which each island is scanned.
-    longest_s
-        Longest time between two islands.
-    whole
-        Work out all of what young heat does to entries, not only what is asked for: so that several threads may ask.
+    `time_s`: (I,) time in which each island is scanned; `longest_s`: longest time between two islands.
     """
     near, count, young = heat.fresh, len(time_s), YOUNG_NODES - 1
     spacing = max(longest_s - near.horizon_s, 0.0) / (NODES - YOUNG_NODES) ** 2
@@ -133,8 +108,6 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float, whole: bool = 
     of_fresh = near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES]
     run_blocks(lambda a, b: add_young_heat(*of_fresh, rise, a, b), count, SOURCES)
     fresh = fresh_table(*of_fresh)
-    if whole:
-        run_blocks(lambda a, b: work_out_all(fresh, a, b), count, SOURCES)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
     return Influence(rise, per_root, fresh)
 
@@ -240,23 +213,8 @@ def add_young_heat(
 
 
 @kernel
-def looked_up(rise: Table, nodes: float, horizon: float, source: int, since: float) -> float:
-    """Rise of an island, whose table is (I + 1, Q), by a source a time after its end, linear between nodes in the root of the time."""
-    young = YOUNG_NODES - 1
-    # A plain division is asked whether it is by nothing, and this one is done a hundred million times.
-    if since < horizon:
-        place = young * np.sqrt(np.true_divide(max(since, 0.0), horizon))
-    else:
-        place = young + nodes * np.sqrt(since - horizon)
-    node = min(int(place), rise.shape[1] - 2)
-    share = min(place - node, 1.0)
-    low, high = rise[source, node], rise[source, node + 1]
-    return float(low + (high - low) * share)
-
-
-@kernel
 def table_place(since: float, nodes: float, horizon: float, columns: int) -> tuple[np.int32, float]:
-    """Node before a time, and how far it is to the next one: see :func:`looked_up`; without branches, for several times at once."""
+    """Node before a time since the end of a source, and how far it is to the next one; without branches, for several times at once."""
     young = since < horizon
     root = np.sqrt(np.true_divide(max(since, 0.0), horizon) if young else since - horizon)
     place = (YOUNG_NODES - 1.0) * root if young else (YOUNG_NODES - 1.0) + nodes * root
@@ -281,17 +239,11 @@ Table = NDArray[np.float32]
 class FreshTable(NamedTuple):
     """What young heat does to entries beyond the rises of islands that are near each other.
 
-    Parameters
-    ----------
-    near, source_k_s, time_s, since_s
-        What it is worked out from: the near field, sources (I,) as in :class:`~ebamcheck.scan.heat.aged_heat.Modes`, the time
-        in which each island is scanned (I,), and the times of the table (N,); after the last, the horizon, it is nothing.
-    slot
-        (I, I) row of the next tables for an island and the source, or -1.
-    known
-        (P, 4) whether it is worked out, by the entry option of the source.
-    excess_k
-        (P, 4, 4, N) of the temperature of its entry over its mean, by its entry option and that of the source.
+    `near`, `source_k_s`, `time_s`, `since_s`: what it is worked out from: the near field, sources (I,) as in
+    :class:`~ebamcheck.heat.field.Modes`, the time in which each island is scanned (I,), and the times of the table (N,);
+    after the last, the horizon, it is nothing; `slot`: (I, I) row of the next tables for an island and the source, or -1;
+    `known`: (P, 4) whether it is worked out, by the entry option of the source; `excess_k`: (P, 4, 4, N) of the temperature
+    of its entry over its mean, by its entry option and that of the source.
     """
 
     near: NearField
@@ -343,78 +295,3 @@ def work_out(table: FreshTable, row: int, island: int, source: int, left_by: int
         for w in range(OPTIONS):
             table.excess_k[row, w, left_by, n] = table.source_k_s[source] * (entry_k[w, n] * time - mean)
     table.known[row, left_by] = True
-
-
-@kernel
-def work_out_all(table: FreshTable, start: int, stop: int) -> None:
-    """Work out the rows of some sources: all entries near one side by side, piece by piece of it."""
-    near, slot, since, time, source_k_s = (
-        table.near,
-        table.slot,
-        table.since_s,
-        table.time_s,
-        table.source_k_s,
-    )
-    first, other, most = near.first, near.other, np.diff(near.first).max()
-    mean, x, y = np.empty((most, len(since))), np.empty(most * OPTIONS), np.empty(most * OPTIONS)
-    inside, entry_k = np.empty((near.inside.shape[2], most * OPTIONS)), np.empty(most * OPTIONS)
-    for j in range(start, stop):
-        beside = other[first[j] : first[j + 1]]
-        used = OPTIONS * len(beside)
-        for b in range(len(beside)):
-            for n in range(len(since)):
-                mean[b, n] = young_mean(near, near.pair[first[j] + b], since[n], time[j])
-            for option in range(OPTIONS):
-                e, i = OPTIONS * b + option, beside[b]
-                x[e], y[e] = near.entry[i, option, 0], near.entry[i, option, 1]
-                inside[:, e] = near.inside[i, option]
-        for left_by in range(OPTIONS):
-            for n in range(len(since)):
-                entry_k[:used] = 0.0
-                _add_pieces(near, j, left_by, since[n], time[j], x[:used], y[:used], inside, entry_k)
-                for b in range(len(beside)):
-                    row = slot[beside[b], j]
-                    for option in range(OPTIONS):
-                        rest = entry_k[OPTIONS * b + option] * time[j] - mean[b, n]
-                        if beside[b] != j:
-                            table.excess_k[row, option, left_by, n] = source_k_s[j] * rest
-        table.known[first[j] : first[j + 1]] = True
-
-
-@kernel
-def _add_pieces(
-    near: NearField,
-    source: int,
-    left_by: int,
-    since: float,
-    time: float,
-    x: Floats,
-    y: Floats,
-    inside: Floats,
-    rise: Floats,
-) -> None:
-    """Add to the rises (E,) at entries what :func:`~ebamcheck.scan.heat.near_field.entry_rise` has for one second of heating.
-
-    Parameters
-    ----------
-    x, y
-        (E,) the entries, mm.
-    inside
-        (Q + 1, E) share of the heat around each that is in the section, by ages.
-    """
-    pieces, depth, horizon, columns = near.pieces, near.depth, near.horizon_s, len(inside) - 1
-    place, passed, variances, share = pieces.place, pieces.passed[left_by], pieces.variance, pieces.share
-    for m in range(pieces.first[source], pieces.first[source + 1]):
-        age = since + (1.0 - passed[m]) * time
-        if age > horizon:
-            continue
-        variance = variances[m] + near.beam_mm2 + near.spread_mm2_s * age
-        root = np.sqrt(age / horizon)
-        strength = share[m] * at_root(depth, root) / (2.0 * np.pi * variance)
-        node = min(int(root * columns), columns - 1)
-        between, inverse, limit = root * columns - node, -0.5 / variance, FAR * variance
-        low, high, px, py = inside[node], inside[node + 1], place[m, 0], place[m, 1]
-        for e in range(len(x)):
-            away = (px - x[e]) ** 2 + (py - y[e]) ** 2
-            dense = np.true_divide(strength * falling(inverse * away), low[e] + (high[e] - low[e]) * between)
-            rise[e] += 0.0 if away > limit else dense

@@ -8,31 +8,24 @@ that nothing is counted twice.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import dataclasses
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ebamcheck.heat import HeatModel, carried
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.heat.field import Field
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-
-LEAST_DECAY = 1e-9
-"""Amplitudes that fall by less than this while a bead is laid do not fall."""
 
 
 @dataclass(frozen=True, eq=False)
 class BeadPower:
     """Power of the beads of one layer along themselves, as columns (n,) of their stretches.
 
-    Parameters
-    ----------
-    bead
-        Which bead each is of, by its number in the sequence.
-    part
-        Its share of the bead's length, times what ramps leave it of the power.
-    least
-        Share of the full power that it has at least, see :func:`ebamcheck.heat.melting.own_power_shares`.
+    `bead`: which bead each is of, by its number in the sequence; `part`: its share of the bead's length, times what ramps
+    leave it of the power; `least`: share of the full power that it has at least, see
+    :func:`ebamcheck.heat.melting.own_power_shares`.
     """
 
     bead: Ints
@@ -99,9 +92,9 @@ class Beads:
 
 @dataclass(frozen=True, eq=False)
 class Before:
-    """Amplitudes (K, N) of what differed across the section when an island was begun, and how long ago that was, s."""
+    """What differed across the section when an island was begun, and how long ago that was, s."""
 
-    state: Floats
+    field: Field
     age_s: float = 0.0
 
 
@@ -125,48 +118,31 @@ class AgedColumns:
 
 @dataclass(eq=False)
 class PartHeat:
-    """Heat of a part at one moment; it grows by :meth:`begin` and ages by :meth:`rest` and :meth:`lay_bead`.
+    """Heat of a part at one moment: the mean over every section by a column, and what differs across it by modes.
 
-    Parameters
-    ----------
-    column
-        The mean over every section.
-    model
-        Modes of the uppermost layer that has islands; None before there is one. What is laid on it without islands,
-        the tip of a dome for instance, heats the column alone, and is read there.
-    state
-        (K, N) amplitudes of what differs across the section.
+    The modes are those of the uppermost layer that has islands; there are none before it. What is laid on it without
+    islands, the tip of a dome for instance, heats the column alone, and is read there.
     """
 
     column: HeatColumn
     model: HeatModel | None = None
-    state: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    _rates: tuple[Floats, Floats] = field(default_factory=lambda: (np.zeros(0), np.zeros(0)))
-    _reading: Floats = field(default_factory=lambda: np.zeros(0))
+    field: Field = dataclasses.field(default_factory=lambda: Field(np.zeros((0, 0)), *3 * (np.zeros(0),)))
+    reading: Floats = dataclasses.field(default_factory=lambda: np.zeros(0))
     """(N,) mean of the depth's modes over the layer under the uppermost one: the new one begins cold."""
-    _in_layer: Floats = field(default_factory=lambda: np.zeros(0))
-    """(N,) the same over the uppermost one, which takes up the heat."""
 
     def copy(self) -> PartHeat:
-        """Return the same part, to be aged by itself."""
-        return PartHeat(
-            self.column.copy(), self.model, self.state.copy(), self._rates, self._reading, self._in_layer
-        )
+        """The same part, to be aged by itself."""
+        return PartHeat(self.column.copy(), self.model, self.field.copy(), self.reading)
 
     def under(self, model: HeatModel | None) -> PartHeat:
-        """Return the same heat in the modes of the next layer, before that is laid; None: it has none, the old ones stay."""
-        after = self.copy()
+        """The same heat in the modes of the next layer, before that is laid; None: it has none, the old ones stay."""
         if model is None:
-            return after
-        after.state = model.cold() if self.model is None else carried(self.model, self.state, model)
-        after.model = model
-        alpha = model.medium.diffusivity_mm2_s
-        after._rates = alpha * model.plane.eigenvalue, alpha * model.depth.wave_number**2
+            return self.copy()
+        state = None if self.model is None else carried(self.model, self.field.state, model)
         thick_mm = min(model.layer_mm, 0.5 * model.depth.depth_mm)
         whole = model.depth.mean_of_layer(2.0 * thick_mm)
-        after._in_layer = model.in_layer
-        after._reading = np.asarray(2.0 * whole - model.depth.mean_of_layer(thick_mm), np.float64)
-        return after
+        reading = np.asarray(2.0 * whole - model.depth.mean_of_layer(thick_mm), np.float64)
+        return PartHeat(self.column.copy(), model, Field.of(model, state), reading)
 
     def rest(self, duration_s: float, aged: AgedColumns | None = None) -> None:
         """Let a time go by with the beam off; `aged` are columns of this moment, which it takes the one of the end from."""
@@ -174,7 +150,7 @@ class PartHeat:
             self.column.advance(duration_s)
         else:
             self.column = aged.after(duration_s)
-        decayed(self.state, *self._rates, duration_s)
+        self.field.age(duration_s)
 
     def lay_bead(self, beads: Beads, bead: int, power_w: float) -> None:
         """Lay a bead; `power_w` is what the part takes up."""
@@ -182,11 +158,10 @@ class PartHeat:
         on_s, whole_s = float(beads.time_s[a:b] @ beads.on[a:b]), float(beads.time_s[a:b].sum())
         self.column.advance(whole_s, power_w * on_s)
         if not len(beads.pieces):
-            decayed(self.state, *self._rates, whole_s)
+            self.field.age(whole_s)
         elif self.model is not None:
             source = power_w / self.model.medium.heat_capacity_j_mm3k * beads.on[a:b]
-            pieces = np.ascontiguousarray(beads.pieces[:, a:b])
-            simulated_bead(self.state, pieces, *self._rates, self._in_layer, source, beads.time_s[a:b])
+            self.field.add(beads.pieces[:, a:b], source, beads.time_s[a:b])
 
     def bed_k(
         self,
@@ -197,32 +172,28 @@ class PartHeat:
     ) -> float:
         """Temperature that a bead finds after a wait, absolute, K: that of its place, or the mean where that is warmer.
 
-        Parameters
-        ----------
-        before
-            What differed across the section before the bead's own island was begun: what this has put there itself is
-            part of its melt pool, and counts in the mean alone.
-        aged
-            The columns of this moment, where several waits are tried.
+        `before`: what differed across the section before the bead's own island was begun: what this has put there itself is
+        part of its melt pool, and counts in the mean alone; `aged`: the columns of this moment, where several waits are
+        tried.
         """
         mean_k = (aged or AgedColumns(self.column)).after(wait_s).bed_k
         if self.model is None or not len(shape):
             return mean_k
-        state, age_s = (self.state, 0.0) if before is None else (before.state, before.age_s)
-        away = differing_k(state, shape, *self._rates, self._reading, age_s + wait_s)
+        across, age_s = (self.field, 0.0) if before is None else (before.field, before.age_s)
+        away = across.rise_k(shape, self.reading, age_s + wait_s)
         return float(mean_k + max(away, 0.0))
 
     def amplitudes(self) -> Floats:
         """Amplitudes (K, N) of the whole field: what differs, and the column's profile over the whole section."""
         assert self.model is not None
-        depth, flat = self.model.depth, self.model.plane.integral()
+        depth, flat, state = self.model.depth, self.model.plane.integral(), self.field.state
         edges = np.minimum(self.column.edges_mm, depth.depth_mm)
         size, middle = np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
         rise_k = self.column.temperature_k - self.column.config.process.ambient_temperature_k
         mean = np.sinc(0.5 * np.multiply.outer(size, depth.wave_number) / np.pi) * depth.at(
             depth.depth_mm - middle
         )
-        uneven = self.state - np.multiply.outer(flat, flat @ self.state) / (flat @ flat)
+        uneven = state - np.multiply.outer(flat, flat @ state) / (flat @ flat)
         return np.asarray(uneven + np.multiply.outer(flat, (rise_k * size) @ mean), np.float64)
 
 
@@ -230,48 +201,3 @@ def uneven(shapes: Floats, model: HeatModel) -> Floats:
     """Means of the modes (K, I) over islands, less those over the section."""
     flat = model.plane.integral()
     return np.asarray(shapes - (flat / (flat @ flat))[:, None], np.float64)
-
-
-@kernel
-def decayed(state: Floats, plane_rate: Floats, depth_rate: Floats, time: float) -> None:
-    """Let all amplitudes (K, N) fall for a time."""
-    through = np.exp(-depth_rate * time)
-    for k in range(state.shape[0]):
-        across = np.exp(-plane_rate[k] * time)
-        for n in range(state.shape[1]):
-            state[k, n] *= across * through[n]
-
-
-@kernel
-def simulated_bead(
-    state: Floats,
-    pieces: Floats,
-    plane_rate: Floats,
-    depth_rate: Floats,
-    in_layer: Floats,
-    source: Floats,
-    time: Floats,
-) -> None:
-    """Heat the pieces (K, P) of a bead one after the other; `state` (K, N) goes from its start to its end."""
-    for piece in range(pieces.shape[1]):
-        through = np.exp(-depth_rate * time[piece])
-        for k in range(state.shape[0]):
-            across = np.exp(-plane_rate[k] * time[piece])
-            for n in range(state.shape[1]):
-                rate, fall = plane_rate[k] + depth_rate[n], across * through[n]
-                held = time[piece] if rate * time[piece] < LEAST_DECAY else (1.0 - fall) / rate
-                state[k, n] = state[k, n] * fall + source[piece] * held * pieces[k, piece] * in_layer[n]
-
-
-@kernel
-def differing_k(
-    state: Floats, shape: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, time: float
-) -> float:
-    """By how much a place whose modes have the means `shape` (K,) is warmer than the section, after a time, K."""
-    through = in_layer * np.exp(-depth_rate * time)
-    total = 0.0
-    for k in range(state.shape[0]):
-        weight = shape[k] * np.exp(-plane_rate[k] * time)
-        for n in range(state.shape[1]):
-            total += weight * state[k, n] * through[n]
-    return total

@@ -2,12 +2,12 @@
 
 The temperature of an island by the modes of its section is right for heat that is old: waves shorter than an island
 die out within seconds. Heat younger than a horizon is therefore left out of the modes
-(:mod:`ebamcheck.scan.heat.aged_heat`), and comes, between islands that are near each other, from Green's functions of the
+(:mod:`ebamcheck.heat.field`), and comes, between islands that are near each other, from Green's functions of the
 conduction itself; at islands farther apart it has not arrived yet, and what the modes would have of it is the ripple of
 those that they lack.
 The Green's function is a Gaussian in the plane, times the exact function of
 the depth. What the free Gaussian would lose through the outline stays in the metal: it is divided by its own share in
-the metal in sight (:mod:`ebamcheck.scan.heat.near_field`), which is exact far from the outline, on a straight border, in a
+the metal in sight (:mod:`ebamcheck.heat.near_field`), which is exact far from the outline, on a straight border, in a
 corner, and in a thin wall. No heat of this kind passes a gap.
 
 Two figures come from it, both on top of the old heat: the mean temperature of an island, heated by islands that are warm
@@ -18,6 +18,7 @@ in which they were driven.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -26,14 +27,18 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.depth import DepthModes, depth_modes
+from ebamcheck.heat.field import falling
 from ebamcheck.heat.medium import BEAM_SHARE
-from ebamcheck.heat.model import HeatModel
+from ebamcheck.heat.model import DepthModes, HeatModel, depth_modes
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.heat.pieces import OPTIONS, Pieces, Tiles, island_tiles, line_pieces
+
+OPTIONS = 4
+"""Entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""
+
+HALVED, DECIMALS = 1, 6
+"""Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment; and decimals
+of the corners, mm, by which they are cut."""
 
 DIED_OUT = 3.0
 """Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
@@ -41,26 +46,18 @@ DIED_OUT = 3.0
 WITHIN_AN_ISLAND = 0.15
 """Horizon, at least, in times in which heat crosses an island, w^2 / alpha: until then its sides differ by much."""
 
-SIGMAS = 2.5
-"""Islands farther apart than so many standard deviations of the spread until the horizon do not count as near."""
+SIGMAS, MOST_REACH = 2.5, 6.0
+"""Islands farther apart than so many standard deviations of the spread until the horizon, or than so many widths of an island,
+do not count as near."""
 
-MOST_REACH = 6.0
-"""Reach of what is near, at most, in widths of an island: on over 3000 islands, of 140 to each."""
-
-PIECES = 4.0
-"""Pieces of a line of an island's width, at most."""
-
-SHORTEST = 0.5
-"""Shortest piece, over the width of a bead."""
+PIECES, SHORTEST = 4.0, 0.5
+"""Pieces of a line of an island's width, at most, and the shortest piece over the width of a bead."""
 
 AGES = 10
 """Intervals of the tables; age n lies at n^2."""
 
-DEPTH_WAVES = 6.0
-"""Waves of the depth in the thickness of a layer: they carry the exact function of the depth."""
-
-MOST_DEPTH_WAVES = 2000
-"""Waves of the depth at most."""
+DEPTH_WAVES, MOST_DEPTH_WAVES = 6.0, 2000
+"""Waves of the depth in the thickness of a layer, which carry the exact function of the depth; and in all, at most."""
 
 FAR = 16.0
 """Squared distances over this times the variance bring nothing: exp(-8)."""
@@ -68,8 +65,8 @@ FAR = 16.0
 SPARE = 1e-9
 """Share, and mm^2, by which a spread that brings nothing stays under the one that would."""
 
-FEWEST_PAIRS = 16
-"""Pairs of islands that a thread is worth."""
+FEWEST_PAIRS, FEWEST_POINTS = 16, 64
+"""Pairs of islands, and points, that a thread is worth."""
 
 
 class NearField(NamedTuple):
@@ -116,28 +113,16 @@ class NearField(NamedTuple):
 def near_field(
     model: HeatModel,
     complete: float,
-    schedule: IslandSchedule,
-    lines: Vectors,
+    entry: Floats,
+    lines: tuple[Ints, Floats, Floats],
     section: BaseGeometry,
     islands: NDArray[np.object_],
     bead_mm: float,
 ) -> NearField:
     """Tabulate the fresh heat of a layer.
 
-    Parameters
-    ----------
-    model
-        The heat model.
-    complete
-        Eigenvalue up to which it has all modes, 1/mm^2.
-    lines
-        Lines of the islands, sorted by island.
-    section
-        Solid region of the layer.
-    islands
-        (I,) polygons.
-    bead_mm
-        Width of a bead.
+    `complete` is the eigenvalue up to which the model has all modes, 1/mm^2; `entry` (I, 4, 2) are the points at which the
+    islands (I,) of a section may be entered, mm, `lines` the island, start and end of their lines, sorted by island.
     """
     centroid, area_mm2 = shapely.get_coordinates(shapely.centroid(islands)), shapely.area(islands)
     alpha = model.medium.diffusivity_mm2_s
@@ -159,7 +144,7 @@ def near_field(
     inside = of_islands(section, tiles, spread)
     free /= 0.5 * (inside[pairs[:, 0]] + inside[pairs[:, 1]])
     free[hidden(section, pieces, pairs, centroid, bead_mm)] = 0.0
-    beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(schedule.entry)
+    beam_mm2, entry = 2.0 * (BEAM_SHARE * bead_mm) ** 2, np.ascontiguousarray(entry)
     around = beam_mm2 + float(pieces.variance.mean()) + spread[::2]
     return NearField(
         horizon_s=horizon_s,
@@ -269,17 +254,13 @@ def between_pieces(
                     continue
                 # Side by side, which the processor does for several at once, and then added up one after the other.
                 for k in range(count):
-                    part[k] = weight[k] * gaussian(away[k], variances[k] + spread[q])
+                    spread_mm2 = variances[k] + spread[q]
+                    power = falling(np.true_divide(-0.5 * away[k], spread_mm2))
+                    dense = np.true_divide(power, 2.0 * np.pi * spread_mm2)
+                    part[k] = 0.0 if away[k] > FAR * spread_mm2 else weight[k] * dense
                 for k in range(count):
                     result[n, q] += part[k]
     return result
-
-
-@kernel
-def gaussian(away: float, variance: float) -> float:
-    """Density of a Gaussian of a variance along each axis, 1/mm^2, at the square of a distance."""
-    dense = np.true_divide(falling(np.true_divide(-0.5 * away, variance)), 2.0 * np.pi * variance)
-    return 0.0 if away > FAR * variance else dense
 
 
 @kernel
@@ -292,38 +273,22 @@ def at_root(table: Floats, root: float) -> float:
 
 
 @kernel
-def young_rise(
-    near: NearField, pair: int, island: int, option: int, source: int, left_by: int, since: float, time: float
-) -> tuple[float, float]:
-    """Rise of an island's mean temperature, and of that of its entry, by heat younger than the horizon; over K mm^3/s.
-
-    Parameters
-    ----------
-    pair
-        Row of the two islands.
-    island, option
-        Island, and its entry.
-    source, left_by
-        Island that was heated, and its entry option.
-    since, time
-        Time since the end of its heating, and the time that took, s.
-    """
-    mean = young_mean(near, pair, since, time)
-    return mean, entry_rise(near, island, option, source, left_by, since, time)
-
-
-@kernel
 def young_mean(near: NearField, pair: int, since: float, time: float) -> float:
-    """Rise of an island's mean temperature by the other one of a pair, over K mm^3/s: see :func:`young_rise`."""
-    late, early = root_of(near, since + time), root_of(near, since)
-    return at_root(near.exact[pair], late) - at_root(near.exact[pair], early)
+    """Rise of an island's mean temperature by heat younger than the horizon in the other of a pair, over K mm^3/s of heating.
+
+    The heating ended a time ago, and took a time, s.
+    """
+    horizon, exact = near.horizon_s, near.exact[pair]
+    late = np.sqrt(min(max(np.true_divide(since + time, horizon), 0.0), 1.0))
+    early = np.sqrt(min(max(np.true_divide(since, horizon), 0.0), 1.0))
+    return at_root(exact, late) - at_root(exact, early)
 
 
 @kernel
 def entry_rise(
     near: NearField, island: int, option: int, source: int, left_by: int, since: float, time: float
 ) -> float:
-    """Rise of the temperature at an entry by another island, over K mm^3/s of heating: see :func:`young_rise`."""
+    """Rise of the temperature at an entry by another island that was entered by an option, as :func:`young_mean`."""
     pieces, depth, horizon = near.pieces, near.depth, near.horizon_s
     first, passed, variances, place, share = (
         pieces.first, pieces.passed[left_by], pieces.variance, pieces.place, pieces.share,
@@ -339,64 +304,16 @@ def entry_rise(
         if age > horizon or away > FAR * variance:
             continue
         root = np.sqrt(np.true_divide(age, horizon))
-        dense = share[m] * gaussian(away, variance)
+        dense = share[m] * np.true_divide(falling(-0.5 * away / variance), 2.0 * np.pi * variance)
         total += np.true_divide(dense * at_root(depth, root), at_root(inside, root))
     return total * time
-
-
-@kernel
-def root_of(near: NearField, age: float) -> float:
-    """Place of an age in the tables: 0 for none, 1 for the horizon and beyond."""
-    return float(np.sqrt(min(max(age / near.horizon_s, 0.0), 1.0)))
-
-
-# -- Powers of e that fall, in plain arithmetic, so that a kernel works out several at once --------------------
-
-
-LEAST = -40.0
-"""Exponent under which the result is that of this one, 4e-18: nothing beside 1."""
-
-
-@kernel
-def falling(exponent: float) -> float:
-    """Return e to an exponent of at most 0, to 1e-14 of 1.
-
-    The processor has no such function; the library's takes one value at a time and 8 ns. The series of a 64th of the
-    exponent, squared six times, is the same to rounding, has no branch, and takes 1 ns in a loop over a column.
-
-    Examples
-    --------
-    >>> round(falling(-1.0), 12)
-    0.367879441171
-    """
-    part = max(exponent, LEAST) / 64.0
-    power = 1.0 + part * (1.0 / 11.0)
-    power = 1.0 + part * (1.0 / 10.0) * power
-    power = 1.0 + part * (1.0 / 9.0) * power
-    power = 1.0 + part * (1.0 / 8.0) * power
-    power = 1.0 + part * (1.0 / 7.0) * power
-    power = 1.0 + part * (1.0 / 6.0) * power
-    power = 1.0 + part * (1.0 / 5.0) * power
-    power = 1.0 + part * (1.0 / 4.0) * power
-    power = 1.0 + part * (1.0 / 3.0) * power
-    power = 1.0 + part * (1.0 / 2.0) * power
-    power = 1.0 + part * power
-    power *= power
-    power *= power
-    power *= power
-    power *= power
-    power *= power
-    return power * power
 
 
 # -- Enclosed share: how much of a Gaussian around a point lies in the metal that the point sees ---------------
 
 
-DIRECTIONS = 32
-"""Rays from each point to the outline."""
-
-SIGHT_SIGMAS = 3.0
-"""The outline farther away than so many standard deviations takes nothing."""
+DIRECTIONS, SIGHT_SIGMAS = 32, 3.0
+"""Rays from each point to the outline, which takes nothing where it is farther away than so many standard deviations."""
 
 LEAST_SHARE = 0.05
 """Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
@@ -417,9 +334,6 @@ FELT = 38.0
 STRETCH = 64
 """Segments of the outline that are passed over together where all of them are too far away to be felt; whole words of marks."""
 
-FEWEST_POINTS = 64
-"""Points that a thread is worth."""
-
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
     """Share of Gaussians around points that lies in the metal in sight, (P, Q).
@@ -428,14 +342,7 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
     mean over all directions is exact for what is in sight. Heat does not pass a gap, and what is out of sight behind
     a bend is far.
 
-    Parameters
-    ----------
-    section
-        Polygon or multi-polygon.
-    points
-        (P, 2) mm.
-    variance_mm2
-        (P, Q) along each axis.
+    `section`: polygon or multi-polygon; `points`: (P, 2) mm; `variance_mm2`: (P, Q) along each axis.
     """
     outline = shapely.boundary(section)
     shapely.prepare(outline)
@@ -447,22 +354,34 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
         np.concatenate(rings),
         np.concatenate([np.arange(1, len(r) + 1) < len(r) for r in rings]),
     )
-    seen, variance = points[near], variance_mm2[near]
+    seen, variance, boxes = points[near], variance_mm2[near], _stretches(points_of)
     share[near] = np.concatenate(
         run_blocks(
-            lambda a, b: in_sight(seen[a:b], variance[a:b], points_of, goes_on), len(near), FEWEST_POINTS
+            lambda a, b: in_sight(seen[a:b], variance[a:b], points_of, goes_on, boxes, sector_table()),
+            len(near),
+            FEWEST_POINTS,
         )
     )
     return np.maximum(share, LEAST_SHARE)
 
 
 @kernel
-def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) -> Floats:
-    """See :func:`enclosed_share`; from each of the points (S, 2) of the `outline` to the next goes a segment, or none."""
+def in_sight(
+    points: Floats,
+    variance: Floats,
+    outline: Floats,
+    goes_on: Bools,
+    boxes: Floats,
+    sectors: NDArray[np.uint8],
+) -> Floats:
+    """See :func:`enclosed_share`; from each of the points (S, 2) of the `outline` to the next goes a segment, or none.
+
+    `boxes` (B, 4) are those of stretches of the outline, `sectors` those of :func:`sector_table`.
+    """
     nearest, angle = np.empty(DIRECTIONS), 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
     dx, dy = np.cos(angle), np.sin(angle)
     share, parts = np.zeros(variance.shape), np.empty((DIRECTIONS, variance.shape[1]))
-    count, sectors, boxes = len(outline), sector_table(), _stretches(outline)
+    count = len(outline)
     x, y, sector = np.empty(STRETCH + 1), np.empty(STRETCH + 1), np.empty(STRETCH + 1, np.uint8)
     # What may be crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
     marked = np.zeros(STRETCH, np.uint8)
@@ -480,7 +399,11 @@ def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) 
             for s in range(length + 1):
                 x[s], y[s] = outline[first + s, 0] - px, outline[first + s, 1] - py
             for s in range(length + 1):
-                sector[s] = sectors[int(SECTOR_BINS * diamond(x[s], y[s]))]
+                # Stand-in for the angle, from 0 to 4, which grows with it: the way along a square on its corner.
+                around = abs(x[s]) + abs(y[s])
+                up = np.true_divide(y[s], around if around > 0.0 else 1.0)
+                ahead = up if up >= 0.0 else 4.0 + up
+                sector[s] = sectors[int(SECTOR_BINS * (ahead if x[s] >= 0.0 else 2.0 - up))]
             marked[length:] = 0
             for s in range(length):
                 marked[s] = goes_on[first + s] & ((sector[s] != sector[s + 1]) | (sector[s] >= DOUBTFUL))
@@ -501,15 +424,16 @@ def in_sight(points: Floats, variance: Floats, outline: Floats, goes_on: Bools) 
     return share
 
 
-@kernel
 def _stretches(outline: Floats) -> Floats:
     """Boxes (B, 4), least and greatest x, then y, around each :data:`STRETCH` segments of an outline (S, 2)."""
-    boxes = np.empty((max(0, len(outline) - 2 + STRETCH) // STRETCH, 4))
-    for b in range(len(boxes)):
-        part = outline[b * STRETCH : b * STRETCH + STRETCH + 1]
-        boxes[b, 0], boxes[b, 1] = part[:, 0].min(), part[:, 0].max()
-        boxes[b, 2], boxes[b, 3] = part[:, 1].min(), part[:, 1].max()
-    return boxes
+    if len(outline) < 2:
+        return np.zeros((0, 4))
+    starts = np.arange(0, len(outline) - 1, STRETCH)
+    # Each stretch ends with the first point of the next one.
+    stops = np.minimum(starts + STRETCH, len(outline) - 1)
+    low = np.minimum(np.minimum.reduceat(outline, starts), outline[stops])
+    high = np.maximum(np.maximum.reduceat(outline, starts), outline[stops])
+    return np.ascontiguousarray(np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1))
 
 
 @kernel
@@ -537,33 +461,132 @@ def _cross(
             nearest[n] = reach
 
 
-@kernel
-def diamond(x: float, y: float) -> float:
-    """Stand-in for the angle of a point, from 0 to 4, which grows with it: the way along a square on its corner."""
-    around = abs(x) + abs(y)
-    up = np.true_divide(y, around if around > 0.0 else 1.0)
-    ahead = up if up >= 0.0 else 4.0 + up
-    return float(ahead if x >= 0.0 else 2.0 - up)
-
-
-@kernel
+@cache
 def sector_table() -> NDArray[np.uint8]:
-    """Sector between rays by even bins of :func:`diamond`; :data:`DOUBTFUL` more where it may be the next one, too.
+    """Sector between rays by even bins of the angle's stand-in; :data:`DOUBTFUL` more where it may be the next one, too.
 
     Sector n lies before ray n. Beyond the last bin is that of an angle that was rounded up to a whole turn.
     """
-    count = 4 * SECTOR_BINS
-    edge = np.empty(count + 1)
-    for n in range(count + 1):
-        a = n / SECTOR_BINS
-        x = 1.0 - a if a < 2.0 else a - 3.0
-        y = a if a < 1.0 else 2.0 - a if a < 3.0 else a - 4.0
-        turn = np.arctan2(y, x) / (2.0 * np.pi)
-        edge[n] = turn if turn >= 0.0 and n < count else turn + 1.0
-    table = np.empty(count + 1, np.uint8)
-    for n in range(count):
-        low = int(np.floor(edge[n] * DIRECTIONS + 0.5 - SECTOR_ROUNDING))
-        high = int(np.floor(edge[n + 1] * DIRECTIONS + 0.5 + SECTOR_ROUNDING))
-        table[n] = low % DIRECTIONS + (DOUBTFUL if high > low else 0)
-    table[count] = 0
-    return table
+    a = np.arange(4 * SECTOR_BINS + 1) / SECTOR_BINS
+    x, y = np.where(a < 2.0, 1.0 - a, a - 3.0), np.where(a < 1.0, a, np.where(a < 3.0, 2.0 - a, a - 4.0))
+    turn = np.arctan2(y, x) / (2.0 * np.pi)
+    turn[(turn < 0.0) | (np.arange(len(a)) == len(a) - 1)] += 1.0
+    low = np.floor(turn[:-1] * DIRECTIONS + 0.5 - SECTOR_ROUNDING).astype(np.int64)
+    high = np.floor(turn[1:] * DIRECTIONS + 0.5 + SECTOR_ROUNDING).astype(np.int64)
+    return np.append(low % DIRECTIONS + np.where(high > low, DOUBTFUL, 0), 0).astype(np.uint8)
+
+
+class Pieces(NamedTuple):
+    """Pieces of lines, side by side those of one island.
+
+    `first`: (I + 1,) first piece of each island; `place`: (M, 2) middle, mm; `share`: (M,) of the island's heat, and of its
+    area; `passed`: (4, M) share of the island's time after which the beam is there, by the entry option; `variance`: (M,)
+    of the heat around the middle along one axis, mm^2: that of a square tile of the same area.
+    """
+
+    first: Ints
+    place: Floats
+    share: Floats
+    passed: Floats
+    variance: Floats
+
+
+def line_pieces(
+    lines: tuple[Ints, Floats, Floats], centroid: Floats, area_mm2: Floats, longest_mm: float
+) -> Pieces:
+    """Cut lines into pieces of at most a length; an island without lines is one piece at its centroid.
+
+    The beam counts as passing from line to line in no time, and as driving all of them in the island's time.
+    """
+    count, (of, starts, ends) = len(area_mm2), lines
+    bare = np.flatnonzero(np.bincount(of, minlength=count) == 0)
+    island = np.concatenate([of, bare])
+    by_island = np.argsort(island, kind="stable")
+    island = island[by_island]
+    start = np.concatenate([starts, centroid[bare]])[by_island]
+    end = np.concatenate([ends, centroid[bare]])[by_island]
+    length = np.hypot(*(end - start).T)
+    length[np.isin(island, bare)] = 1.0
+    total = np.bincount(island, length, count)
+    after = np.cumsum(length)
+    before = after - length - (np.cumsum(total) - total)[island]
+
+    pieces = np.maximum(np.ceil(length / longest_mm).astype(np.int64), 1)
+    line = np.repeat(np.arange(len(length)), pieces)
+    number = np.arange(len(line)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    along = (number + 0.5) / pieces[line]
+    owner = island[line]
+    forward = (before[line] + along * length[line]) / total[owner]
+    turned = (before[line] + (1.0 - along) * length[line]) / total[owner]
+    share = length[line] / pieces[line] / total[owner]
+    return Pieces(
+        first=np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=count))]).astype(np.int64),
+        place=start[line] + along[:, None] * (end - start)[line],
+        share=share,
+        passed=np.stack([forward, turned, 1.0 - forward, 1.0 - turned]),
+        variance=share * area_mm2[owner] / 12.0,
+    )
+
+
+class Tiles(NamedTuple):
+    """Islands in tiles that cover them, as :class:`Pieces` has their lines: first, place, share and variance alike."""
+
+    first: Ints
+    place: Floats
+    share: Floats
+    variance: Floats
+
+
+def island_tiles(islands: NDArray[np.object_]) -> Tiles:
+    """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
+    centroid = shapely.get_coordinates(shapely.centroid(islands))
+    cut = [_triangles(polygon) for polygon in _at_origin(islands, centroid)]
+    corners, island = np.concatenate(cut), np.repeat(np.arange(len(cut)), [len(own) for own in cut])
+    for _ in range(HALVED):
+        corners, island = _halved(corners), np.repeat(island, 2)
+    edge = np.diff(corners, axis=1)
+    area = 0.5 * np.abs(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])
+    place = corners.mean(axis=1)
+    # The mean squared distance from the centroid of a triangle is a twelfth of the sum of those of its corners.
+    variance = ((corners - place[:, None]) ** 2).sum(axis=(1, 2)) / 24.0
+    return Tiles(
+        first=np.concatenate([[0], np.cumsum(np.bincount(island, minlength=len(islands)))]).astype(np.int64),
+        place=place + centroid[island],
+        share=area / np.bincount(island, area, len(islands))[island],
+        variance=variance,
+    )
+
+
+def _at_origin(islands: NDArray[np.object_], centroid: Floats) -> NDArray[np.object_]:
+    """Shift islands (I,) to their centroids, their corners rounded unless that makes them invalid.
+
+    The triangles of a regular hexagon are a matter of rounding: seen from its centroid it is the same wherever it lies.
+    A hair thinner than :data:`DECIMALS` falls onto itself by that.
+    """
+    points, owner = shapely.get_coordinates(islands, return_index=True)
+    seen = points - centroid[owner]
+    rounded = shapely.set_coordinates(islands.copy(), np.round(seen, DECIMALS))
+    broken = ~shapely.is_valid(rounded) | (shapely.area(rounded) <= 0.0)
+    rounded[broken] = shapely.set_coordinates(islands.copy(), seen)[broken]
+    return rounded
+
+
+def _triangles(polygon: shapely.Polygon) -> Floats:
+    """Corners (T, 3, 2) of triangles that cover a polygon; those of its hull where it cannot be cut into its own."""
+    try:
+        parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+    except shapely.GEOSException:
+        parts = np.zeros(0, object)
+    if shapely.area(parts).sum() > 0.0:
+        return np.asarray(shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3], np.float64)
+    ring = shapely.get_coordinates(shapely.convex_hull(polygon))[:-1]
+    return np.stack([np.broadcast_to(ring[0], ring[2:].shape), ring[1:-1], ring[2:]], axis=1)
+
+
+def _halved(corners: Floats) -> Floats:
+    """Both halves (2 T, 3, 2) of triangles (T, 3, 2), side by side."""
+    longest = ((np.roll(corners, -1, axis=1) - corners) ** 2).sum(axis=2).argmax(axis=1)
+    turned = np.take_along_axis(corners, (longest[:, None] + np.arange(3))[:, :, None] % 3, axis=1)
+    a, b, c = turned[:, 0], turned[:, 1], turned[:, 2]
+    middle = 0.5 * (a + b)
+    return np.stack([a, middle, c, middle, b, c], axis=1).reshape(-1, 3, 2)

@@ -1,4 +1,4 @@
-"""The heat model of a layer's islands, in the columns that the kernels of :mod:`ebamcheck.scan.order.thermal` read."""
+"""The heat model of a layer's islands, and how warm they are when the beam enters them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
-from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.filling.schedule import IslandSchedule
-from ebamcheck.scan.heat.aged_heat import Modes
-from ebamcheck.scan.heat.near_field import NearField, near_field
+from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
+from ebamcheck.heat.near_field import OPTIONS, NearField, entry_rise, near_field, young_mean
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 SIMULATION_WAVE = 2.0 / 3.0
@@ -44,18 +43,10 @@ MOST_DEPTH_MODES = 40
 class IslandHeat:
     """Islands as sources and readings of the heat model.
 
-    Parameters
-    ----------
-    modes
-        What every kernel reads first: means over the islands, rates, sources.
-    start_k
-        (K, N) amplitudes when the layer begins.
-    model
-        The heat model whose modes these are.
-    complete
-        Eigenvalue up to which these are all modes of section and depth, 1/mm^2.
-    near
-        Young heat between islands that are near each other, which the modes lack; None: by the modes alone.
+    `modes`: what every kernel reads first: means over the islands, rates, sources; `start_k`: (K, N) amplitudes when the
+    layer begins; `model`: the heat model whose modes these are; `complete`: eigenvalue up to which these are all modes of
+    section and depth, 1/mm^2; `near`: young heat between islands that are near each other, which the modes lack; None: by
+    the modes alone.
     """
 
     modes: Modes
@@ -82,18 +73,9 @@ def island_heat(
 ) -> IslandHeat:
     """Set up the heat model of a layer.
 
-    Parameters
-    ----------
-    section
-        Solid region of the layer.
-    islands
-        (I,) polygons.
-    beam_s, time_s
-        (I,) time with the beam on, and in all, while each island is scanned.
-    height_mm
-        Height of the layer over the base plate.
-    fine
-        Resolve waves shorter than an island, for a simulation; a plan needs none under its width.
+    `section`: solid region of the layer; `islands`: (I,) polygons; `beam_s`, `time_s`: (I,) time with the beam on, and in
+    all, while each island is scanned; `height_mm`: height of the layer over the base plate; `fine`: resolve waves shorter
+    than an island, for a simulation; a plan needs none under its width.
     """
     medium, process = Medium.of(config), config.process
     width_mm = math.sqrt(section.area / max(len(islands), 1))
@@ -127,13 +109,52 @@ def island_heat(
 
 def with_fresh_heat(
     heat: IslandHeat,
-    schedule: IslandSchedule,
-    lines: Vectors,
+    entry: Floats,
+    lines: tuple[Ints, Floats, Floats],
     section: BaseGeometry,
     islands: NDArray[np.object_],
     config: Config,
 ) -> IslandHeat:
-    """Add the fresh heat that the modes lack to the heat model of a layer: see :mod:`ebamcheck.scan.heat.near_field`."""
+    """Add the fresh heat that the modes lack: see :func:`ebamcheck.heat.near_field.near_field`."""
     bead_mm = config.process.bead_width_mm
-    near = near_field(heat.model, heat.complete, schedule, lines, section, islands, bead_mm)
-    return replace(heat, near=near)
+    return replace(heat, near=near_field(heat.model, heat.complete, entry, lines, section, islands, bead_mm))
+
+
+def old_at_entries(
+    heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, at: Floats | None = None
+) -> Floats:
+    """Rise of each island when it is entered by heat older than the horizon, of which the modes have all, K.
+
+    (I,) means of the islands; with modes (I, E, K) at places of each, (I, E) at these.
+    """
+    horizon_s, modes = heat.fresh.horizon_s, heat.modes
+    timetable = Timetable(order, start_s, end_s)
+    surface = surfaces_at_entries(modes.late(horizon_s), timetable, horizon_s, heat.start_k, modes.in_layer)
+    if at is None:
+        return np.asarray(np.einsum("ki,ik->i", modes.mean, surface), np.float64)
+    return np.asarray((at @ surface[:, :, None])[:, :, 0], np.float64)
+
+
+@kernel
+def young_at_entries(
+    near: NearField, source: Floats, order: Ints, start: Floats, end: Floats, options: Ints, every: bool
+) -> tuple[Floats, Floats]:
+    """Rises by heat younger than the horizon, K: of islands' means (I,), and of entries (I, 4), every one or that of the option."""
+    means, rise = np.zeros(len(start)), np.zeros((len(start), OPTIONS))
+    place = np.full(len(start), -1)
+    for n in range(len(order)):
+        place[order[n]] = n
+    for i in order:
+        for p in range(near.first[i], near.first[i + 1]):
+            j = near.other[p]
+            since, time = start[i] - end[j], end[j] - start[j]
+            if place[j] >= place[i] or place[j] < 0 or since > near.horizon_s:
+                continue
+            if every:
+                for w in range(OPTIONS):
+                    rise[i, w] += source[j] * entry_rise(near, i, w, j, options[j], since, time)
+            else:
+                w = options[i]
+                means[i] += source[j] * young_mean(near, near.pair[p], since, time)
+                rise[i, w] += source[j] * entry_rise(near, i, w, j, options[j], since, time)
+    return means, rise

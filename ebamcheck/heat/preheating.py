@@ -17,9 +17,9 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.balance import LARGEST_CELL_MM, HeatColumn
-from ebamcheck.heat.one_blas_thread import one_blas_thread
+from ebamcheck.heat.field import Field
+from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.scan.heat.part_heat import simulated_bead
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import JOINED_SPACINGS, LEAST_LINE_MM
 
@@ -49,12 +49,7 @@ WITHIN_MM = 1e-6
 class BeamWay:
     """What the beam does, piece by piece (n,), straight, in order of time.
 
-    Parameters
-    ----------
-    start, end
-        (n, 2) mm.
-    time_s, power_w
-        (n,) time of each, and the beam's power in it; 0 where it is off.
+    `start`, `end`: (n, 2) mm; `time_s`, `power_w`: (n,) time of each, and the beam's power in it; 0 where it is off.
     """
 
     start: Floats
@@ -98,14 +93,8 @@ class SurfaceK:
 class SurfaceHeat:
     """A body whose surface is scanned.
 
-    Parameters
-    ----------
-    column
-        Its mean, which grows warmer.
-    body, region
-        Outline of what the heat spreads in, and of what is scanned, where temperatures are read.
-    depth_mm
-        Of the body, down to the table.
+    `column`: its mean, which grows warmer; `body`, `region`: outline of what the heat spreads in, and of what is scanned,
+    where temperatures are read; `depth_mm`: of the body, down to the table.
     """
 
     def __init__(
@@ -122,18 +111,16 @@ class SurfaceHeat:
         self._mean = np.asarray((flat / (flat @ flat))[:, None], np.float64)
         sigma_mm = config.preheat.spot_mm / SIGMAS
         self._blur = np.exp(-0.5 * plane.eigenvalue * sigma_mm**2)[:, None]
-        self.state = self.model.cold()
+        self.field = Field.of(self.model)
         self._places = _places(region)
         self._at_places = plane.at(self._places) - self._mean.T
-        alpha = medium.diffusivity_mm2_s
-        self._rates = (alpha * plane.eigenvalue, alpha * depth.wave_number**2, self.model.in_layer)
         self._piece_mm = 2.0 * spacing_mm
 
     def copy(self) -> SurfaceHeat:
         """Return the same body, to be simulated by itself."""
         other = object.__new__(SurfaceHeat)
         vars(other).update(vars(self))
-        other.column, other.state = self.column.copy(), self.state.copy()
+        other.column, other.field = self.column.copy(), self.field.copy()
         return other
 
     @one_blas_thread()
@@ -156,7 +143,7 @@ class SurfaceHeat:
         fine = way.cut(self._piece_mm)
         shapes = (self.model.plane.at(0.5 * (fine.start + fine.end)).T - self._mean) * self._blur
         source = fine.power_w * taken / self.model.medium.heat_capacity_j_mm3k
-        simulated_bead(self.state, np.ascontiguousarray(shapes), *self._rates, source, fine.time_s)
+        self.field.add(shapes, source, fine.time_s)
 
     def rest(self, duration_s: float) -> None:
         """Let a time go by with the beam off."""
@@ -165,7 +152,7 @@ class SurfaceHeat:
 
     def read(self) -> SurfaceK:
         """Read the temperatures of the scanned surface."""
-        away = self._at_places @ (self.state @ self.model.in_layer)
+        away = self._at_places @ self.field.surface()
         found = self.column.surface_k + away
         low, high = int(np.argmin(found)), int(np.argmax(found))
         return SurfaceK(
@@ -180,7 +167,7 @@ class SurfaceHeat:
         """Heat content of the cells of the column under what was scanned, J/mm^3."""
         edges, depth = self.column.edges_mm, self.model.depth
         below = np.maximum(edges[-1] - 0.5 * (edges[1:] + edges[:-1]), 0.0)
-        away = self._at_places.mean(axis=0) @ self.state @ depth.at(np.minimum(below, depth.depth_mm)).T
+        away = self._at_places.mean(axis=0) @ self.field.state @ depth.at(np.minimum(below, depth.depth_mm)).T
         tables = self.column.tables
         assert tables is not None
         return tables.heat_content(self.column.temperature_k + away)
@@ -267,17 +254,10 @@ def _free(region: BaseGeometry, z_mm: float, config: Config) -> BaseGeometry:
 def pass_lines(region: BaseGeometry, config: Config, number: int) -> tuple[Floats, Bools]:
     """Lines of one pass, in order, back and forth.
 
-    Parameters
-    ----------
-    number
-        Of the pass, from 0: every second one lies across (crossed), or half a spacing aside (lines).
+    `number`: of the pass, from 0: every second one lies across (crossed), or half a spacing aside (lines).
 
-    Returns
-    -------
-    lines
-        (n, 4) x, y of the start and of the end of each.
-    joined
-        (n,) whether the beam stays on from the line before.
+    Returns `lines`: (n, 4) x, y of the start and of the end of each; `joined`: (n,) whether the beam stays on from the line
+    before.
 
     Examples
     --------

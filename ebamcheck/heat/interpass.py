@@ -19,8 +19,8 @@ import numpy as np
 
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
+from ebamcheck.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.scan.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_window_share
 
@@ -76,16 +76,8 @@ class SimulatedLayer:
 class LayerJob:
     """What a layer needs to be simulated: its beads, its shape, and where it lies.
 
-    Parameters
-    ----------
-    beads
-        In the sequence in which they are laid.
-    shape
-        Of the layer that is laid.
-    height_mm
-        Its height over the base plate.
-    lowest
-        Whether nothing lies under it, so that there is nothing to wait for.
+    `beads`: in the sequence in which they are laid; `shape`: of the layer that is laid; `height_mm`: its height over the
+    base plate; `lowest`: whether nothing lies under it, so that there is nothing to wait for.
     """
 
     beads: Beads
@@ -97,12 +89,8 @@ class LayerJob:
 def cooled_layer(job: LayerJob, found: PartHeat, config: Config, guess: float = 0.0) -> SimulatedLayer:
     """Choose power and waits of a layer by the settings, and simulate it.
 
-    Parameters
-    ----------
-    found
-        The part's heat when the layer under it is done, in the modes of this layer.
-    guess
-        Share of the power of the layer below: that of this one is found sooner where it is near.
+    `found`: the part's heat when the layer under it is done, in the modes of this layer; `guess`: share of the power of the
+    layer below: that of this one is found sooner where it is near.
     """
     kept: dict[float, SimulatedLayer] = {}
     share = power_share(job, found, config, guess, kept)
@@ -195,14 +183,9 @@ def simulate(
 ) -> SimulatedLayer | None:
     """Simulate a layer at a share of the power.
 
-    Parameters
-    ----------
-    waits
-        Wait wherever a bead would be entered above the limit.
-    ring_wait_s
-        Wait before each further contour at least: they share one, the longest that one of them asks for.
-    keep
-        Give up, with None, as soon as a bead is entered above the limit.
+    `waits`: wait wherever a bead would be entered above the limit; `ring_wait_s`: wait before each further contour at
+    least: they share one, the longest that one of them asks for; `keep`: give up, with None, as soon as a bead is entered
+    above the limit.
     """
     run = _Run(job, config, share, found.copy(), waits, keep)
     beads, bead = job.beads, 0
@@ -281,7 +264,7 @@ class _Run:
         if self._keep and checked and self.bed_k[bead] > self._limit_k:
             return False
         if not beads.inner[bead] and beads.inner[bead + 1 : bead + 2].any():
-            self._before = Before(self.part.state.copy())
+            self._before = Before(self.part.field.copy())
         if first:
             self._body_k, self._enter_k = self.part.column.mean_rise_k, self.mean_k[0]
             self.part.column.lay(self._job.shape)
@@ -295,7 +278,7 @@ class _Run:
             return None
         first, time_s = self._job.beads.first, self._job.beads.time_s
         laid_s = float(time_s[first[self._begun] : first[bead]].sum())
-        return Before(self._before.state, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
+        return Before(self._before.field, laid_s + float(self.away_s[self._begun + 1 : bead].sum()))
 
     def result(self, ring_wait_s: float) -> SimulatedLayer:
         """What was found in the whole layer."""

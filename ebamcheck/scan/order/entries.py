@@ -1,0 +1,252 @@
+"""Where islands are entered, how far the gun jumps between them, and when each is scanned.
+
+An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
+ago, hundreds of kelvins warmer than the far side of the same island. So the rise at every end is worked out: old heat
+by the modes of the section at that very place, young heat by the Green's functions of
+:mod:`ebamcheck.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
+order: the least sum of the powers of the rises (as :func:`high_mean` counts them) plus a price on travel, the least that
+keeps the travel allowed. Heat changes little by the ends chosen before, so that a few rounds settle it; the best of them
+is kept, that of the nearest ends among them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entries
+from ebamcheck.heat.near_field import OPTIONS
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, island_ends
+
+NEAREST = -1
+"""Entry option of an island that is entered from its corner nearest to where the last one ended."""
+
+HIGH = 12
+"""Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
+
+ROUNDS = 3
+"""Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
+
+DEAREST, CHEAPEST = 1e15, 1e-15
+"""Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest
+rise: by the dearest only the travel counts, by the cheapest only the heat."""
+
+HALVINGS = 50
+"""Halvings of the range of prices, on a scale of decades: to 4 %."""
+
+TIE = 1e-12
+"""Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
+
+# -- The way from island to island.
+
+
+class EntryOptions(NamedTuple):
+    """Jumps (I, 4, I) from an island that was entered by one of its options to the nearest option of another, mm, and which that is."""
+
+    jump_mm: Floats
+    option: NDArray[np.int8]
+
+
+def entry_options(schedule: IslandSchedule) -> EntryOptions:
+    """Tabulate the jumps between all islands of a layer."""
+    apart = schedule.leave[:, :, None, None] - schedule.entry
+    jump_mm = np.hypot(apart[..., 0], apart[..., 1])
+    near = jump_mm < jump_mm.min(axis=-1, keepdims=True) + JOINED_MM
+    option = near.argmax(axis=-1)
+    found_mm = np.take_along_axis(jump_mm, option[..., None], axis=-1)[..., 0]
+    return EntryOptions(found_mm, option.astype(np.int8))
+
+
+@kernel
+def nearest_option(entry: Floats, x: float, y: float) -> tuple[float, int]:
+    """Distance to the nearest of the entry options (4, 2) of an island, mm, and which it is: the first of equal ones."""
+    nearest, option = np.inf, 0
+    for v in range(len(entry)):
+        away_x, away_y = entry[v, 0] - x, entry[v, 1] - y
+        # No nearer by as much as counts, whatever its square has lost by rounding: the distance itself takes longer.
+        if away_x * away_x + away_y * away_y >= nearest * nearest:
+            continue
+        distance = np.hypot(away_x, away_y)
+        if distance < nearest - JOINED_MM:
+            nearest, option = distance, v
+    return nearest, option
+
+
+@kernel
+def nearest_options(order: Ints, entry: Floats, leave: Floats) -> Ints:
+    """Entry option of each island, by island (I,): the nearest one."""
+    options = np.zeros(len(entry), np.int64)
+    for n in range(1, len(order)):
+        x, y = leave[order[n - 1], options[order[n - 1]]]
+        options[order[n]] = nearest_option(entry[order[n]], x, y)[1]
+    return options
+
+
+def clocked(
+    schedule: IslandSchedule, order: Ints, rapid_mm_s: float, options: Ints | None = None
+) -> tuple[Floats, Floats, float]:
+    """Start and end of each island (I,), s, and the travel between them, mm, entering each by its option; None: the nearest."""
+    if options is None:
+        options = nearest_options(order, schedule.entry, schedule.leave)
+    entry, leave = schedule.entry[order, options[order]], schedule.leave[order, options[order]]
+    jump_mm = np.hypot(*(entry[1:] - leave[:-1]).T)
+    times = np.zeros(2 * len(order))
+    times[2::2], times[1::2] = jump_mm / rapid_mm_s, schedule.time_s[order]
+    clock = np.cumsum(times)
+    start_s, end_s = np.zeros(len(schedule)), np.zeros(len(schedule))
+    start_s[order], end_s[order] = clock[::2], clock[1::2]
+    return start_s, end_s, float(jump_mm.sum())
+
+
+def in_sequence(
+    start: Floats, end: Floats, first: Ints, order: Ints, chained: Bools, options: Ints
+) -> tuple[Ints, Bools]:
+    """Rows (V,) of the lines of islands in scan order, and whether each is driven from its end to its start.
+
+    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are
+    driven in either sequence and either direction, as its entry option says (:data:`NEAREST`: that nearest to where the
+    last island ended); those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
+    """
+    order = order[np.diff(first)[order] > 0]
+    if not len(order):
+        return np.zeros(0, np.int64), np.zeros(0, np.bool_)
+    if (options < 0).any():
+        options = nearest_options(order, *island_ends(start, end, first, chained))
+    lines, option = np.diff(first)[order], options[order]
+    place = np.arange(lines.sum()) - np.repeat(np.cumsum(lines) - lines, lines)
+    rows = np.where(
+        np.repeat(option >= 2, lines),
+        np.repeat(first[order + 1] - 1, lines) - place,
+        np.repeat(first[order], lines) + place,
+    )
+    return rows, np.repeat((option == 1) | (option == 2), lines)
+
+
+def jumps_mm(start: Floats, end: Floats, new_layer: Bools) -> Floats:
+    """Jump before each line (V,), mm: 0 for the first of a layer and for lines that go on."""
+    jumps = np.zeros(len(start))
+    if len(start) > 1:
+        jumps[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    jumps[new_layer | (jumps <= JOINED_MM)] = 0.0
+    return jumps
+
+
+def high_mean(entry_k: Floats) -> float:
+    """Mean of the twelfth powers of the entry temperatures, as a temperature: near the greatest, yet all count."""
+    return float(np.mean(np.maximum(entry_k, 0.0) ** HIGH) ** (1.0 / HIGH))
+
+
+# -- The coolest ends.
+
+
+def cool_options(
+    heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float
+) -> Ints:
+    """Choose the entry option of each island.
+
+    `order`: (I,) islands in scan order; `longest_mm`: travel between islands that is allowed; that by the nearest options,
+    where it is longer already.
+
+    Returns (I,) entry options by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and
+    :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel that is allowed.
+    """
+    best = options = nearest_options(order, schedule.entry, schedule.leave)
+    if len(order) < 2:
+        return best
+    start_s, end_s, travel_mm = clocked(schedule, order, rapid_mm_s, options)
+    allowed_mm = max(longest_mm, travel_mm)
+    # Other ends change the times by a fraction of a second: old heat, which is most of the work, does not see it.
+    old_k = old_at_entries(heat, order, start_s, end_s, modes_at_entries(heat, schedule))
+    least_k, every = np.inf, np.arange(len(order))
+    for n in range(ROUNDS + 1):
+        start_s, end_s, _ = clocked(schedule, order, rapid_mm_s, options)
+        rise_k = old_k + _young_k(heat, order, start_s, end_s, options)
+        found_k = high_mean(rise_k[every, options])
+        if found_k < least_k * (1.0 - TIE):
+            best, least_k = options, found_k
+        if n < ROUNDS:
+            options = affordable(rise_k, order, schedule.entry, schedule.leave, allowed_mm)
+    return best
+
+
+def modes_at_entries(heat: IslandHeat, schedule: IslandSchedule) -> Floats:
+    """Modes of the section at all ends of the islands, (I, 4, K)."""
+    places = np.ascontiguousarray(schedule.entry).reshape(-1, 2)
+    return np.ascontiguousarray(heat.model.plane.at(places)).reshape(len(schedule), OPTIONS, -1)
+
+
+def rises_at_entries(
+    heat: IslandHeat, at: Floats, order: Ints, start_s: Floats, end_s: Floats, options: Ints
+) -> Floats:
+    """Temperature rises (I, 4) K at all ends of each island, whose modes are `at` (I, 4, K), when the beam enters it."""
+    old_k = old_at_entries(heat, order, start_s, end_s, at)
+    return np.asarray(old_k + _young_k(heat, order, start_s, end_s, options), np.float64)
+
+
+def _young_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, options: Ints) -> Floats:
+    return young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options, True)[1]
+
+
+def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
+    """Entry options (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
+
+    `rise_k`: (I, 4) rises at the ends; `entry`, `leave`: (I, 4, 2) as in
+    :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`.
+    """
+    top_k = float(rise_k.min(axis=1).max())
+    share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
+    low, high = np.log(CHEAPEST), np.log(DEAREST)
+    options, travel_mm = options_by_price(share, order, entry, leave, CHEAPEST)
+    if travel_mm <= longest_mm:
+        return options
+    options, _ = options_by_price(share, order, entry, leave, DEAREST)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        tried, travel_mm = options_by_price(share, order, entry, leave, float(np.exp(middle)))
+        if travel_mm <= longest_mm:
+            options, high = tried, middle
+        else:
+            low = middle
+    return options
+
+
+@kernel
+def options_by_price(
+    share: Floats, order: Ints, entry: Floats, leave: Floats, price: float
+) -> tuple[Ints, float]:
+    """Entry options (I,) by island of the least sum of powers of shares (I, 4) and of travel at a price, and their travel, mm."""
+    count = len(order)
+    came_by = np.zeros((count, OPTIONS), np.int64)
+    total, following = np.empty(OPTIONS), np.empty(OPTIONS)
+    for w in range(OPTIONS):
+        total[w] = max(share[order[0], w], 0.0) ** HIGH
+    for n in range(1, count):
+        last, island = order[n - 1], order[n]
+        for w in range(OPTIONS):
+            least, by = np.inf, 0
+            for v in range(OPTIONS):
+                x, y = leave[last, v]
+                spent = total[v] + price * np.hypot(entry[island, w, 0] - x, entry[island, w, 1] - y)
+                if spent < least * (1.0 - TIE):
+                    least, by = spent, v
+            following[w], came_by[n, w] = least + max(share[island, w], 0.0) ** HIGH, by
+        total[:] = following
+    options = np.zeros(count, np.int64)
+    option = 0
+    for w in range(1, OPTIONS):
+        if total[w] < total[option] * (1.0 - TIE):
+            option = w
+    travel = 0.0
+    for n in range(count - 1, -1, -1):
+        options[order[n]] = option
+        if n > 0:
+            by = came_by[n, option]
+            x, y = leave[order[n - 1], by]
+            jump = np.hypot(entry[order[n], option, 0] - x, entry[order[n], option, 1] - y)
+            travel += jump if jump > JOINED_MM else 0.0
+            option = by
+    return options, travel
