@@ -31,8 +31,8 @@ def crossings(begin: Begin, stl: str, layer_mm: float) -> dict[str, Any]:
     Returns
     -------
     ``farthest_mm`` greatest distance of a point from the exact contour, on ``judged_layers``; ``broken_layers`` that
-    have an open path, or other numbers of rings or holes than the exact cut; ``slice_s``; ``casts_s`` and
-    ``vertical_casts_s`` that all threads spend within Embree's own casts, over their number.
+    have an open path, or other numbers of rings or holes than the exact cut; ``slice_s``; ``casts_s`` that
+    all threads spend within Embree's own casts, over their number.
     """
     part = load(Path(stl))
     heights = layer_heights(part, layer_mm)
@@ -40,17 +40,16 @@ def crossings(begin: Begin, stl: str, layer_mm: float) -> dict[str, Any]:
     stacks: dict[str, Layers] = {}
     slice_s = 0.0
     casts_s: dict[str, float] = {}
-    for name, mode in (("planecut", ""), ("embree", "vertical"), ("embree", "in-plane")):
-        values = {"mode": mode, "grid_mm": GRID_MM} if mode else {}
+    for name, values in (("planecut", {}), ("embree", {"grid_mm": GRID_MM})):
         with (
             casts() as each_s,
             registry.available_slicer(name).prepare(part, registry.slicer_settings(name, values)) as prepared,
         ):
             start = time.perf_counter()
-            stacks[mode or name] = prepared.slice(heights)
+            stacks[name] = prepared.slice(heights)
             slice_s = time.perf_counter() - start
-        casts_s[mode] = sum(each_s) / thread_count()
-    exact, found = stacks["planecut"], stacks["in-plane"]
+        casts_s[name] = sum(each_s) / thread_count()
+    exact, found = stacks["planecut"], stacks["embree"]
     broken = (
         (found.open_counts() > 0)
         | (found.ring_counts() != exact.ring_counts())
@@ -62,8 +61,7 @@ def crossings(begin: Begin, stl: str, layer_mm: float) -> dict[str, Any]:
         "judged_layers": len(judged),
         "broken_layers": int(np.count_nonzero(broken)),
         "slice_s": slice_s,
-        "casts_s": casts_s["in-plane"],
-        "vertical_casts_s": casts_s["vertical"],
+        "casts_s": casts_s["embree"],
     }
 
 

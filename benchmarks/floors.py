@@ -249,7 +249,6 @@ FLOORS: Mapping[str, Floor] = {
     "gpu-literal": lambda figures: _told(figures, "drawing", lambda answer: answer["device_s"]),
     "manifold": _one,
     "embree": _casts_s("casts_s"),
-    "embree-vertical": _casts_s("vertical_casts_s"),
     "compare": _compare_s,
     "cross-check": _cross_check_s,
     "demo": _processor_s("main job"),

@@ -1,4 +1,4 @@
-"""What is measured: every backend of the registry, variants of two, and two programs by themselves."""
+"""What is measured: every backend of the registry, a variant of one, and two programs by themselves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ebamcheck.plugins import registry
 Kind = Literal["backend", "manifold3d", "prusa-stage"]
 
 PAPERS_PIXEL_MM = 0.1
-LITERAL, VERTICAL = "stencil literal", "embree vertical"
+LITERAL = "stencil literal"
 MANIFOLD_ALONE, PRUSA_STAGE = "manifold3d alone", "PrusaSlicer's slice stage"
 
 BY_LAYER = ("trimesh",)
@@ -64,8 +64,6 @@ def all_methods() -> list[Method]:
         found.append(Method(slicer.name, backend=slicer.name, by_layer=slicer.name in BY_LAYER))
         if slicer.name == "stencil":
             found.append(literal())
-        if slicer.name == "embree":
-            found.append(Method(VERTICAL, backend="embree", settings={"mode": "vertical"}))
     return [*found, Method(MANIFOLD_ALONE, "manifold3d"), Method(PRUSA_STAGE, "prusa-stage")]
 
 

@@ -162,7 +162,6 @@ TARGETS: tuple[Target, ...] = (
         "embree-broken", "embree in-plane, broken layers", 0.0, "",
         lambda f: f.told("crossings", lambda a: a["broken_layers"]), "crossings",
     ),
-    Target("embree-vertical", "embree vertical, all layers", 3.0, "s", lambda f: f.times(methods.VERTICAL)),
     Target(
         "manifold", "backend manifold over manifold3d's own time", 1.10, "",
         lambda f: ratio(f.times("manifold"), f.times(methods.MANIFOLD_ALONE)),

@@ -12,7 +12,6 @@ from section_oracle import prism
 from ebamcheck_embree import Embree
 
 SLICER = Embree()
-MODES = ("in-plane", "vertical")
 
 
 if not SLICER.probe().available:

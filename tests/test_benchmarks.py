@@ -239,7 +239,7 @@ def test_what_ran_over_the_limit_is_not_tried_on_larger_parts(monkeypatch: pytes
 def test_methods_hold_every_backend_and_the_yardsticks():
     found = {m.name: m for m in methods.all_methods()}
     assert set(ebamcheck.plugins.registry.slicers()) <= set(found)
-    assert {methods.LITERAL, methods.VERTICAL, methods.MANIFOLD_ALONE, methods.PRUSA_STAGE} <= set(found)
+    assert {methods.LITERAL, methods.MANIFOLD_ALONE, methods.PRUSA_STAGE} <= set(found)
     assert found[methods.LITERAL].by_layer
     assert [m.name for m in methods.gpu_methods()] == ["stencil", methods.LITERAL]
 

@@ -24,7 +24,6 @@ METHODS = {
     "stencil": ("stencil", {}, "pixel_mm"),
     "stencil, literal": ("stencil", {"mode": "literal"}, "pixel_mm"),
     "embree": ("embree", {}, "grid_mm"),
-    "embree, vertical": ("embree", {"mode": "vertical"}, "grid_mm"),
 }
 SAMPLES_MM = (0.31, 1.3, pytest.param(0.09, marks=pytest.mark.slow))
 """Pixels and grid cells."""

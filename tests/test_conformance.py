@@ -56,11 +56,11 @@ class TestStencil(SlicerSuite):
 
 
 @pytest.mark.slow
-class TestEveryModelAndModeOfEmbree(SlicerSuite):
-    """All installed models, and the settings that change the method."""
+class TestEveryModelOfEmbree(SlicerSuite):
+    """All installed models."""
 
     slicer = Embree
-    settings = ({"mode": "vertical"}, {"mode": "in-plane", "grid_mm": 0.31}, {})
+    settings = ({"grid_mm": 0.31}, {})
 
 
 @pytest.mark.slow

@@ -15,8 +15,6 @@ from ebamcheck.layers.stack import concatenate, from_rings
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck_planecut import PlaneCut
-from ebamcheck_planecut.box_tree import box_tree, grow, touching
-from ebamcheck_planecut.crossed_facets import crossed_mesh
 from ebamcheck_planecut.cut import LONE_LAYERS
 from ebamcheck_planecut.overlaps import (
     CLEAN,
@@ -27,6 +25,7 @@ from ebamcheck_planecut.overlaps import (
     overlap_search,
 )
 from ebamcheck_planecut.sorted_mesh import (
+    crossed_mesh,
     facets_across,
     height_order,
     raise_plane,
@@ -274,9 +273,9 @@ def meets_anywhere(rings) -> bool:
 
 
 def touches(layers) -> bool:
-    tree = box_tree(len(layers.points), 0.0)
-    leaves = grow(tree, layers.points, layers.ring_starts, layers.closed, 0, layers.closed.size)
-    return bool(touching(tree, leaves, layers.points, layers.ring_starts))
+    search = overlap_search(len(layers.points), 0.0)
+    rings = layers.closed.size
+    return classify_layer(layers.points, layers.ring_starts, layers.closed, 0, rings, search) == TOUCHING
 
 
 def star(rng, points, centre, scale):

@@ -63,9 +63,9 @@ def test_many_threads_get_their_own_layers(backend):
 
 
 def test_settings_reach_the_slicer_and_go_along():
-    with Slicing(box(), "embree", mode="vertical") as slicing, slicing.along((1, 0, 0)) as other:
-        assert slicing.at(0.7).settings["mode"] == "vertical"
-        assert other.at(0.7).settings["mode"] == "vertical"
+    with Slicing(box(), "embree", grid_mm=0.25) as slicing, slicing.along((1, 0, 0)) as other:
+        assert slicing.at(0.7).settings["grid_mm"] == 0.25
+        assert other.at(0.7).settings["grid_mm"] == 0.25
 
 
 def test_a_closed_one_says_so():

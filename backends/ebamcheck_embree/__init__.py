@@ -1,4 +1,4 @@
-"""Slicer by ray casting with Embree: in-plane rays with exact crossings, or vertical rays for all layers."""
+"""Slicer by ray casting with Embree: rays in the plane of each layer, with exact crossings."""
 
 from __future__ import annotations
 

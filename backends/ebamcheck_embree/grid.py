@@ -4,31 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.part import Part
-
-Mode = Literal["in-plane", "vertical"]
+from ebamcheck.numeric.rings import Floats
 
 Lattice = tuple[float, float, float, int, int]
 """First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""
 
-COARSE_LINES = 1024
-"""Cells along the longer side of a small part: of the order of the paper's image."""
-
-FINE_LINES = 4096
-"""Most cells along the longer side of an automatic grid, to bound the cost of a layer."""
-
 USUAL_CELL_MM = 0.1
 """Cell for a part of usual size: the pixel of the paper (section 2.2)."""
 
+COARSE_LINES, FINE_LINES = 1024, 4096
+"""Cells along the longer side: at least the order of the paper's image, at most what bounds the cost of a layer."""
+
 LARGEST_LINE_COUNT = 65_536
-LARGEST_NODE_COUNT = 1 << 26
-"""Most lines, and in vertical mode most nodes: more come from a mistyped cell and would not fit into memory."""
+"""Most lines of a grid: more come from a mistyped cell and would not fit into memory."""
 
 OFFSET_X, OFFSET_Y = 0.381966, 0.276393
 """Fractions of a cell by which the lines are offset from the part's box. Faces and vertices of a drawing lie at round
@@ -51,40 +44,30 @@ class Grid:
         return self.x0_mm, self.y0_mm, self.cell_mm, self.columns, self.rows
 
     @property
-    def column_x_mm(self) -> NDArray[np.float64]:
+    def column_x_mm(self) -> Floats:
         """x of each column of nodes, (columns,) mm."""
         return self.x0_mm + self.cell_mm * np.arange(self.columns, dtype=np.float64)
 
     @property
-    def row_y_mm(self) -> NDArray[np.float64]:
+    def row_y_mm(self) -> Floats:
         """y of each row of nodes, (rows,) mm."""
         return self.y0_mm + self.cell_mm * np.arange(self.rows, dtype=np.float64)
 
 
-def automatic_cell_mm(part: Part, mode: Mode) -> float:
-    """Cell for a part: its longer side over 1024, in-plane at most 0.1 mm but at least that side over 4096."""
+def automatic_cell_mm(part: Part) -> float:
+    """Cell for a part: its longer side over 1024, at most 0.1 mm, but at least that side over 4096."""
     side = float(part.size[:2].max(initial=0.0))
-    if side == 0.0:
-        return USUAL_CELL_MM
-    cell = side / COARSE_LINES
-    return cell if mode == "vertical" else max(min(cell, USUAL_CELL_MM), side / FINE_LINES)
+    return max(min(side / COARSE_LINES, USUAL_CELL_MM), side / FINE_LINES) if side else USUAL_CELL_MM
 
 
-def grid_over(part: Part, cell_mm: float, mode: Mode) -> Grid:
-    """Lay the grid over the box of a part.
-
-    Raises
-    ------
-    SettingsError
-        If the cell is so fine that the grid would not fit into memory.
-    """
+def grid_over(part: Part, cell_mm: float) -> Grid:
+    """Lay the grid over the box of a part; :class:`SettingsError` where the cell is too fine for it."""
     (x0, y0, _), (x1, y1, _) = part.bounds - part.bounds.mean(axis=0)
     cells = max(x1 - x0, y1 - y0) / cell_mm
-    nodes = ((x1 - x0) / cell_mm + 4.0) * ((y1 - y0) / cell_mm + 4.0)
-    if cells > LARGEST_LINE_COUNT - 4 or (mode == "vertical" and nodes > LARGEST_NODE_COUNT):
+    if cells > LARGEST_LINE_COUNT - 4:
         raise SettingsError(
             f"backend 'embree', setting 'grid_mm': {cell_mm:g} mm gives {cells:.3g} cells along {part.name!r}; "
-            f"leave it out for {automatic_cell_mm(part, mode):.3g} mm, or give a larger one"
+            f"leave it out for {automatic_cell_mm(part):.3g} mm, or give a larger one"
         )
     left, bottom = x0 - (1.0 + OFFSET_X) * cell_mm, y0 - (1.0 + OFFSET_Y) * cell_mm
     columns = math.ceil((x1 - left) / cell_mm) + 2

@@ -12,16 +12,12 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Prepared, Probe
 from ebamcheck.errors import BackendFailed
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.base import Between
-from ebamcheck_embree.grid import Mode, automatic_cell_mm, grid_over
+from ebamcheck_embree.grid import automatic_cell_mm, grid_over
 
-IN_PLANE_BOUND = math.sqrt(0.5)
-"""Error bound over cell, in-plane. The area that a cell gets wrong is a union of triangles whose corners are
+CELL_BOUND = math.sqrt(0.5)
+"""Error bound over cell. The area that a cell gets wrong is a union of triangles whose corners are
 nodes of the other side or points of the contour, all in one cell: no point of it is farther from a corner
 than the radius of the circle around the cell."""
-
-VERTICAL_BOUND = math.sqrt(10.0) / 4.0
-"""Error bound over cell, vertical. Knots in the middle of grid edges may lie off the contour, so only distances from nodes
-count: the farthest point is the middle of a cut corner, from the two nodes beside that corner."""
 
 SINGLE_EPS = 2.0**-24
 SINGLE_ROUNDINGS = 8.0
@@ -32,11 +28,8 @@ class EmbreeSettings(BackendSettings):
     """Settings of the ray-casting slicer."""
 
     grid_mm: Annotated[float, Between(1e-7, 1000.0)] | None = None
-    """Distance between rays. None: the part's longer side in x and y over 1024; in-plane at most 0.1 mm, but
-    not under that side over 4096."""
-    mode: Mode = "in-plane"
-    """in-plane: rays along rows and columns of each layer, contours on the mesh's own section.
-    vertical: one cast for all layers, contours on the middles of grid edges."""
+    """Distance between rays. None: the part's longer side in x and y over 1024; at most 0.1 mm, but not under that
+    side over 4096."""
     rays_per_call: Annotated[int, Between(1024, 10**8)] = 16_384
     """Rays in one call of Embree, which stay in the processor's cache then: changes no result."""
 
@@ -45,7 +38,7 @@ class Embree:
     """Ray casting with Embree; what its single precision finds is decided and located in float64."""
 
     name: ClassVar[str] = "embree"
-    summary: ClassVar[str] = "ray casting by Embree, in-plane or vertical, and marching squares"
+    summary: ClassVar[str] = "ray casting by Embree in the planes of layers, and marching squares"
     exact: ClassVar[bool] = False
     priority: ClassVar[int] = 20
     coplanar_rule: ClassVar[CoplanarRule] = "undefined"
@@ -65,10 +58,9 @@ class Embree:
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the error that a cell may hide plus single and double rounding at the part's size, mm."""
         checked = _own(settings)
-        cell = checked.grid_mm or automatic_cell_mm(part, checked.mode)
-        factor = IN_PLANE_BOUND if checked.mode == "in-plane" else VERTICAL_BOUND
+        cell = checked.grid_mm or automatic_cell_mm(part)
         single = SINGLE_ROUNDINGS * SINGLE_EPS * float(part.size.max(initial=0.0))
-        return factor * cell + single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds).max())
+        return CELL_BOUND * cell + single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds).max())
 
     def height_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return single rounding of heights from the part's middle plus double rounding of absolute heights, mm."""
@@ -76,7 +68,7 @@ class Embree:
         return single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds[:, 2]).max())
 
     def prepare(self, part: Part, settings: BackendSettings) -> Prepared:
-        """Build the tree, and in vertical mode cast all rays.
+        """Sort the facets into slabs, whose trees are built when they are cut.
 
         Raises
         ------
@@ -90,13 +82,9 @@ class Embree:
             raise BackendFailed(
                 f"embree: part {part.name!r} is {part.size.max():.3g} mm large, beyond single precision"
             )
-        grid = grid_over(part, checked.grid_mm or automatic_cell_mm(part, checked.mode), checked.mode)
+        grid = grid_over(part, checked.grid_mm or automatic_cell_mm(part))
         labels = {**checked.model_dump(), "grid_mm": grid.cell_mm}
-        if checked.mode == "vertical":
-            from ebamcheck_embree.vertical import VerticalRays
-
-            return VerticalRays(part, grid, checked.rays_per_call, labels)
-        from ebamcheck_embree.in_plane import InPlaneRays
+        from ebamcheck_embree.rays import InPlaneRays
 
         return InPlaneRays(part, grid, checked.rays_per_call, labels)
 

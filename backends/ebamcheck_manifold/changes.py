@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck_manifold.placement import Floats, Placement
 
 if TYPE_CHECKING:
@@ -33,18 +32,10 @@ Keys = NDArray[np.uint64]
 def doubtful_regions(
     vertices_mm: Floats, faces: NDArray[np.int32], placement: Placement, manifold: Manifold
 ) -> list[dict[str, Any]]:
-    """Boxes around the facets that manifold3d changed.
+    """Boxes around the facets that manifold3d changed, of those that it was given, as placed in the part.
 
-    Parameters
-    ----------
-    vertices_mm, faces
-        Vertices (V, 3) and facets (F, 3) that manifold3d was given, as placed in the part.
-
-    Returns
-    -------
-    list of dict
-        ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line; ``bound_mm``: largest error of a contour
-        there, if known. Empty if nothing was changed.
+    Of each ``box_mm``: xmin, ymin, zmin, xmax, ymax, zmax; ``why``: one line; ``bound_mm``: largest error of a contour
+    there, if known.
     """
     mesh = manifold.to_mesh64()
     held, held_faces = np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts)
@@ -67,37 +58,23 @@ def _totals(keys: Keys) -> tuple[int, int, int]:
 
 
 def _vertex_keys(vertices: Floats) -> Keys:
-    """Key of each vertex (V,): the bits of its coordinates."""
-    bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)  # -0.0 and 0.0 are one number
-    return _mixed_rows(bits)
+    """Key of each vertex (V,): the bits of its coordinates, spread by the finalizer of MurmurHash3 (public domain)."""
+    x, y, z = np.ascontiguousarray(vertices + 0.0).view(np.uint64).T  # -0.0 and 0.0 are one number
+    keys = x
+    for bits in (y, z, np.uint64(0)):
+        keys = (keys ^ (keys >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
+        keys = (keys ^ (keys >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53) + bits
+    return keys ^ (keys >> np.uint64(33))
 
 
-@kernel
-def _mixed_rows(bits: Keys) -> Keys:
-    keys = np.empty(bits.shape[0], np.uint64)
-    for v in range(bits.shape[0]):
-        x, y, z = _mixed(bits[v, 0]), _mixed(bits[v, 1]), _mixed(bits[v, 2])
-        keys[v] = _mixed(x + np.uint64(3) * y + np.uint64(5) * z)
-    return keys
-
-
-@kernel
 def _facet_keys(vertex_keys: Keys, faces: NDArray[Any]) -> Keys:
     """Key of each facet (F,): its corners in their order, whichever comes first."""
-    keys = np.empty(faces.shape[0], np.uint64)
-    for f in range(faces.shape[0]):
-        a, b, c = vertex_keys[faces[f, 0]], vertex_keys[faces[f, 1]], vertex_keys[faces[f, 2]]
-        three = np.uint64(3)
-        keys[f] = _mixed(a + three * b) + _mixed(b + three * c) + _mixed(c + three * a)
+    swapped = (vertex_keys >> np.uint64(32)) | (vertex_keys << np.uint64(32))
+    a, b, c = faces.T
+    keys = vertex_keys[a] * swapped[b]
+    keys += vertex_keys[b] * swapped[c]
+    keys += vertex_keys[c] * swapped[a]
     return keys
-
-
-@kernel
-def _mixed(bits: np.uint64) -> np.uint64:
-    """Spread the bits of a 64-bit number (finalizer of MurmurHash3, public domain)."""
-    bits = (bits ^ (bits >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
-    bits = (bits ^ (bits >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53)
-    return bits ^ (bits >> np.uint64(33))
 
 
 def _boxes(triangles: Floats, old: NDArray[np.bool_]) -> list[dict[str, Any]]:

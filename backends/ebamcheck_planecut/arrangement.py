@@ -16,11 +16,15 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck_planecut.sheets import SEVERAL
+from ebamcheck_planecut.overlaps import NESTED_WRONG, kept_rings
 
 Index = NDArray[np.int32]
+
+SEVERAL = -1
+"""In place of the sheet of a vertex, point or side that several sheets share."""
 
 
 class Arrangement(NamedTuple):
@@ -35,16 +39,9 @@ class Arrangement(NamedTuple):
 
 
 def arrangement(layer: Layers, reach_mm: float, sheets: Index) -> Arrangement:
-    """Return the arrangement of all closed rings of a layer.
+    """Return the arrangement of all closed rings of a layer (a stack of length 1), whose points may be off by the reach.
 
-    Parameters
-    ----------
-    layer
-        A stack of length 1.
-    reach_mm
-        What the points of the rings may be off.
-    sheets
-        (V,) sheet of each vertex of the mesh, by :func:`~ebamcheck_planecut.sheets.sheets_of_vertices`.
+    `sheets` (V,) has the sheet of each vertex of the mesh.
     """
     assert layer.edge is not None
     # A point, and a side, of which one end belongs to a single sheet lies on that one.
@@ -139,3 +136,73 @@ def _through_points(
     nodes, owner = nodes[order], owner[order]
     follows = owner[1:] == owner[:-1]
     return nodes[:-1][follows], nodes[1:][follows], of[owner[:-1][follows]]
+
+
+def sheets_of_vertices(faces: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+    """Return the sheet (V,) of each of `count` vertices: that of all facets at it; :data:`SEVERAL` where they differ or lack.
+
+    Sheets are facets that hang together across edges at which exactly two of them meet. A body that touches no other one is a
+    sheet. Where welded bodies share an edge, more than two facets meet there, and sheets end.
+    """
+    # Few meshes need them, and loading them takes longer than slicing a small part.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    groups = edge_groups(faces, count)
+    two = groups.starts[:-1][np.diff(groups.starts) == 2]
+    a, b = groups.half_edges[two] // 3, groups.half_edges[two + 1] // 3
+    graph = coo_array((np.ones(len(a), np.bool_), (a, b)), shape=(len(faces), len(faces)))
+    _, sheet = connected_components(graph, directed=False)
+    tails = faces.reshape(-1)[groups.half_edges]
+    found = sheet[groups.half_edges // 3].astype(np.int32)
+    result = np.full(count, SEVERAL, np.int32)
+    result[tails] = found
+    result[tails[result[tails] != found]] = SEVERAL
+    return result
+
+
+def unite(
+    layer: Layers, kind: int, reach_mm: float, sheets: NDArray[np.int32]
+) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
+    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; bodies that touch along a line are one.
+
+    The result has the columns points, ring_starts, closed, edge and edge_t, open paths included; points that the union made
+    (crossings) have edge -1 and parameter NaN. It is None if nothing changes. `sheets` are read only where rings touch or cross.
+    """
+    assert layer.edge is not None
+    assert layer.edge_t is not None
+    if kind == NESTED_WRONG:
+        keep = kept_rings(layer.points, layer.ring_starts, layer.closed)
+        rows = np.repeat(keep, np.diff(layer.ring_starts))
+        sizes = np.diff(layer.ring_starts)[keep]
+        starts = np.concatenate([[0], np.cumsum(sizes)])
+        return layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
+    found = arrangement(layer, reach_mm, sheets)
+    if not found.seams and np.isin(found.winding, (0, 1)).all():
+        return None
+    united = shapely.orient_polygons(shapely.union_all(found.faces[found.winding > 0]))
+    rings = [
+        shapely.get_coordinates(ring)[:-1]
+        for polygon in shapely.get_parts(united)
+        for ring in (polygon.exterior, *polygon.interiors)
+    ]
+    open_paths = [layer.ring(r) for r in np.flatnonzero(~layer.closed).tolist()]
+    paths = [*rings, *open_paths]
+    points = np.concatenate(paths) if paths else np.zeros((0, 2))
+    starts = np.concatenate([[0], np.cumsum([len(path) for path in paths])]).astype(np.int64)
+    closed = np.arange(len(paths)) < len(rings)
+    edge, edge_t = _known_edges(points, layer)
+    return points, starts, closed, edge, edge_t
+
+
+def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:
+    """Mesh edges and parameters of the points that the layer already had; -1 and NaN for new ones."""
+    assert layer.edge is not None
+    assert layer.edge_t is not None
+    old, new = (np.ascontiguousarray(p).view("V16").reshape(-1) for p in (layer.points + 0.0, points + 0.0))
+    order = np.argsort(old)
+    at = np.minimum(np.searchsorted(old, new, sorter=order), max(len(old) - 1, 0))
+    source = order[at] if len(old) else np.zeros(len(new), np.int64)
+    known = old[source] == new if len(old) else np.zeros(len(new), np.bool_)
+    edge = np.where(known[:, None], layer.edge[source], -1).astype(np.int32)
+    return edge, np.where(known, layer.edge_t[source], np.nan)

@@ -16,10 +16,9 @@ from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import run_blocks, run_each
-from ebamcheck_planecut import PlaneCut, overlaps
-from ebamcheck_planecut.crossed_facets import crossed_mesh
-from ebamcheck_planecut.sheets import sheets_of_vertices
-from ebamcheck_planecut.sorted_mesh import SortedMesh, sorted_mesh, turned_mesh, vertices_under
+from ebamcheck_planecut import PlaneCut
+from ebamcheck_planecut.overlaps import CLEAN, TOUCHING
+from ebamcheck_planecut.sorted_mesh import SortedMesh, crossed_mesh, sorted_mesh, turned_mesh, vertices_under
 from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 Sheets = Callable[[], NDArray[np.int32]]
@@ -34,15 +33,9 @@ LONE_LAYERS = 8
 class PreparedCut:
     """The part's mesh sorted by height, with the neighbours of every facet; cuts any block of layers.
 
-    Parameters
-    ----------
-    part, settings
-        The part as placed, and the settings.
-    before
-        Sorted mesh with the same `faces` and other vertex coordinates, whose neighbours are valid here, too. If given, this
-        mesh is sorted only after more than :data:`LONE_LAYERS` layers were requested.
-    sheets
-        Gives the sheet of each vertex, if another part with the same `faces` has been prepared.
+    `before` is a sorted mesh with the same `faces` and other vertex coordinates, whose neighbours are valid here, too; if given, this
+    mesh is sorted only after more than :data:`LONE_LAYERS` layers were requested. `sheets` gives the sheet of each vertex, if
+    another part with the same `faces` has been prepared.
     """
 
     def __init__(
@@ -53,7 +46,7 @@ class PreparedCut:
         sheets: Sheets | None = None,
     ) -> None:
         self._part = part
-        self._sheets = sheets or cache(lambda: sheets_of_vertices(part.faces, len(part.vertices)))
+        self._sheets = sheets or cache(lambda: _sheets_of(part))
         self._settings = settings
         self._before = before
         self._lone_layers = 0
@@ -73,13 +66,7 @@ class PreparedCut:
         """Hold nothing that needs freeing."""
 
     def turned(self, part: Part) -> PreparedCut:
-        """Prepare the same part along another direction, without searching for the neighbours of facets again.
-
-        Parameters
-        ----------
-        part
-            A part with the same `faces` and other vertex coordinates.
-        """
+        """Prepare a part with the same `faces` along another direction, without searching for their neighbours again."""
         return PreparedCut(
             part, self._settings, self._before if self._mesh is None else self._mesh, self._sheets
         )
@@ -159,6 +146,13 @@ def _close_gaps(columns: Sequence[NDArray[Any]], blocks: list[Block]) -> None:
             filled += stop - first
 
 
+def _sheets_of(part: Part) -> NDArray[np.int32]:
+    # Few parts need them, and what they need takes longer to load than a small part takes to cut.
+    from ebamcheck_planecut.arrangement import sheets_of_vertices
+
+    return sheets_of_vertices(part.faces, len(part.vertices))
+
+
 def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
     """Make a mesh while another thread computes the part's hash, which layers carry."""
     with ThreadPoolExecutor(1) as aside:
@@ -170,10 +164,10 @@ def _while_hashed(part: Part, make: Callable[[], SortedMesh]) -> SortedMesh:
 
 def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float, sheets: Sheets) -> Layers:
     """Unite the shells of layers on which they overlap or touch; other layers stay as they are."""
-    doubtful = np.flatnonzero(kinds != overlaps.CLEAN).tolist()
+    doubtful = np.flatnonzero(kinds != CLEAN).tolist()
     if not doubtful:
         return layers
-    sheet = sheets() if (kinds == overlaps.TOUCHING).any() else np.zeros(0, np.int32)
+    sheet = sheets() if (kinds == TOUCHING).any() else np.zeros(0, np.int32)
 
     found = run_each(lambda k: _resolved(layers.block(k, k + 1), int(kinds[k]), reach_mm, sheet), doubtful)
     blocks: list[Layers] = []
@@ -187,7 +181,9 @@ def _united(layers: Layers, kinds: NDArray[np.int8], reach_mm: float, sheets: Sh
 
 def _resolved(one: Layers, kind: int, reach_mm: float, sheet: NDArray[np.int32]) -> Layers | None:
     """Unite the shells of a single layer; None where nothing changes."""
-    resolved = overlaps.unite(one, kind, reach_mm, sheet)
+    from ebamcheck_planecut.arrangement import unite
+
+    resolved = unite(one, kind, reach_mm, sheet)
     if resolved is None:
         return None
     points, ring_starts, closed, edge, edge_t = resolved

@@ -14,19 +14,16 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.topology import NO_TWIN, pair_fan
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.sorting import as_floats, put_in_order, stable_order
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
+Ints = NDArray[np.int64]
 
 SMALLEST_BLOCK = 16384
 """Fewest vertices worth a thread."""
 
 NONE = -1
 """End of a linked list of facets."""
-
-FEW = 64
-"""Most half-edges at a vertex that are sorted by insertion."""
 
 
 class Neighbours(NamedTuple):
@@ -43,13 +40,7 @@ class Neighbours(NamedTuple):
 
 
 def neighbours(vertices: Floats, faces: Index, first: Index) -> Neighbours:
-    """Find the neighbours of all facets; more than two at an edge are paired as in :func:`~ebamcheck.mesh.topology.twins`.
-
-    Parameters
-    ----------
-    vertices, faces, first
-        Columns of a :class:`~ebamcheck_planecut.sorted_mesh.SortedMesh`.
-    """
+    """Find the neighbours of all facets of a sorted mesh; of more than two at an edge pairs by their angles."""
     twin = np.empty(3 * len(faces), np.int32)
     chain, following = np.full(len(vertices), NONE, np.int32), np.empty(len(faces), np.int32)
     _chain(faces, chain, following)
@@ -85,31 +76,33 @@ def _match(
     """Write the twins at edges whose lower vertex is one of ``[start, stop)``; tells if any is open, mixed or a fan."""
     corners = faces.reshape(-1)
     is_open = mixed = fans = False
-    half_edges, upper = np.empty(FEW, np.int32), np.empty(FEW, np.int32)
+    edges, half_edges = np.empty(64, np.int64), np.empty(64, np.int32)
     for v in range(start, stop):
         most = 2 * (first[v + 1] - first[v])
         f = chain[v]
         while f != NONE:
             most += 1
             f = following[f]
-        if most > upper.size:
-            half_edges, upper = np.empty(2 * most, np.int32), np.empty(2 * most, np.int32)
+        if most > edges.size:
+            edges, half_edges = np.empty(2 * most, np.int64), np.empty(2 * most, np.int32)
+        # Each by its upper vertex, then by its number.
         count = 0
-        # Facets of which v is the middle vertex begin lower, and so have lesser numbers than those that begin here.
         f = chain[v]
         while f != NONE:
-            half_edges[count], upper[count] = 3 * f + 1, max(corners[3 * f + 1], corners[3 * f + 2])
+            edges[count] = (np.int64(max(corners[3 * f + 1], corners[3 * f + 2])) << 32) | (3 * f + 1)
             count += 1
             f = following[f]
         for f in range(first[v], first[v + 1]):
-            half_edges[count], upper[count] = 3 * f, corners[3 * f + 1]
-            half_edges[count + 1], upper[count + 1] = 3 * f + 2, corners[3 * f + 2]
+            edges[count] = (np.int64(corners[3 * f + 1]) << 32) | (3 * f)
+            edges[count + 1] = (np.int64(corners[3 * f + 2]) << 32) | (3 * f + 2)
             count += 2
-        _sort(half_edges[:count], upper[:count])
+        _sort(edges, count)
+        for n in range(count):
+            half_edges[n] = edges[n] & 0xFFFFFFFF
         at = 0
         while at < count:
             past = at + 1
-            while past < count and upper[past] == upper[at]:
+            while past < count and edges[past] >> 32 == edges[at] >> 32:
                 past += 1
             if past - at == 2:
                 g, h = half_edges[at], half_edges[at + 1]
@@ -126,17 +119,17 @@ def _match(
 
 
 @kernel
-def _sort(half_edges: Index, upper: Index) -> None:
-    """Order half-edges by their upper vertex, keeping those of one edge as they stand."""
-    if upper.size > FEW:
-        order = stable_order(as_floats(upper))
-        put_in_order(half_edges, order)
-        put_in_order(upper, order)
-        return
-    for i in range(1, upper.size):
-        key, value = upper[i], half_edges[i]
-        k = i
-        while k > 0 and upper[k - 1] > key:
-            upper[k], half_edges[k] = upper[k - 1], half_edges[k - 1]
-            k -= 1
-        upper[k], half_edges[k] = key, value
+def _sort(keys: Ints, count: int) -> None:
+    """Sort the first `count` keys: by insertion if they are few, else by Shell's method."""
+    gap = 1
+    while gap < count // 64:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for i in range(gap, count):
+            key = keys[i]
+            k = i
+            while k >= gap and keys[k - gap] > key:
+                keys[k] = keys[k - gap]
+                k -= gap
+            keys[k] = key
+        gap //= 3

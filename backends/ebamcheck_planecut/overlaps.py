@@ -1,8 +1,9 @@
-"""Layers with winding numbers other than 0 and 1, and the union of their shells.
+"""Layers with winding numbers other than 0 and 1: those whose rings meet, or are nested wrongly.
 
-For a layer whose rings neither touch nor cross, as nearly all layers of nearly all parts, the nesting of the rings decides.
-Where rings touch or cross, the arrangement of the layer is built. Rings that touch in single points, and those of one
-body that touch, stay as they are.
+A tree of boxes over the segments of a layer finds whether any two of them meet within a reach. Leaves are short runs of
+consecutive segments; inner nodes join neighbours. A run that is monotone in x and in y does not meet itself; nor do two
+consecutive runs that are monotone in the same directions. A contour rarely reverses in x or y, so only a small part of it remains
+to be tested. For a layer whose rings neither touch nor cross, as nearly all layers of nearly all parts, their nesting decides.
 """
 
 from __future__ import annotations
@@ -12,18 +13,33 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.layers.stack import Layers
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints, signed_area
-from ebamcheck_planecut.box_tree import SEGMENTS_A_LEAF, BoxTree, box_tree, encloses, grow, touching
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
+SEGMENTS_A_LEAF = 8
+"""Segments of a leaf: with fewer, the tree costs more than it saves; with more, overlapping leaves do."""
+
+LEFT, RIGHT, DOWN, UP = 1, 2, 4, 8  # directions of segments, as bits
+SEVERAL_RINGS = -1
+
 
 class OverlapSearch(NamedTuple):
-    """Working memory to examine the rings of one layer."""
+    """Working memory to examine the rings of one layer: node 1 of the tree is its root, 2 n and 2 n + 1 are below node n."""
 
-    tree: BoxTree
+    boxes: Floats
+    """(2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l."""
+    ways: NDArray[np.uint8]
+    """(2 M,) directions of the segments of each node."""
+    ring: NDArray[np.int32]
+    """(2 M,) ring of each node, or :data:`SEVERAL_RINGS`."""
+    first: Ints
+    """(M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins."""
+    stack: NDArray[np.int32]
+    """Pairs of nodes waiting to be tested, and whether one follows the other along its ring."""
+    reach_mm: float
+    """Segments that come this near to each other meet: what rounding may have moved them apart."""
     outward: Ints
     """(R,) +1 for an outer ring, -1 for a hole."""
     first_leaf: Ints
@@ -39,8 +55,19 @@ class OverlapSearch(NamedTuple):
 @kernel
 def overlap_search(points: int, reach_mm: float) -> OverlapSearch:
     """Room for layers of so many points, whose rings touch where they come within a reach of each other."""
+    # The smallest rings are triangles, of one leaf each.
+    leaves = 1
+    while leaves < points // 3 + points // SEGMENTS_A_LEAF + 1:
+        leaves *= 2
     return OverlapSearch(
-        box_tree(points, reach_mm),
+        np.empty((2 * leaves, 4)),
+        np.empty(2 * leaves, np.uint8),
+        np.empty(2 * leaves, np.int32),
+        np.empty(leaves + 1, np.int64),
+        np.empty(
+            (512, 3), np.int32
+        ),  # fewer than three pairs wait per level of two nodes, with fewer than 64 levels
+        reach_mm,
         np.empty(points, np.int64),
         np.empty(points, np.int64),
         np.empty(points),
@@ -55,29 +82,14 @@ def classify_layer(
 ) -> int:
     """Tell a clean layer from one with wrongly nested rings and from one with touching or crossing ones.
 
-    Parameters
-    ----------
-    points, ring_starts, closed
-        Of a stack of layers in canonical form.
-    a, b
-        Rings of the layer.
-    search
-        Room for a layer of so many points; `keep` is written for its rings, unless they touch.
+    The layer has the rings ``[a, b)`` of a stack in canonical form, `search` room for its points; there `keep` is written for
+    its rings, unless they touch.
     """
     if a == b:
         return CLEAN
-    leaves = grow(search.tree, points, ring_starts, closed, a, b)
-    if touching(search.tree, leaves, points, ring_starts):
+    leaves = _grow(search, points, ring_starts, closed, a, b)
+    if _touching(search, leaves, points, ring_starts):
         return TOUCHING
-    _measure(points, ring_starts, closed, a, b, search, leaves)
-    return CLEAN if _all_kept(points, ring_starts, closed, a, b, search, leaves) else NESTED_WRONG
-
-
-@kernel
-def _measure(
-    points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int, search: OverlapSearch, leaves: int
-) -> None:
-    """Direction, leaves and right end of the closed rings ``[a, b)``."""
     leaf = 0
     for r in range(a, b):
         if not closed[r]:
@@ -87,9 +99,156 @@ def _measure(
         search.first_leaf[r - a] = leaf
         greatest = -np.inf
         for _ in range(first, stop, SEGMENTS_A_LEAF):
-            greatest = max(greatest, search.tree.boxes[leaves + leaf, 2])
+            greatest = max(greatest, search.boxes[leaves + leaf, 2])
             leaf += 1
         search.greatest_x[r - a] = greatest
+    return CLEAN if _all_kept(points, ring_starts, closed, a, b, search, leaves) else NESTED_WRONG
+
+
+@kernel
+def _grow(search: OverlapSearch, points: Floats, ring_starts: Ints, closed: Bools, a: int, b: int) -> int:
+    """Build the tree over the closed rings ``[a, b)``; returns the number M of its leaves, empty ones included."""
+    boxes, ways, ring = search.boxes, search.ways, search.ring
+    used = 0
+    for r in range(a, b):
+        if closed[r]:
+            used += (ring_starts[r + 1] - ring_starts[r] + SEGMENTS_A_LEAF - 1) // SEGMENTS_A_LEAF
+    leaves = 1
+    while leaves < used:
+        leaves *= 2
+    node = leaves
+    for r in range(a, b):
+        if not closed[r]:
+            continue
+        for first in range(ring_starts[r], ring_starts[r + 1], SEGMENTS_A_LEAF):
+            stop = min(first + SEGMENTS_A_LEAF, ring_starts[r + 1])
+            end = stop if stop < ring_starts[r + 1] else ring_starts[r]
+            x, y = points[end, 0], points[end, 1]
+            xmin, ymin, xmax, ymax = x, y, x, y
+            way = 0
+            for i in range(stop - 1, first - 1, -1):
+                px, py = points[i, 0], points[i, 1]
+                xmin, xmax = min(xmin, px), max(xmax, px)
+                ymin, ymax = min(ymin, py), max(ymax, py)
+                way |= LEFT * (x < px) | RIGHT * (x > px) | DOWN * (y < py) | UP * (y > py)
+                x, y = px, py
+            boxes[node, 0], boxes[node, 1], boxes[node, 2], boxes[node, 3] = xmin, ymin, xmax, ymax
+            search.first[node - leaves], ring[node], ways[node] = first, r, way
+            node += 1
+    for empty in range(node, 2 * leaves):
+        ring[empty], ways[empty] = SEVERAL_RINGS, 0
+        boxes[empty, 0] = boxes[empty, 1] = np.inf
+        boxes[empty, 2] = boxes[empty, 3] = -np.inf
+    for n in range(leaves - 1, 0, -1):
+        c, d = 2 * n, 2 * n + 1
+        boxes[n, 0], boxes[n, 1] = min(boxes[c, 0], boxes[d, 0]), min(boxes[c, 1], boxes[d, 1])
+        boxes[n, 2], boxes[n, 3] = max(boxes[c, 2], boxes[d, 2]), max(boxes[c, 3], boxes[d, 3])
+        ring[n] = ring[c] if ring[c] == ring[d] else SEVERAL_RINGS
+        ways[n] = ways[c] | ways[d] if ring[n] != SEVERAL_RINGS else LEFT | RIGHT | DOWN | UP
+    return leaves
+
+
+@kernel
+def _touching(search: OverlapSearch, leaves: int, points: Floats, ring_starts: Ints) -> bool:
+    """Whether two segments of the tree meet elsewhere than where one follows the other."""
+    boxes, ways, ring, stack, reach_mm = search.boxes, search.ways, search.ring, search.stack, search.reach_mm
+    stack[0, 0], stack[0, 1], stack[0, 2] = 1, 1, 0
+    waiting = 1
+    while waiting > 0:
+        waiting -= 1
+        a, b, behind = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2]
+        if a != b and (
+            boxes[b, 0] - boxes[a, 2] > reach_mm
+            or boxes[a, 0] - boxes[b, 2] > reach_mm
+            or boxes[b, 1] - boxes[a, 3] > reach_mm
+            or boxes[a, 1] - boxes[b, 3] > reach_mm
+        ):
+            continue
+        if a == b or (behind and ring[a] == ring[b]):
+            way = ways[a] | ways[b]
+            if way & (LEFT | RIGHT) != LEFT | RIGHT and way & (DOWN | UP) != DOWN | UP:
+                continue  # monotone in x and in y
+        if a >= leaves and b >= leaves:
+            if _leaves_meet(search, leaves, a, b, points, ring_starts):
+                return True
+        elif a == b:
+            waiting = _push(stack, waiting, 2 * a, 2 * a + 1, 1)
+            waiting = _push(stack, waiting, 2 * a, 2 * a, 0)
+            waiting = _push(stack, waiting, 2 * a + 1, 2 * a + 1, 0)
+        elif b >= leaves or (
+            a < leaves
+            and boxes[a, 2] - boxes[a, 0] + boxes[a, 3] - boxes[a, 1]
+            >= boxes[b, 2] - boxes[b, 0] + boxes[b, 3] - boxes[b, 1]
+        ):
+            waiting = _push(stack, waiting, 2 * a, b, 0)
+            waiting = _push(stack, waiting, 2 * a + 1, b, behind)
+        else:
+            waiting = _push(stack, waiting, a, 2 * b, behind)
+            waiting = _push(stack, waiting, a, 2 * b + 1, 0)
+    return False
+
+
+@kernel
+def _push(stack: NDArray[np.int32], waiting: int, a: int, b: int, behind: int) -> int:
+    stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = a, b, behind
+    return waiting + 1
+
+
+@kernel
+def _leaves_meet(
+    search: OverlapSearch, leaves: int, a: int, b: int, points: Floats, ring_starts: Ints
+) -> bool:
+    """Whether a segment of leaf `b` meets one of leaf `a`, which is the same or stands before it."""
+    boxes, reach_mm = search.boxes, search.reach_mm
+    first_a, end_a = search.first[a - leaves], ring_starts[search.ring[a] + 1]
+    stop_a = min(first_a + SEGMENTS_A_LEAF, end_a)
+    first_b, end_b = search.first[b - leaves], ring_starts[search.ring[b] + 1]
+    stop_b = min(first_b + SEGMENTS_A_LEAF, end_b)
+    for i in range(first_b, stop_b):
+        j = i + 1 if i + 1 < end_b else ring_starts[search.ring[b]]
+        if (
+            boxes[a, 0] - max(points[i, 0], points[j, 0]) > reach_mm
+            or min(points[i, 0], points[j, 0]) - boxes[a, 2] > reach_mm
+            or boxes[a, 1] - max(points[i, 1], points[j, 1]) > reach_mm
+            or min(points[i, 1], points[j, 1]) - boxes[a, 3] > reach_mm
+        ):
+            continue
+        for k in range(first_a, min(stop_a, i) if a == b else stop_a):
+            after = k + 1 if k + 1 < end_a else ring_starts[search.ring[a]]
+            if after != i and j != k and _meet(points, i, j, k, after, reach_mm):
+                return True
+    return False
+
+
+@kernel
+def _meet(points: Floats, a: int, b: int, c: int, d: int, reach_mm: float) -> bool:
+    """Whether segments ab and cd come within the reach of each other."""
+    if (
+        min(points[c, 0], points[d, 0]) - max(points[a, 0], points[b, 0]) > reach_mm
+        or min(points[a, 0], points[b, 0]) - max(points[c, 0], points[d, 0]) > reach_mm
+        or min(points[c, 1], points[d, 1]) - max(points[a, 1], points[b, 1]) > reach_mm
+        or min(points[a, 1], points[b, 1]) - max(points[c, 1], points[d, 1]) > reach_mm
+    ):
+        return False
+    apart = False
+    for i, j, k, m in ((a, b, c, d), (c, d, a, b)):
+        along_x, along_y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        p = along_x * (points[k, 1] - points[i, 1]) - (points[k, 0] - points[i, 0]) * along_y
+        q = along_x * (points[m, 1] - points[i, 1]) - (points[m, 0] - points[i, 0]) * along_y
+        apart = apart or (p > 0.0 and q > 0.0) or (p < 0.0 and q < 0.0)
+    if not apart:
+        return True
+    if reach_mm == 0.0:
+        return False
+    # Segments that do not cross are nearest at an end of one of them.
+    for i, j, k in ((a, b, c), (a, b, d), (c, d, a), (c, d, b)):
+        along_x, along_y = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        x, y = points[k, 0] - points[i, 0], points[k, 1] - points[i, 1]
+        square = along_x * along_x + along_y * along_y
+        t = min(max((x * along_x + y * along_y) / square, 0.0), 1.0) if square > 0.0 else 0.0
+        if (x - t * along_x) ** 2 + (y - t * along_y) ** 2 <= reach_mm * reach_mm:
+            return True
+    return False
 
 
 @kernel
@@ -119,9 +278,7 @@ def _all_kept(
                 continue
             search.around[kept] = s
             kept += 1
-            if s != r and encloses(
-                search.tree, leaves, search.first_leaf[s - a], points, ring_starts, s, x, y
-            ):
+            if s != r and _encloses(search, leaves + search.first_leaf[s - a], points, ring_starts, s, x, y):
                 outside += search.outward[s - a]
         count = kept
         if (outside > 0) == (outside + search.outward[r - a] > 0):
@@ -131,71 +288,32 @@ def _all_kept(
 
 
 @kernel
+def _encloses(
+    search: OverlapSearch, leaf: int, points: Floats, ring_starts: Ints, r: int, x: float, y: float
+) -> bool:
+    """Whether (x, y) lies inside ring `r`, whose leaves begin at node `leaf`; on its boundary it does not.
+
+    As :func:`ebamcheck.numeric.rings.locate`, but for the leaves beside which the point does not lie.
+    """
+    inside = False
+    for i in range(ring_starts[r], ring_starts[r + 1], SEGMENTS_A_LEAF):
+        if search.boxes[leaf, 1] <= y <= search.boxes[leaf, 3]:
+            for k in range(i, min(i + SEGMENTS_A_LEAF, ring_starts[r + 1])):
+                after = k + 1 if k + 1 < ring_starts[r + 1] else ring_starts[r]
+                xi, yi, xj, yj = points[after, 0], points[after, 1], points[k, 0], points[k, 1]
+                if (yi > y) != (yj > y):
+                    side = (xj - xi) * (y - yi) - (x - xi) * (yj - yi)
+                    if side == 0.0:
+                        return False
+                    inside = inside != ((side > 0.0) == (yj > yi))
+                elif yi == y and (xi == x or (yj == y and (xi > x) != (xj > x))):
+                    return False
+        leaf += 1
+    return inside
+
+
 def kept_rings(points: Floats, ring_starts: Ints, closed: Bools) -> Bools:
     """Tell which rings of one layer, which do not touch, separate solid from void (R,); open paths are kept."""
     search = overlap_search(points.shape[0], 0.0)
     classify_layer(points, ring_starts, closed, 0, closed.size, search)
-    return search.keep[: closed.size].copy()
-
-
-def unite(
-    layer: Layers, kind: int, reach_mm: float, sheets: NDArray[np.int32]
-) -> tuple[Floats, Ints, Bools, NDArray[np.int32], Floats] | None:
-    """Unite the shells of one layer (a stack of length 1) by the rule winding > 0; bodies that touch along a line are one.
-
-    Parameters
-    ----------
-    layer, kind
-        The layer, and its class by :func:`classify_layer`.
-    reach_mm
-        What rounding may move a point by: bodies this near to each other touch.
-    sheets
-        (V,) sheet of each vertex of the mesh; read only where rings touch or cross.
-
-    Returns
-    -------
-    points, ring_starts, closed, edge, edge_t
-        Columns of the united layer, open paths included; None if nothing changes. Points that the union made
-        (crossings) have edge -1 and parameter NaN.
-    """
-    assert layer.edge is not None
-    assert layer.edge_t is not None
-    if kind == NESTED_WRONG:
-        keep = kept_rings(layer.points, layer.ring_starts, layer.closed)
-        rows = np.repeat(keep, np.diff(layer.ring_starts))
-        sizes = np.diff(layer.ring_starts)[keep]
-        starts = np.concatenate([[0], np.cumsum(sizes)])
-        return layer.points[rows], starts, layer.closed[keep], layer.edge[rows], layer.edge_t[rows]
-    import shapely
-
-    from ebamcheck_planecut.arrangement import arrangement
-
-    found = arrangement(layer, reach_mm, sheets)
-    if not found.seams and np.isin(found.winding, (0, 1)).all():
-        return None
-    united = shapely.orient_polygons(shapely.union_all(found.faces[found.winding > 0]))
-    rings = [
-        shapely.get_coordinates(ring)[:-1]
-        for polygon in shapely.get_parts(united)
-        for ring in (polygon.exterior, *polygon.interiors)
-    ]
-    open_paths = [layer.ring(r) for r in np.flatnonzero(~layer.closed).tolist()]
-    paths = [*rings, *open_paths]
-    points = np.concatenate(paths) if paths else np.zeros((0, 2))
-    starts = np.concatenate([[0], np.cumsum([len(path) for path in paths])]).astype(np.int64)
-    closed = np.arange(len(paths)) < len(rings)
-    edge, edge_t = _known_edges(points, layer)
-    return points, starts, closed, edge, edge_t
-
-
-def _known_edges(points: Floats, layer: Layers) -> tuple[NDArray[np.int32], Floats]:
-    """Mesh edges and parameters of the points that the layer already had; -1 and NaN for new ones."""
-    assert layer.edge is not None
-    assert layer.edge_t is not None
-    old, new = (np.ascontiguousarray(p).view("V16").reshape(-1) for p in (layer.points + 0.0, points + 0.0))
-    order = np.argsort(old)
-    at = np.minimum(np.searchsorted(old, new, sorter=order), max(len(old) - 1, 0))
-    source = order[at] if len(old) else np.zeros(len(new), np.int64)
-    known = old[source] == new if len(old) else np.zeros(len(new), np.bool_)
-    edge = np.where(known[:, None], layer.edge[source], -1).astype(np.int32)
-    return edge, np.where(known, layer.edge_t[source], np.nan)
+    return search.keep[: closed.size]

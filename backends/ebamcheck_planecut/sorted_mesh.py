@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import kernel, run_blocks, thread_count
-from ebamcheck.numeric.sorting import as_floats, put_in_order, stable_order
 from ebamcheck_planecut.neighbours import Neighbours, neighbours
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
 Ints = NDArray[np.int64]
+Levels = NDArray[np.uint8]
 
 RUN = 256
 """Facets of a run that is skipped as a whole: so many that testing all runs costs as little as going through one."""
@@ -33,6 +33,10 @@ FLAT = -1
 
 VERTICES_A_BIN = 4
 """Mean number of vertices in a bin of the sort by height: few enough to sort by insertion."""
+
+
+MOST_PLANES = 255
+"""Most planes at a time, so that a level fits into a byte: the levels of a million facets then stay in a core's cache."""
 
 
 class SortedMesh(NamedTuple):
@@ -80,6 +84,24 @@ def turned_mesh(part: Part, before: SortedMesh) -> SortedMesh:
         FACETS_A_BLOCK,
     )
     return _measured(order, before.around._replace(twin=twin))
+
+
+def crossed_mesh(part: Part, heights: Floats) -> SortedMesh:
+    """Sort only the facets that some planes (L,), increasing, cross; at these heights the result is cut like the whole mesh.
+
+    Sorting a whole part by height pays off over many layers. A single layer, as when slicing directions are tried, needs only
+    the facets that it crosses. All facets around a cut edge are among these, in the same order as in the whole mesh, so the
+    traced contours are the same bit for bit.
+    """
+    level = np.empty(len(part.vertices), np.uint8)
+    run_blocks(lambda a, b: _levels(part.vertices, heights, level, a, b), level.size, FACETS_A_BLOCK)
+    crossed = np.concatenate(
+        run_blocks(lambda a, b: _across(part.faces, level, a, b), len(part.faces), FACETS_A_BLOCK)
+    )
+    corners, faces = np.unique(part.faces[crossed], return_inverse=True)
+    mesh = sorted_mesh(Part(part.vertices[corners], faces.reshape(-1, 3).astype(np.int32)))
+    mesh.vertices[:, 3] = corners[mesh.vertices[:, 3].astype(np.int64)]
+    return mesh._replace(numbers=crossed[mesh.numbers])
 
 
 class _Order(NamedTuple):
@@ -134,46 +156,32 @@ def height_order(z: Floats) -> Index:
     scale = (bins - 1) / (high - low) if 1e-290 < high - low < 1e290 else 0.0
     starts = np.zeros(bins + 1, np.int64)
     for v in range(z.size):
-        starts[_bin(z[v], low, scale) + 1] += 1
+        starts[(int((z[v] - low) * scale) if scale > 0.0 else 0) + 1] += 1
     for b in range(bins):
         starts[b + 1] += starts[b]
     fill = starts[:-1].copy()
     for v in range(z.size):
-        b = _bin(z[v], low, scale)
+        b = int((z[v] - low) * scale) if scale > 0.0 else 0
         order[fill[b]] = v
         fill[b] += 1
     for b in range(bins):
-        _sort_bin(z, order[starts[b] : starts[b + 1]])
+        first, stop = starts[b], starts[b + 1]
+        # By insertion; a crowded bin by Shell's method, first at wide gaps.
+        gap = 1
+        while gap < (stop - first) // 64:
+            gap = 3 * gap + 1
+        while gap > 0:
+            for i in range(first + gap, stop):
+                v = order[i]
+                k = i
+                while k >= first + gap and (
+                    z[order[k - gap]] > z[v] or (z[order[k - gap]] == z[v] and order[k - gap] > v)
+                ):
+                    order[k] = order[k - gap]
+                    k -= gap
+                order[k] = v
+            gap //= 3
     return order
-
-
-@kernel
-def _bin(z: float, low: float, scale: float) -> int:
-    """Bin of a height; a higher one has the same bin or a later one."""
-    return int((z - low) * scale) if scale > 0.0 else 0
-
-
-@kernel
-def _sort_bin(z: Floats, order: Index) -> None:
-    """Order a few vertices by z, keeping those of equal z as they stand."""
-    moves = 0
-    for i in range(1, order.size):
-        v = order[i]
-        k = i
-        while k > 0 and z[order[k - 1]] > z[v]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = v
-        moves += i - k
-        if moves > 16 * order.size:
-            break
-    if moves > 16 * order.size:
-        # A crowded bin; the numbers of the vertices give back the order of those of equal z.
-        put_in_order(order, stable_order(as_floats(order)))
-        heights = np.empty(order.size)
-        for i in range(order.size):
-            heights[i] = z[order[i]]
-        put_in_order(order, stable_order(heights))
 
 
 @kernel
@@ -238,16 +246,10 @@ def _take_lowest(
 def _move_twins(
     twin: Index, moved: Index, turn: NDArray[np.uint8], result: Index, start: int, stop: int
 ) -> None:
-    """Neighbours of the facets ``[start, stop)`` where all facets have other numbers and first corners.
+    """Write the neighbours of the facets ``[start, stop)`` where all facets have other numbers and first corners.
 
-    Parameters
-    ----------
-    twin
-        (3 F,) under the numbers that they had.
-    moved, turn
-        (F,) each: the new number of a facet, and the new place of the corner that stood first.
-    result
-        (3 F,) the new twins.
+    `twin` (3 F,) is under the numbers that they had; `moved` and `turn` (F,) are the new number of each facet, and the new place
+    of the corner that stood first; `result` (3 F,) has the new twins.
     """
     for f in range(start, stop):
         for i in range(3):
@@ -335,3 +337,26 @@ def raise_plane(mesh: SortedMesh, before: int, under: int, active: Index, count:
             active[kept] = f
             kept += 1
     return kept
+
+
+@kernel
+def _levels(vertices: Floats, heights: Floats, level: Levels, start: int, stop: int) -> None:
+    """Count the planes that each of the vertices ``[start, stop)`` lies above."""
+    for v in range(start, stop):
+        below = 0
+        for n in range(heights.size):
+            below += vertices[v, 2] > heights[n]
+        level[v] = below
+
+
+@kernel
+def _across(faces: Index, level: Levels, start: int, stop: int) -> Index:
+    """List the facets of ``[start, stop)`` whose corners do not lie above the same planes."""
+    found = np.empty(stop - start, np.int32)
+    count = 0
+    for f in range(start, stop):
+        a, b, c = level[faces[f, 0]], level[faces[f, 1]], level[faces[f, 2]]
+        # Written always and kept where it counts: no branch that a processor could foretell wrongly.
+        found[count] = f
+        count += (a != b) | (b != c)
+    return found[:count].copy()

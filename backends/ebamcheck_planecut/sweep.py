@@ -1,4 +1,10 @@
-"""The kernel that cuts a block of layers, and finishes each while its points are in the processor's cache."""
+"""The kernel that cuts a block of layers, and finishes each while its points are in the processor's cache.
+
+A vertex is *above* a plane if z > h; a facet is cut if it has vertices above and others. Every facet and every
+neighbour makes the same comparison, so that they agree on every cut, and the section is that of z = h + 0 exactly. As
+vertices stand by height, those from row `under` on are above. A cut point depends on the edge alone (from its lower to
+its upper vertex), so both facets of an edge get the same bits.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.layers.canonical_form import ring_form, sort_rings, write_ring
+from ebamcheck.layers.canonical_form import DROPPED, next_distinct, ring_form
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
 from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh, facets_across, raise_plane
-from ebamcheck_planecut.trace import Tracks, trace_layer, tracks
 
 
 class Columns(NamedTuple):
@@ -20,15 +25,6 @@ class Columns(NamedTuple):
     points: Floats
     edge: Index
     edge_t: Floats
-
-
-class Forms(NamedTuple):
-    """Canonical form of the rings of one layer, and their order."""
-
-    first: Ints
-    size: Ints
-    after: Ints
-    order: Ints
 
 
 class Block(NamedTuple):
@@ -46,6 +42,27 @@ class Block(NamedTuple):
     """(L,) class of each layer by :func:`~ebamcheck_planecut.overlaps.classify_layer`; all clean if not requested."""
 
 
+FROM_ENTRY, FROM_EXIT, RINGS = 0, 1, 2
+"""Passes of the trace. Open paths come first, from their ends, so that no walk starts in the middle of one. The usual start is
+an end at which the section enters a facet; one at which it leaves is a start only among flipped facets. Closed rings come
+last."""
+
+
+class Tracks(NamedTuple):
+    """Working memory for the rings and open paths of one layer."""
+
+    points: Floats
+    """(N, 2) mm."""
+    edge: Index
+    """(N, 2) the part's numbers of the lower and upper vertex of the edge that is cut."""
+    edge_t: Floats
+    """(N,) parameter on that edge, 0 at the lower vertex, 1 at the upper."""
+    starts: Ints
+    """(N + 1,) first row of each ring."""
+    closed: NDArray[np.bool_]
+    """(N,) false for an open path."""
+
+
 @kernel
 def cut_block(
     mesh: SortedMesh,
@@ -57,29 +74,22 @@ def cut_block(
     classify: bool,
     reach_mm: float,
 ) -> Block:
-    """Cut consecutive layers and write their rings in canonical form.
+    """Cut consecutive layers at increasing heights (L,) and write their rings in canonical form from `row` of the columns on.
 
-    Parameters
-    ----------
-    mesh, heights
-        The mesh, and the heights of the layers (L,), increasing.
-    under
-        (L,) vertices that do not lie above each layer.
-    seen
-        (F,) zeros; written over.
-    columns, row
-        Where to write, and from which row on.
-    classify
-        Whether to look for shells that overlap or touch.
-    reach_mm
-        How near to each other shells touch.
+    `under` (L,) has the vertices that do not lie above each layer, `seen` (F,) zeros, which are written over. With `classify`,
+    shells that overlap, or touch within the reach, are looked for.
     """
     room = mesh.crossed[under]
-    total = int(room.sum())
-    most = int(room.max())
+    total, most = int(room.sum()), int(room.max())
     active = np.empty(most, np.int32)
-    track = tracks(most)
-    forms = _forms(most)
+    track = Tracks(
+        np.empty((most, 2)),
+        np.empty((most, 2), np.int32),
+        np.empty(most),
+        np.zeros(most + 1, np.int64),
+        np.empty(most, np.bool_),
+    )
+    forms, order = np.empty((most, 3), np.int64), np.empty(most, np.int64)
     search = overlap_search(most if classify else 0, reach_mm)
     ring_starts = np.empty(total + 1, np.int64)
     closed = np.empty(total, np.bool_)
@@ -95,7 +105,7 @@ def cut_block(
             count = raise_plane(mesh, under[n - 1], under[n], active, count)
         traced = trace_layer(mesh, heights[n], under[n], active, count, seen, n + 1, track)
         a = layer_starts[n]
-        b = a + _write_layer(track, traced, forms, columns, ring_starts[a:], closed[a:])
+        b = a + _write_layer(track, traced, forms, order, columns, ring_starts[a:], closed[a:])
         layer_starts[n + 1] = b
         dropped[n] = traced - (b - a)
         if classify:
@@ -105,34 +115,175 @@ def cut_block(
 
 
 @kernel
-def _forms(rings: int) -> Forms:
-    """Room for the forms of so many rings."""
-    return Forms(
-        np.empty(rings, np.int64),
-        np.empty(rings, np.int64),
-        np.empty(rings, np.int64),
-        np.empty(rings, np.int64),
-    )
-
-
-@kernel
 def _write_layer(
-    track: Tracks, traced: int, forms: Forms, columns: Columns, ring_starts: Ints, closed: NDArray[np.bool_]
+    track: Tracks,
+    traced: int,
+    forms: Ints,
+    order: Ints,
+    columns: Columns,
+    ring_starts: Ints,
+    closed: NDArray[np.bool_],
 ) -> int:
     """Write the traced rings of one layer in canonical form from row ``ring_starts[0]`` on; returns their number."""
+    points = track.points
+    kept = 0
     for r in range(traced):
-        forms.first[r], forms.size[r], forms.after[r] = ring_form(
-            track.points, track.starts[r], track.starts[r + 1], track.closed[r]
+        forms[r, 0], forms[r, 1], forms[r, 2] = ring_form(
+            points, track.starts[r], track.starts[r + 1], track.closed[r]
         )
-    kept = sort_rings(track.points, forms.first, forms.size, forms.after, 0, traced, forms.order)
+        if forms[r, 0] != DROPPED:
+            order[kept] = r
+            kept += 1
+    # By first point, next point and size: by insertion, or by Shell's method where there are many.
+    gap = 1
+    while gap < kept // 64:
+        gap = 3 * gap + 1
+    while gap > 0:
+        for n in range(gap, kept):
+            r = order[n]
+            k = n
+            while k >= gap and _stands_before(points, forms, r, order[k - gap]):
+                order[k] = order[k - gap]
+                k -= gap
+            order[k] = r
+        gap //= 3
     at = ring_starts[0]
     for n in range(kept):
-        r = forms.order[n]
-        a, b, first, size = track.starts[r], track.starts[r + 1], forms.first[r], forms.size[r]
-        write_ring(track.points, a, b, first, size, track.points, columns.points, at)
-        write_ring(track.points, a, b, first, size, track.edge, columns.edge, at)
-        write_ring(track.points, a, b, first, size, track.edge_t, columns.edge_t, at)
-        at += size
+        r = order[n]
+        a, b, i = track.starts[r], track.starts[r + 1], forms[r, 0]
+        distinct = forms[r, 1] == b - a
+        for k in range(at, at + forms[r, 1]):
+            for c in range(2):
+                columns.points[k, c] = points[i, c]
+                columns.edge[k, c] = track.edge[i, c]
+            columns.edge_t[k] = track.edge_t[i]
+            step = i + 1 if i + 1 < b else a
+            i = step if distinct else next_distinct(points, i, a, b)
+        at += forms[r, 1]
         ring_starts[n + 1] = at
         closed[n] = track.closed[r]
     return kept
+
+
+@kernel
+def _stands_before(points: Floats, forms: Ints, r: int, s: int) -> bool:
+    """Whether ring `r` stands before ring `s` in their layer: by first point, next point, size and number."""
+    for at in (0, 2):
+        i, j = forms[r, at], forms[s, at]
+        for c in range(2):
+            if points[i, c] != points[j, c]:
+                return bool(points[i, c] < points[j, c])
+    return bool(forms[r, 1] < forms[s, 1] or (forms[r, 1] == forms[s, 1] and r < s))
+
+
+@kernel
+def trace_layer(
+    mesh: SortedMesh, h: float, under: int, active: Index, count: int, seen: Index, mark: int, track: Tracks
+) -> int:
+    """Trace the rings and open paths of one layer, in the order of their first facets, solid on the left; returns their number.
+
+    The facets ``active[:count]`` are cut. The walk writes `mark` at each facet that it has passed in `seen` (F,).
+    """
+    rings = 0
+    for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
+        forwards = phase != FROM_EXIT
+        for n in range(count):
+            seed = active[n]
+            if seen[seed] == mark:
+                continue
+            if phase != RINGS and _left_by(mesh, seed, under, not forwards)[2] >= 0:
+                continue
+            filled = _walk(
+                mesh, h, under, seed, forwards, phase == RINGS, seen, mark, track, track.starts[rings]
+            )
+            track.closed[rings] = phase == RINGS
+            rings += 1
+            track.starts[rings] = filled
+    return rings
+
+
+# Ten parameters: a tuple of them would be made for every path.
+@kernel
+def _walk(
+    mesh: SortedMesh,
+    h: float,
+    under: int,
+    f: int,
+    forwards: bool,
+    is_ring: bool,
+    seen: Index,
+    mark: int,
+    track: Tracks,
+    first: int,
+) -> int:
+    """Follow the section from facet to facet until it ends or closes; returns the row after its last point.
+
+    It begins in facet `f`, which it passes from its entry to its exit if `forwards`.
+    """
+    filled = first
+    if not is_ring:
+        low, high, _ = _left_by(mesh, f, under, not forwards)
+        _write_point(mesh, h, low, high, track, filled)
+        filled += 1
+    with_facets = against = 0.0
+    while True:
+        seen[f] = mark
+        low, high, across = _left_by(mesh, f, under, forwards)
+        _write_point(mesh, h, low, high, track, filled)
+        filled += 1
+        if mesh.around.mixed and filled - first > 1:
+            p, q = track.points[filled - 1], track.points[filled - 2]
+            length = np.hypot(p[0] - q[0], p[1] - q[1])
+            if forwards:
+                with_facets += length
+            else:
+                against += length
+        if across < 0:
+            break
+        f = across // 3
+        if seen[f] == mark:
+            break
+        if mesh.around.mixed:
+            # A facet that is flipped against the one before it is passed the other way.
+            forwards = across % 3 == (2 if mesh.faces[f, 2] >= under else 1)
+    # A ring through flipped facets runs the way that the greater length of its facets says: one flipped
+    # facet never outweighs the rest, as a side of a polygon is shorter than all others together.
+    if against > with_facets:
+        i, j = first, filled - 1
+        while i < j:
+            for c in range(2):
+                track.points[i, c], track.points[j, c] = track.points[j, c], track.points[i, c]
+                track.edge[i, c], track.edge[j, c] = track.edge[j, c], track.edge[i, c]
+            track.edge_t[i], track.edge_t[j] = track.edge_t[j], track.edge_t[i]
+            i += 1
+            j -= 1
+    return filled
+
+
+@kernel
+def _left_by(mesh: SortedMesh, f: int, under: int, forwards: bool) -> tuple[int, int, int]:
+    """Lower and upper vertex of the edge by which facet `f` is left, and the half-edge across it.
+
+    The first corner is the lowest, and never above. Forwards, a facet is entered by the half-edge that runs down across the
+    plane and left by the one that runs up: with the normal outwards, the solid then lies to the left of the way.
+    """
+    # Loads stand in the branches: the processor foretells these, and need not wait for what they depend on.
+    if forwards:
+        if mesh.faces[f, 1] >= under:
+            return mesh.faces[f, 0], mesh.faces[f, 1], mesh.around.twin[3 * f]
+        return mesh.faces[f, 1], mesh.faces[f, 2], mesh.around.twin[3 * f + 1]
+    if mesh.faces[f, 2] >= under:
+        return mesh.faces[f, 0], mesh.faces[f, 2], mesh.around.twin[3 * f + 2]
+    return mesh.faces[f, 2], mesh.faces[f, 1], mesh.around.twin[3 * f + 1]
+
+
+@kernel
+def _write_point(mesh: SortedMesh, h: float, low: int, high: int, track: Tracks, at: int) -> None:
+    """Write the point where plane `h` cuts the edge from vertex `low` to vertex `high`."""
+    x, y, z = mesh.vertices[low, 0], mesh.vertices[low, 1], mesh.vertices[low, 2]
+    t = (h - z) / (mesh.vertices[high, 2] - z)
+    track.points[at, 0] = x + t * (mesh.vertices[high, 0] - x)
+    track.points[at, 1] = y + t * (mesh.vertices[high, 1] - y)
+    track.edge[at, 0] = np.int32(mesh.vertices[low, 3])
+    track.edge[at, 1] = np.int32(mesh.vertices[high, 3])
+    track.edge_t[at] = t

@@ -17,33 +17,22 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.sorting import put_in_order, stable_order
 from ebamcheck_stencil.field_of_view import SUBPIXELS
 
 SMALLEST_BLOCK = 65536
 """Fewest fragments or pixels worth a thread."""
 
-FEW_FRAGMENTS = 32
-"""Most fragments of a pixel that are sorted by insertion; most pixels have two."""
-
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where rays enter and leave the solid, sorted by pixel and then by height.
-
-    Parameters
-    ----------
-    pixels
-        (E,) uint32, ``row * stride + column`` in the field of view.
-    heights
-        (E,) float64, mm: the pixel changes from empty to solid or back above this height.
-    unbalanced
-        Number of rays that do not leave the solid as often as they enter it: the surface is not closed.
-    """
+    """Where rays enter and leave the solid, sorted by pixel and then by height."""
 
     pixels: NDArray[np.uint32]
+    """(E,) ``row * stride + column`` in the field of view."""
     heights: NDArray[np.float64]
+    """(E,) mm: the pixel changes from empty to solid or back above this height."""
     unbalanced: int
+    """Number of rays that do not leave the solid as often as they enter it: the surface is not closed."""
 
 
 def join(parts: Sequence[Crossings]) -> Crossings:
@@ -140,24 +129,6 @@ def _group(
 
 
 @kernel
-def _sort_ray(heights: NDArray[np.float64], signs: NDArray[np.int8]) -> None:
-    """Sort the fragments of one ray by height, in place."""
-    count = heights.size
-    if count > FEW_FRAGMENTS:
-        order = stable_order(heights)
-        put_in_order(heights, order)
-        put_in_order(signs, order)
-        return
-    for i in range(1, count):
-        height, sign = heights[i], signs[i]
-        k = i
-        while k > 0 and heights[k - 1] > height:
-            heights[k], signs[k] = heights[k - 1], signs[k - 1]
-            k -= 1
-        heights[k], signs[k] = height, sign
-
-
-@kernel
 def _resolve(
     fragments: NDArray[np.uint32],
     fragment_heights: NDArray[np.float64],
@@ -179,7 +150,19 @@ def _resolve(
         a, b = starts[p], starts[p + 1]
         if a == b:
             continue
-        _sort_ray(heights[a:b], signs[a:b])
+        # By insertion, as most pixels have two fragments; many by Shell's method.
+        gap = 1
+        while gap < (b - a) // 32:
+            gap = 3 * gap + 1
+        while gap > 0:
+            for i in range(a + gap, b):
+                height, sign = heights[i], signs[i]
+                k = i
+                while k >= a + gap and heights[k - gap] > height:
+                    heights[k], signs[k] = heights[k - gap], signs[k - gap]
+                    k -= gap
+                heights[k], signs[k] = height, sign
+            gap //= 3
         winding = 0
         solid = False
         for i in range(a, b):

@@ -8,22 +8,30 @@ cut from them without drawing again.
 from __future__ import annotations
 
 import logging
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
+from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.kernels import block_edges, run_blocks, run_in_order
+from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.contours import Rings, layers_of
 from ebamcheck_stencil.crossings import Crossings, crossings_of_fragments, join
-from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView
-from ebamcheck_stencil.windows import Window, windows
+from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, Window, windows
+from ebamcheck_stencil.marching_squares import contours_of_layers
 
 if TYPE_CHECKING:
     import moderngl
 
 log = logging.getLogger(__name__)
+
+LAYERS_AT_ONCE = 256
+"""Most layers between two reports of progress."""
 
 BYTES_PER_FRAGMENT = 8
 FACETS_A_BLOCK = 65536
@@ -66,10 +74,7 @@ def draw_crossings(
     fit into `buffer_bytes`. A window keeps the rays of its pixels whole, so the result is the same for
     any tiling.
 
-    Raises
-    ------
-    BackendFailed
-        If the fragments of a single pixel do not fit into the buffer.
+    :class:`BackendFailed` is raised where the fragments of a single pixel do not fit into the buffer.
     """
     if not len(part.faces):
         return join([])
@@ -101,23 +106,13 @@ def draw_crossings(
 
 def _expected_fragments(lattice: NDArray[np.int32], faces: NDArray[np.int32]) -> float:
     """Projected area of all facets, in pixels."""
-    areas = run_blocks(
-        lambda start, stop: _doubled_area(lattice, faces, start, stop), len(faces), FACETS_A_BLOCK
-    )
-    return sum(areas) / (2.0 * SUBPIXELS**2)
 
+    def doubled(start: int, stop: int) -> float:
+        a, b, c = faces[start:stop].T
+        (ux, uy), (vx, vy) = ((lattice[k] - lattice[a]).astype(np.float64).T for k in (b, c))
+        return float(np.abs(ux * vy - uy * vx).sum())
 
-@kernel
-def _doubled_area(lattice: NDArray[np.int32], faces: NDArray[np.int32], start: int, stop: int) -> float:
-    """Twice the projected area of facets ``start .. stop - 1``, in lattice steps."""
-    total = 0.0
-    for i in range(start, stop):
-        a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
-        ax, ay = np.int64(lattice[a, 0]), np.int64(lattice[a, 1])
-        ux, uy = np.int64(lattice[b, 0]) - ax, np.int64(lattice[b, 1]) - ay
-        vx, vy = np.int64(lattice[c, 0]) - ax, np.int64(lattice[c, 1]) - ay
-        total += abs(ux * vy - uy * vx)
-    return total
+    return sum(run_blocks(doubled, len(faces), FACETS_A_BLOCK)) / (2.0 * SUBPIXELS**2)
 
 
 class _Drawing:
@@ -166,3 +161,43 @@ class _Drawing:
             return None
         data = self._fragments.read(size=count * BYTES_PER_FRAGMENT) if count else b""
         return np.frombuffer(data, np.uint32).reshape(-1, 2)
+
+
+class DrawnOnce:
+    """A part drawn once: the crossings of all rays, from which any layer follows without OpenGL."""
+
+    def __init__(self, view: FieldOfView, crossings: Crossings, labels: dict[str, Any]) -> None:
+        self._view = view
+        self._crossings = crossings
+        self._labels = labels
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Free nothing: the context was released when the part had been drawn."""
+
+    def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
+        """Cut at strictly increasing heights (L,), in any number of calls."""
+        heights = np.ascontiguousarray(heights, dtype=np.float64)
+        flips = flips_by_layer(self._crossings, heights)
+        words, row_words = empty_bitmap(self._view).size, self._view.stride_px // WORD_BITS
+
+        def rings_between(start: int, stop: int) -> Rings:
+            return Rings(*contours_of_layers(flips, start, stop, words, row_words))
+
+        edges = block_edges(heights.size, largest=LAYERS_AT_ONCE)
+        found: list[Rings] = []
+        for first, rings in zip(edges, run_in_order(rings_between, edges), strict=False):
+            found.append(rings)
+            if progress is not None:
+                progress(edges[len(found)] - first)
+        return layers_of(heights, found, self._view, self._labels)
+
+    def bitmap(self, height_mm: float) -> NDArray[np.bool_]:
+        """Image (height, width) of the section at a height, row 0 at the least y."""
+        bitmap = empty_bitmap(self._view)
+        flip(bitmap, flips_by_layer(self._crossings, np.array([height_mm])).pixels)
+        return as_image(bitmap, self._view)

@@ -10,6 +10,7 @@ how the field is tiled nor on how far the part lies from the origin.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,20 +42,11 @@ MOST_AUTOMATIC_PX = 4096
 
 @dataclass(frozen=True)
 class FieldOfView:
-    """Grid of square pixels over a part, seen along z.
-
-    Parameters
-    ----------
-    pixel_mm
-        Side of a pixel.
-    low_mm
-        Least x and y of the part in build coordinates.
-    width_px, height_px
-        Pixels along x and y, margins included.
-    """
+    """Grid of square pixels over a part, seen along z, margins included."""
 
     pixel_mm: float
     low_mm: tuple[float, float]
+    """Least x and y of the part in build coordinates."""
     width_px: int
     height_px: int
 
@@ -107,3 +99,34 @@ def field_of_view(part: Part, pixel_mm: float | None) -> FieldOfView:
         math.ceil(float(size[axis]) / side + GRID_SHIFT_PX[axis]) + 2 * MARGIN_PX for axis in range(2)
     )
     return FieldOfView(side, (float(low[0]), float(low[1])), width, height)
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of pixels of the field of view, its low corner at (x, y)."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def halves(self) -> tuple[Window, Window] | None:
+        """Halve the rows or, of a single row, the columns; None for a single pixel."""
+        if self.height > 1:
+            low = self.height // 2
+            return (
+                Window(self.x, self.y, self.width, low),
+                Window(self.x, self.y + low, self.width, self.height - low),
+            )
+        if self.width > 1:
+            low = self.width // 2
+            return Window(self.x, self.y, low, 1), Window(self.x + low, self.y, self.width - low, 1)
+        return None
+
+
+def windows(view: FieldOfView, largest_px: int, bands: int = 1) -> Iterator[Window]:
+    """Cover the field with windows of at most `largest_px` a side, in at least `bands` bands of rows."""
+    rows = min(largest_px, max(1, -(-view.height_px // bands)))
+    for y in range(0, view.height_px, rows):
+        for x in range(0, view.width_px, largest_px):
+            yield Window(x, y, min(largest_px, view.width_px - x), min(rows, view.height_px - y))

@@ -27,10 +27,9 @@ from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap
 from ebamcheck_stencil.contours import Rings, layers_of
 from ebamcheck_stencil.drawn_facets import drawn_facets
-from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView
+from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, windows
 from ebamcheck_stencil.marching_squares import contours_of_bitmaps
 from ebamcheck_stencil.stencil_target import PACKED_BITS, Drawing, StencilTarget
-from ebamcheck_stencil.windows import windows
 
 if TYPE_CHECKING:
     import moderngl

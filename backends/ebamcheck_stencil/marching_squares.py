@@ -40,31 +40,13 @@ _RIGHT_Y = np.array([-1, 0, 1, 0])
 def contours_of_layers(
     flips: Flips, start: int, stop: int, words: int, row_words: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Contours of layers ``start .. stop - 1``.
+    """Contours of layers ``start .. stop - 1``, whose bitmaps have so many words: columns of :class:`~ebamcheck_stencil.contours.Rings`.
 
-    Parameters
-    ----------
-    flips
-        Pixels that change at each layer, beginning with a bitmap of which no pixel is solid.
-    start, stop
-        First layer, and the layer after the last.
-    words, row_words
-        Words in a bitmap, and in a row of it.
-
-    Returns
-    -------
-    points
-        (N, 2) int32, half pixels from the centre of pixel (0, 0).
-    starts
-        (R + 1,) first point of each ring.
-    least
-        (R,) row of the lexicographically least point of each ring.
-    counts
-        (stop - start,) rings of each layer.
+    The changes of the layers begin with a bitmap of which no pixel is solid.
     """
     bitmap = np.zeros(words, np.uint64)
     flip(bitmap, flips.pixels[: flips.starts[start]])
-    marks, busy, left = np.empty_like(bitmap), _no_word(words), np.zeros_like(bitmap)
+    marks, busy, left = np.empty_like(bitmap), np.zeros((words + 63) // 64, np.uint64), np.zeros_like(bitmap)
     _mark_edges(bitmap, marks, busy)
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
@@ -88,7 +70,11 @@ def contours_of_bitmaps(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Contours of bitmaps (layers, words), as :func:`contours_of_layers` gives them."""
     words = bitmaps.shape[1]
-    marks, busy, left = np.empty(words, np.uint64), _no_word(words), np.zeros(words, np.uint64)
+    marks, busy, left = (
+        np.empty(words, np.uint64),
+        np.zeros((words + 63) // 64, np.uint64),
+        np.zeros(words, np.uint64),
+    )
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
     rings = 1
@@ -117,15 +103,9 @@ def _add_rings(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], int]:
     """Append the rings of a bitmap to the columns, which may grow.
 
-    Parameters
-    ----------
-    marks, busy
-        Marks of the bitmap, and which of its words may have some, a bit each.
-    left
-        Room for marks that no ring has passed; 0 before and after.
-    layers
-        Layers that are still to come, itself included: columns grow by what these need if they are like it, within
-        bounds. Memory that is not written to costs nothing, a copy does.
+    `marks` are those of the bitmap, and `busy` has a bit for each of its words that may have some; `left` is room for marks that
+    no ring has passed, 0 before and after. With the `layers` still to come, itself included, columns grow by what these need if
+    they are like it, within bounds: memory that is not written to costs nothing, a copy does.
     """
     size = ends[rings - 1]
     most = POINTS_PER_EDGE * _copy_marks(marks, busy, left)
@@ -161,12 +141,6 @@ def _least_points(points: NDArray[np.int32], starts: NDArray[np.int64]) -> NDArr
                 best = i
         least[r] = best
     return least
-
-
-@kernel
-def _no_word(words: int) -> Words:
-    """A bit for each of so many words, none set."""
-    return np.zeros((words + 63) // 64, np.uint64)
 
 
 @kernel

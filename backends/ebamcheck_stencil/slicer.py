@@ -122,8 +122,7 @@ class Stencil:
         SettingsError
             If the pixel is too small for the driver's largest viewport or, in literal mode, a bitmap for its largest buffer.
         """
-        from ebamcheck_stencil.draw_once import draw_crossings
-        from ebamcheck_stencil.drawn_once import DrawnOnce
+        from ebamcheck_stencil.draw_once import DrawnOnce, draw_crossings
         from ebamcheck_stencil.openings import capped
 
         checked = _checked(settings)

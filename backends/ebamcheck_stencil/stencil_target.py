@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed, BackendMissing
-from ebamcheck_stencil.field_of_view import FieldOfView
-from ebamcheck_stencil.windows import Window
+from ebamcheck_stencil.field_of_view import FieldOfView, Window
 
 if TYPE_CHECKING:
     import moderngl

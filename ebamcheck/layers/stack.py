@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.layers import canonical_form
+from ebamcheck.layers.canonical_form import ring_forms, ring_order, rows_in_form
 from ebamcheck.numeric import rings
 from ebamcheck.numeric.columns import joined
 from ebamcheck.numeric.kernels import run_blocks
@@ -429,34 +429,24 @@ def canonical(
     ring_starts = np.ascontiguousarray(ring_starts, dtype=np.int64)
     layer_starts = np.ascontiguousarray(layer_starts, dtype=np.int64)
     closed = np.ascontiguousarray(closed, dtype=np.bool_)
-    first, size, after = (np.empty(closed.size, np.int64) for _ in range(3))
-
-    def form(start: int, stop: int) -> None:
-        canonical_form.ring_forms(points, ring_starts, closed, start, stop, first, size, after)
-
-    run_blocks(form, closed.size, RINGS_A_BLOCK)
-    order, new_layer_starts = canonical_form.ring_order(points, layer_starts, first, size, after)
-    new_ring_starts = np.concatenate([[0], np.cumsum(size[order])]).astype(np.int64)
-
-    def gathered(column: NDArray[Any]) -> NDArray[Any]:
-        out = np.empty((int(new_ring_starts[-1]), *column.shape[1:]), column.dtype)
-
-        def fill(start: int, stop: int) -> None:
-            canonical_form.gather(
-                points, ring_starts, first, order, new_ring_starts, column, out, start, stop
-            )
-
-        run_blocks(fill, order.size, RINGS_A_BLOCK)
-        return out
-
+    forms = np.empty((closed.size, 3), np.int64)
+    run_blocks(lambda a, b: ring_forms(points, ring_starts, closed, a, b, forms), closed.size, RINGS_A_BLOCK)
+    order, new_layer_starts = ring_order(points, layer_starts, forms)
+    new_ring_starts = np.concatenate([[0], np.cumsum(forms[order, 1])])
+    rows = np.empty(int(new_ring_starts[-1]), np.int64)
+    run_blocks(
+        lambda a, b: rows_in_form(points, ring_starts, forms, order, new_ring_starts, a, b, rows),
+        order.size,
+        RINGS_A_BLOCK,
+    )
     return Layers(
         heights=heights,
-        points=gathered(points),
+        points=points[rows],
         ring_starts=new_ring_starts,
         layer_starts=new_layer_starts,
         closed=closed[order],
-        edge=None if edge is None else gathered(np.ascontiguousarray(edge)),
-        edge_t=None if edge_t is None else gathered(np.ascontiguousarray(edge_t)),
+        edge=None if edge is None else edge[rows],
+        edge_t=None if edge_t is None else edge_t[rows],
         dropped=np.diff(layer_starts) - np.diff(new_layer_starts),
         **labels,
     )

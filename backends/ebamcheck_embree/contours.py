@@ -1,0 +1,336 @@
+"""Marching squares on the few cells that a contour passes.
+
+The rows of the grid decide which nodes are inside; where two neighbouring rows differ, the contour crosses the
+grid edge between them. Every cell then has 0, 2 or 4 crossed edges whatever rounding did, so contours close.
+A crossing is one *knot* of a contour: on a row at the border of its ray, on a column where that column's ray has one.
+
+Source: the marching squares of the paper (section 3.1), with the measured crossing of each grid edge instead
+of the interpolated one of its formula 4.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ebamcheck.numeric.kernels import kernel
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck_embree.grid import Lattice
+from ebamcheck_embree.scene import Facets, Mesh
+
+RayColumns = tuple[Ints, Floats, Facets, Bools]
+"""The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.crossings.Borders`."""
+
+NO_FACET = -1
+"""Facet of a knot without a crossing, which lies at the middle or an end of its grid edge."""
+
+SADDLE = -1
+"""Cell of a link in a cell with four knots: no corner of the section is added to such a link."""
+
+
+class RowKnots(NamedTuple):
+    """Crossed grid edges of all rows: entering, leaving, entering, leaving along each row."""
+
+    starts: Ints
+    """(rows + 1,) first knot of each row."""
+    node: Ints
+    """(K,) column of the node at the right end of the crossed edge."""
+    along: Floats
+    """(K,) x of the knot, mm."""
+    facet: Facets
+
+
+class ColumnKnots(NamedTuple):
+    """Crossed grid edges between each row and the next."""
+
+    starts: Ints
+    """(rows + 1,) first knot between row j and row j + 1."""
+    node: Ints
+    """(K,) column on which the knot lies, ascending within each pair of rows."""
+    along: Floats
+    """(K,) y of the knot, mm."""
+    facet: Facets
+    up: Bools
+    """(K,) whether the column enters the material there."""
+
+
+@kernel
+def rings_of_layer(
+    grid: Lattice, rows: RayColumns, columns: RayColumns, mesh: Mesh, z: float, corners: bool
+) -> tuple[Floats, Ints]:
+    """Rings of one layer from the borders on its rays: points (N, 2), mm about the part's centre, and ring starts (R + 1,).
+
+    With `corners`, the section's own vertices between the knots are points, too.
+    """
+    x0, y0, cell, _, row_count = grid
+    across = row_knots(grid, rows, columns)
+    upwards = column_knots(grid, across, columns)
+    count = across.along.size
+    points = np.empty((count + upwards.along.size, 2))
+    facet = np.empty(points.shape[0], np.int32)
+    facet[:count], facet[count:] = across.facet, upwards.facet
+    points[:count, 0], points[count:, 1] = across.along, upwards.along
+    for j in range(row_count):
+        points[across.starts[j] : across.starts[j + 1], 1] = y0 + cell * j
+    for k in range(upwards.along.size):
+        points[count + k, 0] = x0 + cell * upwards.node[k]
+    after, cells = links(across, upwards, points)
+    return _chain(grid, after, cells, points, facet, mesh, z, corners)
+
+
+@kernel
+def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
+    """Crossed edges along rows from the borders of row rays.
+
+    An edge with an even number of borders joins nodes of the same side and is not crossed: what lies
+    between is thinner than the cell. The nodes of a row whose ray does not pair are mended: by the columns, and where those
+    fail as the row below.
+    """
+    x0, y0, cell, column_count, row_count = grid
+    row_starts, row_along, row_facet, row_paired = rows
+    col_starts, col_along, _, col_paired = columns
+    starts = np.zeros(row_count + 1, np.int64)
+    room = row_along.size + column_count * (row_count - row_paired.sum())
+    node, along, facet = np.empty(room, np.int64), np.empty(room), np.empty(room, np.int32)
+    inside = np.zeros(column_count, np.bool_)
+    out = 0
+    for j in range(row_count):
+        if row_paired[j]:
+            n = row_starts[j]
+            while n < row_starts[j + 1]:
+                k = min(max(int(np.ceil((row_along[n] - x0) / cell)), 0), column_count)
+                while k > 0 and x0 + cell * (k - 1) >= row_along[n]:
+                    k -= 1
+                while k < column_count and x0 + cell * k < row_along[n]:
+                    k += 1
+                m = n + 1
+                while m < row_starts[j + 1] and row_along[m] <= x0 + cell * k:
+                    m += 1
+                if (m - n) % 2 == 1:
+                    pick = (n + m) // 2
+                    node[out], along[out], facet[out] = k, row_along[pick], row_facet[pick]
+                    out += 1
+                n = m
+            starts[j + 1] = out
+            continue
+        inside[:] = False
+        for n in range(starts[j - 1] if j > 0 else 0, out - 1, 2):  # the row below
+            inside[node[n] : node[n + 1]] = True
+        for i in range(column_count):
+            if col_paired[i]:
+                ray = col_along[col_starts[i] : col_starts[i + 1]]
+                inside[i] = np.searchsorted(ray, y0 + cell * j, side="right") % 2 == 1
+        inside[0] = inside[-1] = False
+        first, past = row_starts[j], row_starts[j + 1]
+        for i in range(1, column_count):
+            if inside[i] != inside[i - 1]:
+                low, high = x0 + cell * (i - 1), x0 + cell * i
+                a = first + np.searchsorted(row_along[first:past], low, side="right")
+                b = first + np.searchsorted(row_along[first:past], high, side="right")
+                node[out] = i
+                along[out], k = _middle(row_along, first, past, a, b, low, high)
+                facet[out] = row_facet[k] if k >= 0 else NO_FACET
+                out += 1
+        starts[j + 1] = out
+    return RowKnots(starts, node[:out], along[:out], facet[:out])
+
+
+@kernel
+def column_knots(grid: Lattice, rows: RowKnots, columns: RayColumns) -> ColumnKnots:
+    """Crossed edges along columns: where the sides of a row's nodes differ from the next row's."""
+    row_starts, row_node = rows.starts, rows.node
+    _, y0, cell, _, row_count = grid
+    col_starts, col_along, col_facet, _ = columns
+    starts = np.zeros(row_count + 1, np.int64)
+    node, up = np.empty(0, np.int64), np.empty(0, np.bool_)
+    for counted in (False, True):
+        if counted:
+            node, up = np.empty(starts[row_count], np.int64), np.empty(starts[row_count], np.bool_)
+        out = 0
+        for j in range(row_count - 1):
+            p, p_end = row_starts[j], row_starts[j + 1]
+            q, q_end = row_starts[j + 1], row_starts[j + 2]
+            lower = upper = False
+            here = 0
+            while p < p_end or q < q_end:
+                a = row_node[p] if p < p_end else row_node[q]
+                following = min(a, row_node[q]) if q < q_end else a
+                if lower != upper:
+                    if counted:
+                        for i in range(here, following):
+                            node[out + i - here], up[out + i - here] = i, upper
+                    out += following - here
+                if p < p_end and row_node[p] == following:
+                    lower = not lower
+                    p += 1
+                if q < q_end and row_node[q] == following:
+                    upper = not upper
+                    q += 1
+                here = following
+            starts[j + 1] = out
+        starts[row_count] = out
+    along, facet = np.empty(node.size), np.empty(node.size, np.int32)
+    above = col_starts[:-1].copy()  # of each column the first border above the row
+    for j in range(row_count - 1):
+        low, high = y0 + cell * j, y0 + cell * (j + 1)
+        for k in range(starts[j], starts[j + 1]):
+            first, past = col_starts[node[k]], col_starts[node[k] + 1]
+            a = above[node[k]]
+            while a < past and col_along[a] <= low:
+                a += 1
+            b = a
+            while b < past and col_along[b] <= high:
+                b += 1
+            above[node[k]] = b
+            along[k], border = _middle(col_along, first, past, a, b, low, high)
+            facet[k] = col_facet[border] if border >= 0 else NO_FACET
+    return ColumnKnots(starts, node, along, facet, up)
+
+
+@kernel
+def _middle(
+    along: Floats, first: int, past: int, a: int, b: int, low: float, high: float
+) -> tuple[float, int]:
+    """Place and number of the border of a ray on the grid edge (low, high]; the number is -1 where it has none.
+
+    Of several, `a` to `b - 1`, the middle one; else a border of the ray, `first` to `past - 1`, within half an edge
+    beyond an end counts as at that end: float64 put it on the other side. Else the edge's middle.
+    """
+    if b > a:
+        return along[(a + b) // 2], (a + b) // 2
+    reach = 0.5 * (high - low)
+    if a > first and low - along[a - 1] <= reach:
+        return low, -1
+    if b < past and along[b] - high <= reach:
+        return high, -1
+    return 0.5 * (low + high), -1
+
+
+@kernel
+def links(rows: RowKnots, columns: ColumnKnots, points: Floats) -> tuple[Ints, Ints]:
+    """Knot that follows each knot, material on the left; rows' knots come before columns'; and the cell between.
+
+    The second column, (K, 2), is the cell's column and row, :data:`SADDLE` where four knots meet. There the shorter
+    way is taken between their `points` (K, 2), mm.
+
+    Cells are swept band by band between two rows, from left to right, by three pointers: into the lower row, the
+    upper row and the columns.
+    """
+    row_starts, row_node, col_starts, col_node = rows.starts, rows.node, columns.starts, columns.node
+    base = row_node.size
+    after = np.full(base + col_node.size, -1, np.int64)
+    cells = np.full((after.size, 2), SADDLE, np.int64)
+    into, out_of = np.empty(2, np.int64), np.empty(2, np.int64)
+    for j in range(row_starts.size - 2):
+        p, q, c = row_starts[j], row_starts[j + 1], col_starts[j]
+        p_end, q_end, c_end = row_starts[j + 1], row_starts[j + 2], col_starts[j + 1]
+        least = -1  # cells left of this one are done
+        while p < p_end or q < q_end or c < c_end:
+            cell = row_node[p] - 1 if p < p_end else np.iinfo(np.int64).max
+            if q < q_end:
+                cell = min(cell, row_node[q] - 1)
+            if c < c_end:
+                cell = min(cell, max(col_node[c] - 1, least))
+            ins = outs = 0
+            for side in range(4):
+                # Leaving the material rightwards in the lower row, the contour goes up; entering it upwards, right.
+                if side == 0 and p < p_end and row_node[p] - 1 == cell:
+                    knot, enters = p, (p - row_starts[j]) % 2 == 1
+                    p += 1
+                elif side == 1 and q < q_end and row_node[q] - 1 == cell:
+                    knot, enters = q, (q - row_starts[j + 1]) % 2 == 0
+                    q += 1
+                elif side == 2 and c < c_end and col_node[c] == cell:
+                    knot, enters = base + c, columns.up[c]
+                    c += 1
+                elif side == 3 and c < c_end and col_node[c] == cell + 1:  # of the next cell, too
+                    knot, enters = base + c, not columns.up[c]
+                else:
+                    continue
+                if enters:
+                    into[ins] = knot
+                    ins += 1
+                else:
+                    out_of[outs] = knot
+                    outs += 1
+            first = 0
+            if ins == 2:
+                ways = np.zeros(2)
+                for n in range(2):
+                    for m in range(2):
+                        a, b = points[into[m]], points[out_of[m ^ n]]
+                        ways[n] += math.hypot(a[0] - b[0], a[1] - b[1])
+                first = 0 if ways[0] <= ways[1] else 1
+            for n in range(ins):
+                after[into[n]] = out_of[n ^ first]
+                if ins == 1:
+                    cells[into[n], 0], cells[into[n], 1] = cell, j
+            least = cell + 1
+    return after, cells
+
+
+@kernel
+def _chain(
+    grid: Lattice,
+    after: Ints,
+    cells: Ints,
+    points: Floats,
+    facet: Facets,
+    mesh: Mesh,
+    z: float,
+    corners: bool,
+) -> tuple[Floats, Ints]:
+    """Rings along the links; with `corners`, the section's own vertex between two knots of a cell.
+
+    Where the facets of two linked knots share an edge, the contour between the knots turns exactly where
+    the plane cuts that edge; the turn is kept if it lies in the cell. Of knots in a row on one facet only
+    the first and the last are kept: the others lie on the line between.
+    """
+    x0, y0, size, _, _ = grid
+    out_points = np.empty((2 * after.size, 2))
+    ring_starts = np.zeros(after.size + 1, np.int64)
+    seen = np.zeros(after.size, np.bool_)
+    out = rings = 0
+    for first in range(after.size):
+        if seen[first]:
+            continue
+        k = first
+        previous = NO_FACET
+        while not seen[k]:
+            seen[k] = True
+            f, g = facet[k], facet[after[k]]
+            if f == NO_FACET or f != previous or f != g:
+                out_points[out, 0], out_points[out, 1] = points[k, 0], points[k, 1]
+                out += 1
+            previous = f
+            if corners and f != g and f != NO_FACET and g != NO_FACET and cells[k, 0] != SADDLE:
+                x, y = _shared_corner(mesh, f, g, z)
+                left, bottom = x0 + size * cells[k, 0], y0 + size * cells[k, 1]
+                if left < x < left + size and bottom < y < bottom + size:
+                    out_points[out, 0], out_points[out, 1] = x, y
+                    out += 1
+            k = after[k]
+        rings += 1
+        ring_starts[rings] = out
+    return out_points[:out], ring_starts[: rings + 1]
+
+
+@kernel
+def _shared_corner(mesh: Mesh, f: int, g: int, z: float) -> tuple[float, float]:
+    """Point at which the plane cuts the mesh edge that two facets share; NaN if it cuts none."""
+    vertices, faces = mesh
+    for m in range(3):
+        a, b = faces[f, m], faces[f, (m + 1) % 3]
+        if (vertices[a, 2] <= z) == (vertices[b, 2] <= z):
+            continue
+        for n in range(3):
+            if faces[g, n] == b and faces[g, (n + 1) % 3] == a:
+                low, high = (a, b) if vertices[a, 2] <= z else (b, a)
+                t = (z - vertices[low, 2]) / (vertices[high, 2] - vertices[low, 2])
+                return (
+                    vertices[low, 0] + t * (vertices[high, 0] - vertices[low, 0]),
+                    vertices[low, 1] + t * (vertices[high, 1] - vertices[low, 1]),
+                )
+    return np.nan, np.nan
