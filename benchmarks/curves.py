@@ -23,7 +23,7 @@ from benchmarks.curve_peers import arc_welded, splines
 from benchmarks.machine import machine
 from ebamcheck.curves import METHODS, Curves, contour_error, fit
 from ebamcheck.curves.crossings import crossings
-from ebamcheck.curves.fallback import polylines
+from ebamcheck.curves.gate import polylines
 from ebamcheck.json_values import write_json
 from ebamcheck.layers.stack import Layers
 from ebamcheck.settings.stages import CurveSettings

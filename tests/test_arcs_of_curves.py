@@ -12,10 +12,16 @@ from geomdl import BSpline as GeomdlBSpline
 from scipy.interpolate import BSpline
 
 from ebamcheck.curves import ARC, LINE, SPLINE, Curves, fit
-from ebamcheck.curves.bezier import arc_through
+from ebamcheck.curves.bezier import Arcs, arcs_through
 from ebamcheck.plugins.model import models
 
 MODELS = models()
+
+
+def arc_of(curves: Curves, i: int) -> Arcs:
+    """The one arc of a piece."""
+    arcs = arcs_through(curves.piece(i).control[None])
+    return Arcs(*(column[0] for column in arcs))
 
 
 def test_a_circle_is_written_as_arcs_of_its_radius() -> None:
@@ -26,7 +32,7 @@ def test_a_circle_is_written_as_arcs_of_its_radius() -> None:
     assert curves.block_count() <= 3 * 4
     truth_mm = np.hypot(*layers.points.T).max()
     for i in range(curves.kind.size):
-        arc = arc_through(np.ascontiguousarray(curves.piece(i).control))
+        arc = arc_of(curves, i)
         assert arc.radius == pytest.approx(truth_mm, abs=0.003)
         assert abs(np.degrees(arc.sweep)) <= 171.0
 
@@ -53,17 +59,17 @@ def test_geomdl_and_scipy_evaluate_every_piece_alike() -> None:
 
 def assert_is_rational_quadratic(curves: Curves, i: int) -> None:
     """The arc is geomdl's rational quadratic through the same ends, with the corner of the tangents between."""
-    arc = arc_through(np.ascontiguousarray(curves.piece(i).control))
+    arc = arc_of(curves, i)
     start, end = curves.piece(i).control[[0, 2]]
     middle = arc.start + 0.5 * arc.sweep
     weight = np.cos(0.5 * arc.sweep)
-    tip = np.array([arc.x, arc.y]) + arc.radius / weight * np.array([np.cos(middle), np.sin(middle)])
+    tip = arc.centre + arc.radius / weight * np.array([np.cos(middle), np.sin(middle)])
     curve = NURBS.Curve()
     curve.degree = 2
     curve.ctrlptsw = [[*start, 1.0], [*(weight * tip), weight], [*end, 1.0]]
     curve.knotvector = [0, 0, 0, 1, 1, 1]
     points = np.array(curve.evaluate_list(np.linspace(0.0, 1.0, 9).tolist()))
-    assert np.abs(np.hypot(*(points - [arc.x, arc.y]).T) - arc.radius).max() < 1e-9
+    assert np.abs(np.hypot(*(points - arc.centre).T) - arc.radius).max() < 1e-9
     half = curves.evaluate(i, [0.5 * abs(arc.sweep) * arc.radius])
     assert np.abs(half - points[4]).max() < 1e-9
 
@@ -76,9 +82,9 @@ def test_bezier_spans_of_an_arc_stay_on_it() -> None:
     s = 1.0 - t
     B = spans.points
     points = s**3 * B[:, 0] + 3 * s * s * t * B[:, 1] + 3 * s * t * t * B[:, 2] + t**3 * B[:, 3]
-    arcs = [arc_through(np.ascontiguousarray(curves.piece(i).control)) for i in range(curves.kind.size)]
+    arcs = [arc_of(curves, i) for i in range(curves.kind.size)]
     for k, i in enumerate(spans.piece):
-        off = np.hypot(points[:, k, 0] - arcs[i].x, points[:, k, 1] - arcs[i].y) - arcs[i].radius
+        off = np.hypot(*(points[:, k] - arcs[i].centre).T) - arcs[i].radius
         assert np.abs(off).max() < 1e-9
     assert curves.lengths().sum() == pytest.approx(sum(abs(a.sweep) * a.radius for a in arcs), rel=1e-9)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numba import types
 
-from ebamcheck.curves.sagitta import Sagittas
+from ebamcheck.curves.sides import Sides
 from ebamcheck.numeric import kernels
 from ebamcheck.numeric.compiling_ahead import Task, longest_ways
 from ebamcheck.numeric.kernel_list import FOR_KERNELS, kernel_named, read_list, write_list
@@ -171,9 +171,7 @@ def test_the_heaviest_chain_of_callers_leads():
     assert longest_ways(tasks) == {"leaf": 13.0, "idle": 3.0, "low": 12.0, "high": 7.0}
 
 
-SAGITTAS = types.BaseTuple.from_types(
-    [types.float64, types.int64, types.float64][: len(Sagittas._fields)], Sagittas
-)
+SIDES = types.BaseTuple.from_types([types.float64] * len(Sides._fields), Sides)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +179,7 @@ SAGITTAS = types.BaseTuple.from_types(
     [
         types.int64, types.uint8, types.boolean, types.none, types.unicode_type, types.float32[:, ::1],
         types.Array(types.int32, 1, "A", readonly=True), types.Omitted(None), types.Omitted(1e-9),
-        types.literal(-1), types.literal(True), types.UniTuple(types.int64, 2), SAGITTAS,
+        types.literal(-1), types.literal(True), types.UniTuple(types.int64, 2), SIDES,
         types.Tuple([types.int64, types.boolean[::1]]), types.Tuple([]),
     ],
     ids=str,

@@ -34,7 +34,7 @@ from ebamcheck.curves.lifting import FLATTEST_SURFACE, Lifting
 from ebamcheck.curves.regions.planes import coordinate_error_mm, plane_tolerance_mm
 from ebamcheck.curves.regions.surfaces import surfaces
 from ebamcheck.curves.sides import NO_PLANE
-from ebamcheck.curves.vertex_normals import surface_normals
+from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.stages import CurveSettings
@@ -133,7 +133,7 @@ def test_noise_is_not_made_worse(noise_mm: float) -> None:
 def test_an_irregular_mesh_of_a_curved_part_gives_most_of_it_back() -> None:
     part = scattered_torus(1500)
     cut = slice_part(part, [-9.0, -4.0, 1.0, 6.0])
-    kept = Lifting(part, surface_normals(part, SETTINGS)).lift(cut)
+    kept = Lifting(surface_of(part, SETTINGS)).lift(cut)
     height = np.repeat(np.repeat(cut.heights, np.diff(cut.layer_starts)), np.diff(cut.ring_starts))
     wide = np.sqrt(144.0 - height**2)
 
@@ -224,7 +224,7 @@ def test_decimals_and_bits_tell_the_tolerance() -> None:
 def test_points_of_planes_stay_and_say_so() -> None:
     part = as_float32(turned(rounded_box([60, 40, 30], 2.5, 0.05), 1))
     cut = slice_part(part, part.bounds[0, 2] + np.array([8.0, 15.0, 22.0]))
-    sides = Lifting(part, surface_normals(part, SETTINGS)).lift(cut)
+    sides = Lifting(surface_of(part, SETTINGS)).lift(cut)
     inside = (sides.plane_before != NO_PLANE) & (sides.plane_after == sides.plane_before)
     assert inside.any()
     assert np.array_equal(sides.points[inside], cut.points[inside])

@@ -23,8 +23,9 @@ from ebamcheck.curves import (
     fit,
     fit_deviation,
 )
-from ebamcheck.curves.bends import FLAT_MM
-from ebamcheck.curves.vertex_normals import surface_normals
+from ebamcheck.curves.oriented_contours import FLAT_MM
+from ebamcheck.curves.regions import PLANE
+from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
@@ -303,7 +304,7 @@ def test_pieces_join_without_a_kink(method: str) -> None:
 
 def test_normals_of_a_sphere_are_its_radii() -> None:
     part = MODELS["sphere"].tessellate(0.2)
-    found = surface_normals(part, CurveSettings())
+    found = surface_of(part, CurveSettings())
     centre = part.bounds.mean(axis=0)
     corners = part.vertices[part.faces.reshape(-1)] - centre
     radii = corners / np.linalg.norm(corners, axis=1)[:, None]
@@ -314,10 +315,10 @@ def test_normals_of_a_sphere_are_its_radii() -> None:
 
 def test_a_cube_has_three_normals_at_each_corner() -> None:
     part = MODELS["cube"].tessellate(0.1)
-    found = surface_normals(part, CurveSettings())
+    found = surface_of(part, CurveSettings())
     assert len(found.normals) == 24
     assert np.allclose(np.sort(np.abs(found.normals), axis=1), [0.0, 0.0, 1.0])
-    assert found.flat.all()
+    assert (found.kind == PLANE).all()
 
 
 def test_a_flat_side_keeps_its_plane_beside_a_rounding() -> None:

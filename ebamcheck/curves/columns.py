@@ -27,6 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import BSpline
 
 from ebamcheck.columns_file import (
     Column,
@@ -40,7 +41,7 @@ from ebamcheck.columns_file import (
     write_table,
 )
 from ebamcheck.curves import bezier
-from ebamcheck.curves.bezier import BezierSpans, arc_point, arc_through
+from ebamcheck.curves.bezier import BezierSpans, arcs_through
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers import stack as layer_columns
@@ -108,9 +109,9 @@ class Evidence:
     Parameters
     ----------
     cause
-        (R,) why the ring by the requested method was not accepted, of :data:`~ebamcheck.curves.evidence.CAUSES`.
+        (R,) why the ring by the requested method was not accepted, of :data:`~ebamcheck.curves.gate.CAUSES`.
     method
-        (R,) 0 the requested method, 1 the interpolating fit by chord length, 2 the polyline of the contour.
+        (R,) 0 the requested method, 1 the polyline of the contour.
     accepted
         (R,) whether the ring by the method that it has now is accepted.
     value_mm, limit_mm
@@ -296,10 +297,9 @@ class Curves(LayerColumns[CurveLayer]):
             travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(piece.control, axis=0).T))])
             return np.column_stack([np.interp(at, travelled, column) for column in piece.control.T])
         if piece.kind == ARC:
-            arc = arc_through(np.ascontiguousarray(piece.control))
-            length = abs(arc.sweep) * arc.radius
-            return np.array([arc_point(arc, t / length) for t in at.tolist()]).reshape(-1, 2)
-        return bezier.evaluate_spline(piece.control, piece.knots, at)
+            arcs = arcs_through(np.repeat(piece.control[None], at.size, axis=0))
+            return arcs.at(at / (np.abs(arcs.sweep) * arcs.radius))
+        return np.asarray(BSpline(piece.knots, piece.control, 3)(at))
 
     def block(self, start: int, stop: int) -> Curves:
         """Layers ``start .. stop - 1``, as views where possible."""
@@ -334,31 +334,16 @@ class Curves(LayerColumns[CurveLayer]):
     def lengths(self) -> Floats:
         """Arc length of each piece, (P,) mm."""
         spans = self.bezier_spans()
-        arcs = bezier.arc_lengths(spans.points, bezier.QUADRATURE_NODES, bezier.QUADRATURE_WEIGHTS)
-        along = np.where(spans.kind == LINE, spans.interval_mm, arcs)
+        along = np.where(spans.kind == LINE, spans.interval_mm, bezier.arc_lengths(spans.points))
         return np.bincount(spans.piece, along, minlength=self.kind.size).astype(np.float64)
 
     # -- other forms -------------------------------------------------------------------------------
 
     def bezier_spans(self) -> BezierSpans:
         """Bezier form of every knot span, line segment and arc, in the order of travel; arcs in short spans."""
-        counts = bezier.bezier_counts(
+        points, intervals, piece = bezier.span_points(
             self.kind, self.control, self.control_starts, self.knots, self.knot_starts
         )
-        starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-        points = np.empty((int(starts[-1]), 4, 2))
-        intervals = np.empty(int(starts[-1]))
-        bezier.fill_spans(
-            self.kind,
-            self.control,
-            self.control_starts,
-            self.knots,
-            self.knot_starts,
-            starts,
-            points,
-            intervals,
-        )
-        piece = np.repeat(np.arange(self.kind.size), counts)
         ring = self.piece_ring[piece]
         return BezierSpans(points, intervals, self.kind[piece], piece, ring, self.ring_layer[ring])
 
@@ -480,8 +465,10 @@ def _sample(curves: Curves, step_mm: float, tolerance_mm: float) -> SampledRings
     sizes[ends] += 1
     places = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     points = np.empty((int(places[-1]), 2))
-    bezier.sample_spans(spans.points, spans.kind, chords, places, points)
-    points[places[ends + 1] - 1] = spans.points[ends, 3]
+    starts = np.ones(len(points), np.bool_)
+    starts[places[ends + 1] - 1] = False
+    points[starts] = bezier.sample_spans(spans.points, spans.kind, chords)
+    points[~starts] = spans.points[ends, 3]
     per_ring = np.bincount(spans.ring, sizes, minlength=curves.closed.size)
     return SampledRings(points, np.concatenate([[0], np.cumsum(per_ring)]).astype(np.int64))
 

@@ -16,7 +16,6 @@ import numpy as np
 from ebamcheck.curves.columns import Curves
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.numeric.sorting import stable_order
 
 SMALLEST_MM = 1e-6
 """Hulls that are smaller than this and still not separate count as touching."""
@@ -48,12 +47,13 @@ def crossings(curves: Curves) -> Crossings:
     found = Crossings(np.zeros(curves.closed.size, np.bool_), np.full((curves.closed.size, 2), np.nan))
     ring = spans.ring.astype(np.int64)
     points = np.ascontiguousarray(spans.points)
+    boxes = np.hstack([points.min(axis=1), points.max(axis=1)])
 
     def work(first: int, last: int) -> None:
         for k in range(first, last):
-            a, b = int(curves.layer_starts[k]), int(curves.layer_starts[k + 1])
-            if b > a:
-                _cross_layer(points, ring, starts, curves.closed, a, b, found.crossed, found.at)
+            a, b = starts[curves.layer_starts[k : k + 2]].tolist()
+            order = a + np.argsort(boxes[a:b, 0], kind="stable")
+            _cross_layer(points, boxes, order, ring, starts, curves.closed, found.crossed, found.at)
 
     run_blocks(work, len(curves))
     return found
@@ -61,19 +61,17 @@ def crossings(curves: Curves) -> Crossings:
 
 @kernel
 def _cross_layer(
-    points: Floats, ring: Ints, starts: Ints, closed: Bools, first: int, last: int, crossed: Bools, at: Floats
+    points: Floats,
+    boxes: Floats,
+    order: Ints,
+    ring: Ints,
+    starts: Ints,
+    closed: Bools,
+    crossed: Bools,
+    at: Floats,
 ) -> None:
     """Sweep over the spans of a layer from left to right, and look at those whose boxes overlap."""
-    a, b = starts[first], starts[last]
-    n = b - a
-    boxes = np.empty((n, 4))
-    for i in range(n):
-        for axis in range(2):
-            low = high = points[a + i, 0, axis]
-            for j in range(1, 4):
-                low, high = min(low, points[a + i, j, axis]), max(high, points[a + i, j, axis])
-            boxes[i, axis], boxes[i, axis + 2] = low, high
-    order = stable_order(boxes[:, 0].copy())
+    n = order.size
     active = np.empty(n, np.int64)
     waiting = np.empty((MOST_WAITING, 2, 4, 2))
     count = 0
@@ -87,10 +85,10 @@ def _cross_layer(
             kept += 1
             if boxes[j, 1] > boxes[i, 3] or boxes[i, 1] > boxes[j, 3]:
                 continue
-            p, q = ring[a + i], ring[a + j]
+            p, q = ring[i], ring[j]
             if crossed[p] and crossed[q]:
                 continue
-            if _meet_beyond_joint(points, a + min(i, j), a + max(i, j), ring, starts, closed, waiting):
+            if _meet_beyond_joint(points, min(i, j), max(i, j), ring, starts, closed, waiting):
                 for r in (p, q):
                     if not crossed[r]:
                         crossed[r] = True

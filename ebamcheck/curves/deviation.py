@@ -1,8 +1,9 @@
-"""Deviation: how far fitted curves lie from the contours that they were fitted to."""
+"""Deviation: how far curves lie from the contours that they were fitted to, and the contours' points from them."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,13 +19,116 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.stages import CurveSettings
 
 CHORDS_A_SPAN = 8
-"""Chords by which a span is searched and at whose ends its distance is taken."""
+"""Chords of a span at whose ends its distance is taken."""
 
 REFINEMENTS = 6
 """Gauss-Newton steps by which the nearest point is moved along the true curve; each gains several digits."""
 
 LAYERS_A_STEP = 64
 """Layers measured at a time; bounds the working memory."""
+
+RINGS_A_BLOCK = 16
+
+
+class Deviation(NamedTuple):
+    """Distances between curves and contours of the same rings."""
+
+    of_point: Floats
+    """(N,) distance of each point of the contours from the curves, mm."""
+    places: Floats
+    """(n, 2) places along the curves, mm."""
+    starts: Ints
+    """(R + 1,) first place of each ring."""
+    of_place: Floats
+    """(n,) distance of each place from the contour, mm."""
+    segment: Ints
+    """(n,) number of the contour's nearest segment, that of the point where it begins."""
+    share: Floats
+    """(n,) where along that segment, 0 .. 1."""
+
+
+def deviation_of(curves: Curves, layers: Layers) -> Deviation:
+    """Measure curves against their contours; rings of less than two points, or without curves, have no places and distance 0."""
+    spans = curves.bezier_spans()
+    count = curves.closed.size
+    of_ring = np.bincount(spans.ring, minlength=count)
+    span_starts = np.concatenate([[0], np.cumsum(of_ring)]).astype(np.int64)
+    measured = (of_ring > 0) & (np.diff(layers.ring_starts) > 1)
+    sizes = np.where(measured, CHORDS_A_SPAN * of_ring + 1, 0)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    total = int(starts[-1])
+    found = Deviation(
+        np.zeros(len(layers.points)),
+        np.empty((total, 2)),
+        starts,
+        np.empty(total),
+        np.empty(total, np.int64),
+        np.empty(total),
+    )
+    points = np.ascontiguousarray(layers.points)
+
+    def work(first: int, last: int) -> None:
+        _measure_rings(
+            points, layers.ring_starts, layers.closed, spans.points, span_starts, first, last, found
+        )
+
+    run_blocks(work, count, RINGS_A_BLOCK)
+    return found
+
+
+@kernel
+def _measure_rings(
+    points: Floats,
+    ring_starts: Ints,
+    closed: Bools,
+    spans: Floats,
+    span_starts: Ints,
+    first: int,
+    last: int,
+    found: Deviation,
+) -> None:
+    for r in range(first, last):
+        a, b = ring_starts[r], ring_starts[r + 1]
+        low, high = found.starts[r], found.starts[r + 1]
+        if low == high:
+            continue
+        B = spans[span_starts[r] : span_starts[r + 1]]
+        along = found.places[low:high]
+        for i in range(len(along) - 1):
+            for axis in range(2):
+                along[i, axis] = evaluate_bezier(
+                    B[i // CHORDS_A_SPAN], (i % CHORDS_A_SPAN) / CHORDS_A_SPAN, axis
+                )
+        along[len(along) - 1] = B[len(B) - 1, 3]
+        curve = tree_over(segments_along(along, False))
+        guess = 0
+        for i in range(a, b):
+            near = nearest(curve, points[i, 0], points[i, 1], guess)
+            guess = near.segment
+            t = (guess % CHORDS_A_SPAN + near.t) / CHORDS_A_SPAN
+            found.of_point[i] = _distance(B[guess // CHORDS_A_SPAN], t, points[i, 0], points[i, 1])
+        contour = tree_over(segments_along(points[a:b], closed[r]))
+        guess = 0
+        for i in range(len(along)):
+            near = nearest(contour, along[i, 0], along[i, 1], guess)
+            guess = near.segment
+            found.of_place[low + i], found.segment[low + i] = near.distance, a + guess
+            found.share[low + i] = near.t
+
+
+@kernel
+def _distance(B: Floats, t: float, x: float, y: float) -> float:
+    """Distance of (x, y) from a span, by steps of Gauss and Newton from a parameter near the foot point."""
+    best = np.inf
+    for _ in range(REFINEMENTS + 1):
+        px, py = evaluate_bezier(B, t, 0) - x, evaluate_bezier(B, t, 1) - y
+        best = min(best, math.hypot(px, py))
+        dx, dy = bezier_derivative(B, t, 0), bezier_derivative(B, t, 1)
+        square = dx * dx + dy * dy
+        if square == 0.0:
+            break
+        t = min(max(t - (px * dx + py * dy) / square, 0.0), 1.0)
+    return best
 
 
 def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
@@ -51,22 +155,10 @@ def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
             f"{len(layers)} layers and {layers.closed.size} rings: give the layers of the fit"
         )
     settings = CurveSettings.model_validate(dict(curves.settings))
-
-    def work(start: int, stop: int) -> list[Floats]:
-        steps = range(start, stop, LAYERS_A_STEP)
-        return [
-            _block_deviation(
-                curves.block(a, min(a + LAYERS_A_STEP, stop)),
-                layers.block(a, min(a + LAYERS_A_STEP, stop)),
-                settings,
-            )
-            for a in steps
-        ]
-
-    blocks = [found for block in run_blocks(work, len(curves)) for found in block]
-    of_ring = np.concatenate(blocks) if blocks else np.zeros((0, 3))
     of_layer = np.zeros((len(curves), 3))
-    np.maximum.at(of_layer, curves.ring_layer, of_ring)
+    for start in range(0, len(curves), LAYERS_A_STEP):
+        stop = min(start + LAYERS_A_STEP, len(curves))
+        _add_block(curves.block(start, stop), layers.block(start, stop), settings, of_layer[start:stop])
     piece_layer = curves.ring_layer[curves.piece_ring]
     return pd.DataFrame(
         {
@@ -80,80 +172,13 @@ def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
     )
 
 
-def _block_deviation(curves: Curves, layers: Layers, settings: CurveSettings) -> Floats:
-    """Greatest distances (R, 3) of each ring of a block."""
+def _add_block(curves: Curves, layers: Layers, settings: CurveSettings, of_layer: Floats) -> None:
+    """Write the greatest distances (L, 3) of the layers of a block."""
+    found = deviation_of(curves, layers)
     cleaned = clean(
         layers.points, layers.ring_starts, layers.closed, settings.near_point_mm, settings.collinear_mm
     )
-    kept = np.zeros(len(layers.points), dtype=np.bool_)
-    kept[cleaned.rows] = True
-    spans = curves.bezier_spans()
-    span_starts = np.concatenate(
-        [[0], np.cumsum(np.bincount(spans.ring, minlength=curves.closed.size))]
-    ).astype(np.int64)
-    result = np.zeros((curves.closed.size, 3))
-    _ring_deviations(
-        np.ascontiguousarray(layers.points),
-        layers.ring_starts,
-        layers.closed,
-        kept,
-        spans.points,
-        span_starts,
-        result,
-    )
-    return result
-
-
-@kernel
-def _ring_deviations(
-    points: Floats,
-    ring_starts: Ints,
-    closed: Bools,
-    kept: Bools,
-    spans: Floats,
-    span_starts: Ints,
-    result: Floats,
-) -> None:
-    for r in range(closed.size):
-        a, b = ring_starts[r], ring_starts[r + 1]
-        B = spans[span_starts[r] : span_starts[r + 1]]
-        if b - a < 2 or len(B) == 0:
-            continue
-        along = np.empty((len(B) * CHORDS_A_SPAN + 1, 2))
-        for i in range(len(along) - 1):
-            for axis in range(2):
-                along[i, axis] = evaluate_bezier(
-                    B[i // CHORDS_A_SPAN], (i % CHORDS_A_SPAN) / CHORDS_A_SPAN, axis
-                )
-        along[len(along) - 1] = B[len(B) - 1, 3]
-        curve = tree_over(segments_along(along, False))
-        guess = 0
-        for i in range(a, b):
-            found = nearest(curve, points[i, 0], points[i, 1], guess)
-            guess = found.segment
-            t = (found.segment % CHORDS_A_SPAN + found.t) / CHORDS_A_SPAN
-            d = _refined(B[found.segment // CHORDS_A_SPAN], t, points[i, 0], points[i, 1])
-            if kept[i]:
-                result[r, 0] = max(result[r, 0], d)
-            result[r, 1] = max(result[r, 1], d)
-        contour = tree_over(segments_along(points[a:b], closed[r]))
-        guess = 0
-        for i in range(len(along)):
-            found = nearest(contour, along[i, 0], along[i, 1], guess)
-            guess = found.segment
-            result[r, 2] = max(result[r, 2], found.distance)
-
-
-@kernel
-def _refined(B: Floats, t: float, x: float, y: float) -> float:
-    """Distance of (x, y) from a span, by steps of Gauss and Newton from a parameter near the foot point."""
-    best = np.inf
-    for _ in range(REFINEMENTS + 1):
-        px, py = evaluate_bezier(B, t, 0) - x, evaluate_bezier(B, t, 1) - y
-        best = min(best, math.hypot(px, py))
-        dx, dy = bezier_derivative(B, t, 0), bezier_derivative(B, t, 1)
-        square = dx * dx + dy * dy
-        if square == 0.0:
-            break
-        t = min(max(t - (px * dx + py * dy) / square, 0.0), 1.0)
-    return best
+    layer = np.repeat(curves.ring_layer, np.diff(layers.ring_starts))
+    np.maximum.at(of_layer[:, 0], layer[cleaned.rows], found.of_point[cleaned.rows])
+    np.maximum.at(of_layer[:, 1], layer, found.of_point)
+    np.maximum.at(of_layer[:, 2], np.repeat(curves.ring_layer, np.diff(found.starts)), found.of_place)

@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.kernels import run_blocks
 from ebamcheck.numeric.rings import Floats
-from ebamcheck.numeric.sorting import put_in_order, stable_order
 
 LEAST_SHARE = 0.5
 """Share of a stack's points that must lie on edges of the part: with fewer, the contours were traced from a raster."""
@@ -68,27 +68,16 @@ def _edges(part: Part) -> Index:
     return np.ascontiguousarray(pairs[np.unique(key, return_index=True)[1]], dtype=np.int32)
 
 
-@kernel
 def _match(
     vertices: Floats, ends: Index, points: Floats, z: float, tolerance: float, edge: Index, edge_t: Floats
 ) -> None:
-    """Give each point the edge whose cut is nearest, of those within the tolerance: by their x, in order."""
-    n = len(ends)
-    places = np.empty((n, 3))
-    for i in range(n):
-        a, b = vertices[ends[i, 0]], vertices[ends[i, 1]]
-        t = (z - a[2]) / (b[2] - a[2])
-        places[i, 0], places[i, 1], places[i, 2] = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), t
-    x = places[:, 0].copy()
-    order = stable_order(x)
-    put_in_order(x, order)
-    for i in range(len(points)):
-        best = tolerance
-        k = np.searchsorted(x, points[i, 0] - tolerance)
-        while k < n and x[k] <= points[i, 0] + tolerance:
-            j = order[k]
-            away = np.hypot(places[j, 0] - points[i, 0], places[j, 1] - points[i, 1])
-            if away <= best:
-                best = away
-                edge[i, 0], edge[i, 1], edge_t[i] = ends[j, 0], ends[j, 1], places[j, 2]
-            k += 1
+    """Give each point the edge whose cut is nearest, of those within the tolerance."""
+    if not len(ends) or not len(points):
+        return
+    low, high = vertices[ends[:, 0]], vertices[ends[:, 1]]
+    t = (z - low[:, 2]) / (high[:, 2] - low[:, 2])
+    places = low[:, :2] + t[:, None] * (high - low)[:, :2]
+    away, chosen = cKDTree(places).query(points, distance_upper_bound=np.nextafter(tolerance, np.inf))
+    near = np.flatnonzero(np.isfinite(away))
+    rows = np.asarray(chosen)[near]
+    edge[near], edge_t[near] = ends[rows], t[rows]

@@ -2,7 +2,13 @@
 
 If an edge is far longer than the facets ahead of it, the normals at its ends may be those of a rounding there. They would lift
 a flat side that runs into roundings by as much as the roundings turn, and to the wrong side where these bend the other way. The
-turns ahead, each end on its own, distinguish such a side from a curved one (:mod:`ebamcheck.curves.sagitta`).
+turns ahead, each end on its own, distinguish such a side from a curved one.
+
+A chord of length l over which a curve turns by phi leaves it by l / 2 tan(phi / 4). How much of the turn between two
+chords belongs to each of them follows from what lies beyond: on a curve of even curvature a joint turns by half of what
+both of its chords span, so that a chord spans twice the turn at its end less what the neighbour spans, and that follows
+from the joint beyond it. A flat side beside a fillet spans nothing by that; the chord of a circle all of its arc. The chords
+are those in which a plane through the edge and across the facets cuts them.
 """
 
 from __future__ import annotations
@@ -12,33 +18,70 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.sagitta import EDGES_A_BLOCK, flat_mm, sagitta_of_end
-from ebamcheck.curves.ways_ahead import Surface, dot, no_way, norm, walk
-from ebamcheck.mesh.topology import NO_TWIN
+from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.numeric.rings import Floats, Ints
+
+MOST_STEPS = 24
+"""Most facets crossed beyond an end of an edge; coplanar ones make one chord, however many they are."""
+
+SNAP = 0.02
+"""A path that passes within this share of the crossed edge of a vertex continues from the vertex."""
+
+MOST_JOINTS = 4
+"""Most turns noted beyond an end of an edge."""
+
+LEAST_SHAPE = 1e-6
+"""Least 16 A^2 / (a^2 + b^2 + c^2)^2 of a facet with area A and sides a, b, c for its circumcentre to be usable."""
+
+WIDTH_RATIO = 3.0
+"""A chord this many times longer than its neighbour is a flat side beside a rounding. A chord that many times shorter than both
+of its neighbours is a rounding of a single chord: both turns at its ends are its own."""
+
+LARGEST_SPAN_RAD = np.deg2rad(160.0)
+"""Largest span of a chord; the height of a larger one means nothing."""
+
+LEAST_APART = 0.25
+"""Least distance of the middles of chords, over a chord's length, from which a curvature can be taken."""
+
+EDGES_A_BLOCK = 4096
 
 Rows = NDArray[np.float32]
 """Half the memory of other columns: these values are only limits, for which 32 bits are enough."""
 
-FAR = 3.0
-"""An end is *far* if the edge is this many times longer than the chord ahead of it, like a flat side beside a rounding; see
-:data:`ebamcheck.curves.sagitta.WIDTH_RATIO`."""
 
-VERY_FAR = 6.0
-"""From this ratio of the edge to the chord ahead on, an error of the turn is magnified so much that it tells little."""
+class Ground(NamedTuple):
+    """What paths over a mesh read of it."""
 
-MOST_OF_TYPICAL = 0.5
-"""Largest lift of such a very long edge, over the mesh's median sagitta."""
+    vertices: Floats
+    faces: Index
+    twin: Index
+    """(3 F,) half-edge across each; :data:`NO_TWIN` at creases."""
+    fans: Index
+    """(F, 3) smooth fan of each corner."""
+    normals: Floats
+    """(F, 3) unit normals of the facets."""
+    starts: Index
+    """(fans + 1,) first corner of each fan in `corners`."""
+    corners: Index
+    """Corners 3 f + i by fan."""
 
-MOST_OF_TOLD = 2.0
-"""Largest lift of an edge, over the height told by a far end: that height scatters by as much where the normals are right."""
 
-FEWEST_TURNS = 2
-"""Fewest turns ahead of both ends together: a single one is a bend, not a curve."""
+class Way(NamedTuple):
+    """Turns and chords met straight ahead of each end of an edge."""
+
+    turns: Floats
+    """(2, MOST_JOINTS) turns, the first at the end of the edge; positive towards the side that the edge bends to."""
+    centres: Floats
+    """(2, MOST_JOINTS) distance from the end of the edge to the middle of the chord after each turn, mm."""
+    lengths: Floats
+    """(2, MOST_JOINTS + 1) how far the edge itself goes on without a turn, and the chord after each turn, mm."""
+    joints: Ints
+    """(2,) number of turns met."""
 
 
 class EndsAhead(NamedTuple):
-    """Estimates at the two ends of the edge of each half-edge; arrays without rows if nothing was asked."""
+    """Estimates at the two ends of the edge of each half-edge."""
 
     told: Rows
     """(3 F, 2) height of the surface over the edge by each of its ends, mm, positive to the outside; NaN at a crease."""
@@ -48,91 +91,209 @@ class EndsAhead(NamedTuple):
     """(3 F,) number of turns met ahead of both ends together; -1 where nothing was asked."""
 
 
-def nothing_asked() -> EndsAhead:
-    """Empty result, for a mesh whose edges need no such check."""
-    return EndsAhead(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.int8))
-
-
-def ends_ahead(surface: Surface, step: int = 1) -> EndsAhead:
+def ends_ahead(ground: Ground, flat_mm: float, step: int = 1) -> EndsAhead:
     """Estimate the surface's height over the smooth edges of a mesh.
 
-    Parameters
-    ----------
-    surface
-        The mesh, in the form that walks read.
-    step
-        Take every `step`-th facet, with its neighbours: a sample stands for the whole mesh.
+    Chords whose joint lies within `flat_mm` of the line over both are one. Every `step`-th facet is taken, with its
+    neighbours: a sample stands for the whole mesh.
     """
-    count = 3 * len(surface.faces)
+    count = 3 * len(ground.faces)
     found = EndsAhead(
         np.full((count, 2), np.nan, np.float32), np.zeros((count, 2), np.float32), np.full(count, -1, np.int8)
     )
-    flat = flat_mm(surface.vertices)
 
     def work(first: int, last: int) -> None:
-        _ask(surface, flat, step, first, last, found)
+        _ask(ground, flat_mm, step, first, last, found)
 
     run_blocks(work, count, EDGES_A_BLOCK)
     return found
 
 
 @kernel
-def _ask(surface: Surface, flat: float, step: int, first: int, last: int, found: EndsAhead) -> None:
-    way = no_way()
+def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: EndsAhead) -> None:
+    way = Way(
+        np.zeros((2, MOST_JOINTS)),
+        np.zeros((2, MOST_JOINTS)),
+        np.zeros((2, MOST_JOINTS + 1)),
+        np.zeros(2, np.int64),
+    )
     for h in range(first, last):
-        g = surface.twin[h]
-        if h // 3 % step or g == NO_TWIN or surface.sharp[h] or (g < h and g // 3 % step == 0):
+        g = ground.twin[h]
+        if h // 3 % step or g == NO_TWIN or (g < h and g // 3 % step == 0):
             continue
-        a, b = surface.faces[h // 3, h % 3], surface.faces[h // 3, (h % 3 + 1) % 3]
-        along = surface.vertices[b] - surface.vertices[a]
-        length = norm(along)
-        if length == 0.0:
-            continue
-        along /= length
-        up = surface.normals[h // 3] + surface.normals[g // 3]
-        up = up - along * dot(up, along)
-        size = norm(up)
-        if size == 0.0:
+        a, b = ground.faces[h // 3, h % 3], ground.faces[h // 3, (h % 3 + 1) % 3]
+        along = ground.vertices[b] - ground.vertices[a]
+        length = np.sqrt(np.sum(along * along))
+        up = ground.normals[h // 3] + ground.normals[g // 3]
+        along /= max(length, 1e-300)
+        up = up - along * np.sum(along * up)
+        size = np.sqrt(np.sum(up * up))
+        if length == 0.0 or size == 0.0:
             continue
         up /= size
         way.turns[:], way.centres[:], way.lengths[:], way.joints[:] = 0.0, 0.0, 0.0, 0
-        walk(surface, h, b, along, up, length, flat, 0, way)
-        walk(surface, h, a, -along, up, length, flat, 1, way)
+        _walk(ground, h, b, along, up, length, flat, 0, way)
+        _walk(ground, h, a, -along, up, length, flat, 1, way)
         chord = length + way.lengths[0, 0] + way.lengths[1, 0]
         found.turns[h] = found.turns[g] = way.joints[0] + way.joints[1]
         for end in range(2):
             if way.joints[end] > 0:
-                found.told[h, end] = found.told[g, end] = sagitta_of_end(chord, end, way)
+                height = 0.5 * chord * np.tan(0.25 * min(_span(chord, end, way), LARGEST_SPAN_RAD))
+                found.told[h, end] = found.told[g, end] = np.copysign(height, way.turns[end, 0])
                 found.ratio[h, end] = found.ratio[g, end] = chord / max(way.lengths[end, 1], 1e-9)
 
 
 @kernel
-def most_of_free(ends: EndsAhead, half_edge: int, outward: bool, typical: float) -> float:
-    """How far an edge between freely curved facets may be lifted to the outside, or to the inside, mm."""
-    if ends.turns[half_edge] < FEWEST_TURNS:
-        return 0.0
-    side = 1.0 if outward else -1.0
-    most = np.inf
-    for end in range(2):
-        ratio = ends.ratio[half_edge, end]
-        if ratio > FAR:
-            most = min(most, max(MOST_OF_TOLD * side * ends.told[half_edge, end], 0.0))
-        if ratio > VERY_FAR:
-            most = min(most, MOST_OF_TYPICAL * typical)
-    return float(most)
+def _walk(
+    ground: Ground,
+    h: int,
+    vertex: int,
+    d: Floats,
+    up: Floats,
+    length: float,
+    flat: float,
+    end: int,
+    way: Way,
+) -> None:
+    """Go straight ahead from the end of an edge, in the plane of a direction and an upward one, and note the turns.
+
+    Where the way does not turn, to rounding, a chord goes on: so a flat side is one chord however it is cut up.
+    """
+    m = np.array([d[1] * up[2] - d[2] * up[1], d[2] * up[0] - d[0] * up[2], d[0] * up[1] - d[1] * up[0]])
+    here, start = ground.vertices[vertex].copy(), ground.vertices[vertex]
+    there = np.empty(3)
+    f, fan = h // 3, 0
+    for k in range(3):
+        if ground.faces[f, k] == vertex:
+            fan = ground.fans[f, k]
+    at_vertex, edge, n = vertex, -1, 0
+    x, y, chord = 1.0, 0.0, length
+    for _ in range(MOST_STEPS):
+        if at_vertex >= 0:
+            following = _through_fan(ground, fan, here, d, m)
+        else:
+            following = _through_facet(ground, ground.twin[edge], here, m)
+        if following < 0:
+            return
+        from_vertex = at_vertex >= 0
+        edge = following
+        f, k = edge // 3, edge % 3
+        p, q = ground.faces[f, k], ground.faces[f, (k + 1) % 3]
+        right = left = 0.0
+        for axis in range(3):
+            right += (ground.vertices[p, axis] - here[axis]) * m[axis]
+            left += (ground.vertices[q, axis] - here[axis]) * m[axis]
+        s = right / (right - left) if right > left else 0.5
+        at_vertex = -1
+        if s < SNAP:
+            s, at_vertex, fan = 0.0, p, ground.fans[f, k]
+        elif s > 1.0 - SNAP:
+            s, at_vertex, fan = 1.0, q, ground.fans[f, (k + 1) % 3]
+        for axis in range(3):
+            there[axis] = (1.0 - s) * ground.vertices[p, axis] + s * ground.vertices[q, axis]
+        u = v = ahead = 0.0
+        for axis in range(3):
+            step = there[axis] - here[axis]
+            u += step * d[axis]
+            v += step * up[axis]
+            ahead += (0.5 * (there[axis] + here[axis]) - start[axis]) * d[axis]
+        here[:] = there
+        size = np.hypot(u, v)
+        if size == 0.0:
+            continue
+        turn = np.arctan2(y * u - x * v, x * u + y * v)
+        if abs(turn) * chord * size / (chord + size) < flat:
+            way.lengths[end, n] += size
+            chord += size
+            continue
+        if n == MOST_JOINTS:
+            return
+        if not (from_vertex and at_vertex >= 0):
+            ahead = _centre_ahead(ground, f, start, d)
+        way.turns[end, n], way.centres[end, n] = turn, ahead
+        n += 1
+        way.joints[end] = n
+        way.lengths[end, n] = chord = size
+        x, y = u / size, v / size
 
 
 @kernel
-def is_far(ends: EndsAhead, half_edge: int) -> bool:
-    """Whether an end of an edge is far from what lies ahead."""
-    return bool(max(ends.ratio[half_edge, 0], ends.ratio[half_edge, 1]) > FAR)
+def _through_fan(ground: Ground, fan: int, here: Floats, d: Floats, m: Floats) -> int:
+    """Half-edge by which the way leaves the facets around a vertex; -1 where they end at a crease before."""
+    best, chosen = 0.0, -1
+    for place in range(ground.starts[fan], ground.starts[fan + 1]):
+        f, k = ground.corners[place] // 3, ground.corners[place] % 3
+        p, q = ground.faces[f, (k + 1) % 3], ground.faces[f, (k + 2) % 3]
+        right = left = ahead_p = ahead_q = wide = 0.0
+        for axis in range(3):
+            x, y = ground.vertices[p, axis] - here[axis], ground.vertices[q, axis] - here[axis]
+            right += x * m[axis]
+            left += y * m[axis]
+            ahead_p += x * d[axis]
+            ahead_q += y * d[axis]
+            wide += (x - y) * (x - y)
+        near = 1e-9 * np.sqrt(wide)
+        if right < -near or left > near or right - left <= 0.0:
+            continue
+        s = min(max(right / (right - left), 0.0), 1.0)
+        ahead = (1.0 - s) * ahead_p + s * ahead_q
+        if ahead > best:
+            best, chosen = ahead, 3 * f + (k + 1) % 3
+    return chosen
 
 
 @kernel
-def is_contradicted(ends: EndsAhead, half_edge: int, outward: bool, height: float) -> bool:
-    """Whether a far end of an edge tells that the surface stands on the other side by more than a lift to this one."""
-    side = 1.0 if outward else -1.0
-    for end in range(2):
-        if ends.ratio[half_edge, end] > FAR and side * ends.told[half_edge, end] < -height:
-            return True
-    return False
+def _through_facet(ground: Ground, entry: int, here: Floats, m: Floats) -> int:
+    """Half-edge by which the way leaves the facet that it enters by a half-edge; -1 at a crease."""
+    if entry == NO_TWIN:
+        return -1
+    f, k = entry // 3, entry % 3
+    r = ground.faces[f, (k + 2) % 3]
+    side = 0.0
+    for axis in range(3):
+        side += (ground.vertices[r, axis] - here[axis]) * m[axis]
+    return int(3 * f + ((k + 2) % 3 if side > 0.0 else (k + 1) % 3))
+
+
+@kernel
+def _centre_ahead(ground: Ground, f: int, start: Floats, d: Floats) -> float:
+    """How far ahead of a place a facet's circumcentre lies: there the surface has the facet's direction, on a sphere."""
+    a, b, c = (
+        ground.vertices[ground.faces[f, 0]],
+        ground.vertices[ground.faces[f, 1]],
+        ground.vertices[ground.faces[f, 2]],
+    )
+    p, q, r = b - c, c - a, a - b
+    pp, qq, rr = np.sum(p * p), np.sum(q * q), np.sum(r * r)
+    wa, wb, wc = pp * (qq + rr - pp), qq * (rr + pp - qq), rr * (pp + qq - rr)
+    total = wa + wb + wc
+    if total <= LEAST_SHAPE * (pp + qq + rr) ** 2:
+        wa, wb, wc, total = 1.0, 1.0, 1.0, 3.0
+    ahead = 0.0
+    for axis in range(3):
+        ahead += ((wa * a[axis] + wb * b[axis] + wc * c[axis]) / total - start[axis]) * d[axis]
+    return ahead
+
+
+@kernel
+def _span(chord: float, end: int, way: Way) -> float:
+    """What a chord spans: twice the turn at its end less what the surface beyond turns from there to its first middle.
+
+    A far longer chord beyond is a flat side, and turns nothing: where it did, it would turn many times as much.
+    """
+    own, centre, near = way.turns[end, 0], way.centres[end, 0], way.lengths[end, 1]
+    if near >= WIDTH_RATIO * chord:
+        return float(2.0 * abs(own))
+    side = 1.0 if own > 0.0 else -1.0
+    bend = turned = 0.0
+    for k in range(1, way.joints[end]):
+        if k > 1 and way.lengths[end, k + 1] >= WIDTH_RATIO * near:
+            break  # the rounding ends here
+        turned += way.turns[end, k]
+        apart = way.centres[end, k] - centre
+        if apart >= LEAST_APART * near:
+            bend = side * turned / apart
+    beside = min(max(bend * centre, 0.0), abs(own))
+    if way.joints[end] > 1 and min(chord, way.lengths[end, 2]) >= WIDTH_RATIO * near:
+        beside = max(beside, min(0.5 * side * (own + way.turns[end, 1]), abs(own)))
+    return float(2.0 * (abs(own) - beside))

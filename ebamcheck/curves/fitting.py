@@ -9,22 +9,20 @@ from typing import Any, Protocol
 import numpy as np
 
 from ebamcheck.backend import Progress
-from ebamcheck.curves.allowances import Allowances, Allowing
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.curves.edges import with_edges
-from ebamcheck.curves.evidence import joined
-from ebamcheck.curves.fallback import with_fallback
+from ebamcheck.curves.gate import Slack, gated, joined
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
-from ebamcheck.curves.lifting import Lifting
+from ebamcheck.curves.lifting import FLAT_MM, Lifting, Limits
 from ebamcheck.curves.oriented_contours import OrientedContours, orient
 from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.reduction import reduced_segments, smooth_segments
-from ebamcheck.curves.sagitta import sagittas
+from ebamcheck.curves.regions.planes import coordinate_error_mm
 from ebamcheck.curves.segments import Segments, pieces_of
 from ebamcheck.curves.sides import as_they_are
 from ebamcheck.curves.splitting import LINE, split
-from ebamcheck.curves.vertex_normals import surface_normals
+from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
@@ -115,16 +113,14 @@ def fit(
     part = _part_of(layers, part)
     known = None if part is None else with_edges(layers, part, checked.near_point_mm)
     lifting = _lifting(known or layers, part, method, checked) if method in LIFTED else None
-    allowing = None
-    if part is not None and known is not None:
-        exact = None if lifting is None else lifting.exact
-        allowing = Allowing(part, sagittas(part, checked.crease_angle_deg), exact)
+    judged_by = None if part is None or known is None else lifting or _lifting_of(part, checked)
     contours = known or layers
     blocks = []
     for start in range(0, max(len(layers), 1), LAYERS_A_STEP):
         stop = min(start + LAYERS_A_STEP, len(layers))
         block = contours.block(start, stop)
-        blocks.append(_accepted(block, method, checked, lifting, allowing, largest_mm))
+        curves = METHODS[method](block, checked, lifting)
+        blocks.append(_accepted(curves, block, checked, judged_by, largest_mm))
         if progress is not None and stop > start:
             progress(stop - start)
     return _join(blocks, layers, method, checked)
@@ -166,35 +162,20 @@ def _part_of(layers: Layers, part: Part | None) -> Part | None:
 
 
 def _accepted(
-    layers: Layers,
-    method: str,
-    settings: CurveSettings,
-    lifting: Lifting | None,
-    allowing: Allowing | None,
-    largest_mm: float,
+    curves: Curves, layers: Layers, settings: CurveSettings, lifting: Lifting | None, largest_mm: float
 ) -> Curves:
-    """Curves of a block of layers by a method, or by more cautious ones where the mesh gives no evidence for them."""
-    if allowing is not None:
-        allowed = allowing.of(layers)
-        rounding_mm = allowing.rounding_mm
-    else:
-        free = np.full((len(layers.points), 2), settings.largest_bulge_mm)
-        allowed = Allowances(free, np.zeros(len(layers.points), np.bool_))
-        rounding_mm = 0.0
+    """Curves of a block of layers, and polylines in place of rings that the gate does not accept."""
     slack_mm = settings.tolerance_mm + settings.near_point_mm + settings.collinear_mm
-    allowed = allowed._replace(limit_mm=np.minimum(allowed.limit_mm, max(largest_mm - slack_mm, 0.0)))
-    # A spline through uneven points swings about the contour. Where the mesh gives no evidence for the lift of a ring, points on
-    # its edges are uneven; the ring's polygon is no farther from the part than the contour.
-    on_edges = lifting is not None
-    curves = with_fallback(
-        METHODS[method](layers, settings, lifting),
-        layers,
-        allowed,
-        slack_mm,
-        settings.near_point_mm + settings.collinear_mm + rounding_mm,
-        None if method in INTERPOLATING or on_edges else lambda some: METHODS["chord"](some, settings, None),
-    )
-    if allowing is None and curves.evidence is not None:
+    if lifting is None:
+        free = np.full(len(layers.points), settings.largest_bulge_mm)
+        limits = Limits(free, np.zeros(len(layers.points), np.bool_))
+        rounding_mm = 0.0
+    else:
+        limits, rounding_mm = lifting.allowed(layers), lifting.flat_mm
+    limits = limits._replace(of_point=np.minimum(limits.of_point, max(largest_mm - slack_mm, 0.0)))
+    slack = Slack(slack_mm, settings.near_point_mm + settings.collinear_mm + rounding_mm)
+    curves = gated(curves, layers, limits, slack)
+    if lifting is None and curves.evidence is not None:
         curves = replace(curves, evidence=replace(curves.evidence, known=False))
     return curves
 
@@ -202,7 +183,7 @@ def _accepted(
 @once_a_part
 def _lifting_of(part: Part, settings: CurveSettings) -> Lifting:
     """Lifting of a part, kept so that the mesh is judged only once when layers are fitted one by one."""
-    return Lifting(part, surface_normals(part, settings))
+    return Lifting(surface_of(part, settings), max(FLAT_MM, 4.0 * coordinate_error_mm(part)))
 
 
 def _lifting(layers: Layers, part: Part | None, method: str, settings: CurveSettings) -> Lifting | None:
@@ -298,9 +279,6 @@ METHODS: dict[str, _Method] = {
     "paper": _fit_paper,
 }
 """Fits by name; each takes a block of layers and returns its curves."""
-
-INTERPOLATING = ("chord", "paper")
-"""Methods whose curves go through the contour points; their rings fall back to polylines at once."""
 
 LIFTED = ("bounded", "surface")
 """Methods that lift the points of contours where they can."""

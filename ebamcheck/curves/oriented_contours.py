@@ -1,7 +1,8 @@
 """Oriented contours: contours with a direction at every point, ready to be fitted.
 
 Corners and straight segments divide a contour. In between, the direction at a point lies between those of its two
-chords; so a curve in these directions deviates from a chord by no more than the contour turns there.
+chords; so a curve in these directions deviates from a chord by no more than the contour turns there. Where the mesh supports
+only a smaller bend, segments bend less.
 """
 
 from __future__ import annotations
@@ -10,26 +11,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.bends import (
-    Ring,
-    find_corners,
-    keep_near,
-    keep_plausible,
-    keep_rough,
-    limit_at_corners,
-    mark_straight,
-    set_angles,
-    spare_long_segments,
-    start_at_a_split,
-    without_flat,
-    without_near,
-)
-from ebamcheck.curves.sides import Sides
+from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.numeric.kernels import kernel, run_blocks
 from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.stages import CurveSettings
 
 RINGS_A_BLOCK = 16
+
+LARGEST_TURN_RAD = np.deg2rad(60.0)
+"""A smooth mesh edge at which the contour turns by more than this is the tip of a thin feature: it counts as a corner."""
+
+STRAIGHT_RATIO = 3.0
+"""A straight run is this many times longer than any of the two segments on either side of it, up to a corner."""
+
+FLAT_MM = 2e-5
+"""A smooth point this near to the chord of its neighbours, in place and direction, is removed: facets of one flat side meet
+there. It is the 32-bit rounding of coordinates of some hundred mm."""
+
+IN_PLANE_MM = 1e-3
+"""A point inside a plane is removed if it lies this near to the chord of its neighbours: the rounding of a file's decimals, and
+the least distance of contour points. Not every point in a plane is: around a level one the contour turns."""
 
 
 class OrientedContours(NamedTuple):
@@ -51,89 +52,253 @@ class OrientedContours(NamedTuple):
     """(K,) whether the segment after the point is a straight line."""
 
 
-class _Limits(NamedTuple):
-    """Settings of the orientation, in the units of the kernels."""
-
-    near_mm: float
-    largest_turn_rad: float
-    straight_run_mm: float
-    largest_bulge_mm: float
-
-
 def orient(
     sides: Sides, ring_starts: Ints, closed: Bools, settings: CurveSettings, largest_bulge_mm: float = np.inf
 ) -> OrientedContours:
-    """Give contours a direction at every point.
+    """Give contours a direction at every point; unknown ones (NaN) are estimated from the chords.
 
-    Parameters
-    ----------
-    sides
-        Points and directions; unknown directions (NaN) are estimated from the chords.
-    ring_starts, closed
-        (R + 1,), (R,) rings of the points.
-    settings
-        Corner angle, smallest distance of points, least length of a straight run.
-    largest_bulge_mm
-        A segment that would leave its chord by more stays straight, between corners: a contour alone does not show
-        whether the part is curved there.
+    A segment that would leave its chord by more than `largest_bulge_mm` stays straight, between corners: a contour alone does
+    not show whether the part is curved there.
     """
-    total = len(sides.points)
-    turn = float(np.deg2rad(180.0 - settings.corner_angle_deg))
-    limits = _Limits(settings.near_point_mm, turn, settings.straight_run_mm, largest_bulge_mm)
+    rows = np.empty(len(sides.points), np.int64)
     sizes = np.zeros(closed.size, np.int64)
-    columns = Ring(
-        np.empty(total, np.int64),
-        np.zeros(total),
-        np.zeros(total),
-        np.zeros(total, np.bool_),
-        np.zeros(total, np.bool_),
-    )
 
     def work(first: int, last: int) -> None:
-        _orient_rings(sides, ring_starts, closed, limits, columns, sizes, first, last)
+        _thin_rings(sides, ring_starts, closed, settings.near_point_mm, first, last, rows, sizes)
 
     run_blocks(work, closed.size, RINGS_A_BLOCK)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     kept = np.arange(starts[-1]) + np.repeat(ring_starts[:-1] - starts[:-1], sizes)
-    rows, *angles_and_flags = (column[kept] for column in columns)
-    return OrientedContours(sides.points[rows], starts, *angles_and_flags)
+    bends = _Bends(sides, rows[kept], starts, closed)
+    bends.find_corners(float(np.deg2rad(180.0 - settings.corner_angle_deg)))
+    bends.set_angles()
+    bends.keep_plausible()
+    bends.mark_straight(settings.straight_run_mm)
+    share = sides.share[bends.rows]
+    bends.straighten(
+        (share == 0.0) & (share[bends.next] == 0.0)
+    )  # a curve through noise is noisier than its chords
+    bends.straighten(bends.bulges() > largest_bulge_mm)
+    few = np.repeat(sizes < 3, sizes)
+    corner, straight = bends.corner | few, bends.straight | few
+    order = _from_a_split(corner | straight | straight[bends.previous], starts, closed)
+    return OrientedContours(
+        sides.points[bends.rows[order]],
+        starts,
+        bends.before[order],
+        bends.after[order],
+        corner[order],
+        straight[order],
+    )
+
+
+def _from_a_split(split: Bools, starts: Ints, closed: Bools) -> Ints:
+    """Order of points in which closed rings start at the first of their splits, where they have one."""
+    sizes = np.diff(starts)
+    ring = np.repeat(np.arange(closed.size), sizes)
+    place = np.arange(ring.size) - starts[ring]
+    first = np.full(closed.size, np.iinfo(np.int64).max)
+    np.minimum.at(first, ring[split], place[split])
+    first[(first >= sizes) | ~closed] = 0
+    return np.asarray(starts[ring] + (place + first[ring]) % np.maximum(sizes[ring], 1))
+
+
+class _Bends:
+    """Points of rings and the bends at them, as columns; the angles are those of :class:`OrientedContours`."""
+
+    def __init__(self, sides: Sides, rows: Ints, starts: Ints, closed: Bools) -> None:
+        self.sides, self.rows = sides, rows
+        sizes = np.diff(starts)
+        filled = sizes > 0
+        self.next = np.arange(1, rows.size + 1)
+        self.next[starts[1:][filled] - 1] = starts[:-1][filled]
+        self.previous = np.empty_like(self.next)
+        self.previous[self.next] = np.arange(rows.size)
+        open_ = filled & ~closed
+        self.last = np.zeros(rows.size, np.bool_)
+        """Points after which an open path has no segment."""
+        self.last[starts[1:][open_] - 1] = True
+        self.end = self.last.copy()
+        self.end[starts[:-1][open_]] = True
+        self.chord = sides.points[rows[self.next]] - sides.points[rows]
+        self.length = np.hypot(*self.chord.T)
+        self.turn = _angle(self.chord[self.previous], self.chord)
+        form = sides.form_after[rows]
+        self.sure = (form != NO_FORM) & (form == sides.form_before[rows[self.next]])
+        """Whether the segment after each point lies on an exact surface at both of its ends."""
+        self.corner = np.zeros(rows.size, np.bool_)
+        self.straight = np.zeros(rows.size, np.bool_)
+
+    def find_corners(self, largest_turn: float) -> None:
+        """Creases are corners; so are points of unknown direction that turn far, and the ends of open paths."""
+        smooth, turn = self.sides.smooth[self.rows], np.abs(self.turn)
+        sharp = ~smooth & ~np.isnan(self.sides.before[self.rows, 0])
+        self.corner = np.where(smooth, turn > LARGEST_TURN_RAD, sharp | (turn > largest_turn)) | self.end
+
+    def set_angles(self) -> None:
+        """Angles between chords and directions; a segment whose direction at a corner is unknown bends as at its other end."""
+        sides, rows, turn = self.sides, self.rows, self.turn
+        to, away = self.length[self.previous], self.length
+        told = _angle(self.chord[self.previous], sides.before[rows])
+        known = sides.smooth[rows] & ~np.isnan(sides.before[rows, 0])
+        # Else the circle through the three points.
+        ahead = np.where(known, told, turn * to / np.maximum(to + away, 1e-300))
+        # Between the two chords: a direction beyond them would bend the curve out and back.
+        between = np.minimum(np.maximum(ahead, np.minimum(turn, 0.0)), np.maximum(turn, 0.0))
+        on_forms = (sides.form_before[rows] != NO_FORM) & (sides.form_after[rows] != NO_FORM)
+        ahead = np.where(on_forms, ahead, between)
+        back = _angle(sides.after[rows], self.chord)
+        self.before = np.where(self.corner, np.where(self.end, np.nan, told), ahead)
+        self.after = np.where(self.corner, np.where(self.end, np.nan, back), turn - ahead)
+        start, end = self.after, self.before[self.next]
+        start = np.where(np.isnan(start), end, start)
+        end = np.where(np.isnan(end), start, end)
+        self._set(np.nan_to_num(start, nan=0.0), np.nan_to_num(end, nan=0.0), ~self.sure)
+
+    def _set(self, start: Floats | float, end: Floats | float, which: Bools) -> None:
+        """Set the angles at both ends of some segments."""
+        start, end = np.broadcast_to(start, which.shape), np.broadcast_to(end, which.shape)
+        self.after[which] = start[which]
+        self.before[self.next[which]] = end[which]
+
+    def bulges(self) -> Floats:
+        """How far each segment would leave its chord, mm."""
+        largest = np.maximum(np.abs(self.after), np.abs(self.before[self.next]))
+        return np.where(self.last, 0.0, 0.25 * self.length * largest)
+
+    def keep_plausible(self) -> None:
+        """Bend segments less that would leave their chords by more than the surface plausibly does.
+
+        What such a segment turns less at an end, its neighbour turns more, unless that then bends too much itself or lies on an
+        exact surface: there is a kink then, as the contour has.
+        """
+        rows, follow, back = self.rows, self.next, self.previous
+        plausible, share = self.sides.plausible[rows], self.sides.share[rows]
+        plausible = np.maximum(plausible, plausible[follow])
+        less = np.minimum(plausible / np.maximum(self.bulges(), 1e-300), 1.0) ** 2
+        share = less * np.maximum(share, share[follow])
+        share[self.sure | self.last] = 1.0
+        beside = share[back]
+        turn, before, after = self.before + self.after, self.before * beside, self.after * share
+        changed = ~self.corner & ((share < 1.0) | (beside < 1.0))
+        kinked = np.where(share == 1.0, self.sure, self.sure[back]) | ((share < 1.0) & (beside < 1.0))
+        one = changed & ~kinked
+        given = (
+            (one & (share < 1.0), turn - after, self.length[back], plausible[back]),
+            (one & (share == 1.0), turn - before, self.length, plausible),
+        )
+        for column, (which, angle, length, most) in zip((before, after), given, strict=True):
+            much = which & (0.25 * length * np.abs(angle) > most)
+            column[which] = angle[which]
+            column[much] = np.copysign(4.0 * most[much] / length[much], angle[much])
+            self.corner |= much
+        self.corner |= changed & kinked
+        self.before, self.after = before, after
+
+    def mark_straight(self, straight_run: float) -> None:
+        """Mark straight segments, and turn what lies beside them to their direction.
+
+        A segment is straight if it lies in a plane, or does not bend between two corners. One of which nothing is known is, too,
+        if it is long and far longer than those beside it.
+        """
+        sides, rows, follow, back, corner = self.sides, self.rows, self.next, self.previous, self.corner
+        lengths = np.where(self.last, 0.0, self.length)
+        ahead = np.where(corner[follow[follow]], 0.0, lengths[follow[follow]])
+        behind = np.where(corner[back], 0.0, lengths[back[back]])
+        ahead = np.where(corner[follow], 0.0, np.maximum(lengths[follow], ahead))
+        behind = np.where(corner, 0.0, np.maximum(lengths[back], behind))
+        longest = np.maximum(ahead, behind)
+        long = sides.unknown[rows] & (lengths >= straight_run) & (lengths >= STRAIGHT_RATIO * longest)
+        plane = sides.plane_after[rows]
+        in_plane = (plane != NO_PLANE) & (plane == sides.plane_before[rows[follow]])
+        alone = corner & corner[follow] & (self.bulges() < FLAT_MM)
+        self.straight = straight = (in_plane | alone | long) & ~self.last
+        beside = straight[back]
+        self.corner = corner = corner | (straight & self.sure[back]) | (beside & self.sure)
+        self.before = np.where(straight & ~beside & ~corner, self.before + self.after, self.before)
+        self.after = np.where(beside & ~straight & ~corner, self.after + self.before, self.after)
+        self._set(0.0, 0.0, straight)
+
+    def straighten(self, which: Bools) -> None:
+        """Make some segments straight, between corners."""
+        which = which & ~self.last
+        self.straight |= which
+        self.corner |= which
+        self.corner[self.next[which]] = True
+        self._set(0.0, 0.0, which)
+
+
+def _angle(a: Floats, b: Floats) -> Floats:
+    """Signed angles from vectors (n, 2) to others, rad."""
+    return np.asarray(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
+
+
+# -- Thinning: contour points that carry no shape are removed, those too near to others and those inside straight sides.
 
 
 @kernel
-def _orient_rings(
+def _thin_rings(
     sides: Sides,
     ring_starts: Ints,
     closed: Bools,
-    limits: _Limits,
-    columns: Ring,
-    sizes: Ints,
+    near: float,
     first: int,
     last: int,
+    rows: Ints,
+    sizes: Ints,
 ) -> None:
-    """Orient the rings from `first` up to `last`: fill their columns, and how many points each keeps."""
+    """Write the rows of the points that are kept of each ring, from its start on, and how many there are.
+
+    Of points nearer than `near` to the one before, that on a crease stays. A ring keeps three points.
+    """
+    points = sides.points
     for r in range(first, last):
         a, b = ring_starts[r], ring_starts[r + 1]
-        n = without_near(sides, a, b, closed[r], limits.near_mm, columns.rows)
-        n = without_flat(sides, columns.rows[a : a + n], closed[r])
+        n = 0
+        for i in range(a, b):
+            if n:
+                j = rows[a + n - 1]
+                if np.hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]) < near:
+                    sharp = not sides.smooth[i] and not np.isnan(sides.before[i, 0])
+                    if sharp and n > 1 and (sides.smooth[j] or np.isnan(sides.before[j, 0])):
+                        rows[a + n - 1] = i
+                    continue
+            rows[a + n] = i
+            n += 1
+        while closed[r] and n > 3:
+            i, j = rows[a + n - 1], rows[a]
+            if np.hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1]) >= near:
+                break
+            n -= 1
+        if n < 3 <= b - a:
+            n = b - a
+            for i in range(a, b):
+                rows[i] = i
+        elif not closed[r] and n > 1:
+            rows[a + n - 1] = b - 1
+        size, n = n, 0
+        for k in range(size):
+            i = rows[a + k]
+            inner = closed[r] or 0 < k < size - 1
+            p, q = rows[a + (n - 1 if n else size - 1)], rows[a + (k + 1) % size]
+            if not (inner and n + size - k > 3 and _is_flat(sides, p, i, q)):
+                rows[a + n] = i
+                n += 1
         sizes[r] = n
-        ring = Ring(
-            columns.rows[a : a + n],
-            columns.before[a : a + n],
-            columns.after[a : a + n],
-            columns.corner[a : a + n],
-            columns.straight[a : a + n],
-        )
-        if n < 3:
-            ring.corner[:] = True
-            ring.straight[:] = True
-            continue
-        find_corners(sides, ring, closed[r], limits.largest_turn_rad)
-        set_angles(sides, ring, closed[r])
-        limit_at_corners(sides, ring)
-        spare_long_segments(sides, ring)
-        keep_plausible(sides, ring, closed[r])
-        mark_straight(sides, ring, closed[r], limits.straight_run_mm)
-        keep_rough(sides, ring, closed[r])
-        keep_near(sides.points, ring, closed[r], limits.largest_bulge_mm)
-        if closed[r]:
-            start_at_a_split(ring)
+
+
+@kernel
+def _is_flat(sides: Sides, p: int, i: int, q: int) -> bool:
+    """Whether a point lies inside of a plane, or a smooth one on the chord of its neighbours in place and direction."""
+    in_plane = sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]
+    if not in_plane and (not sides.smooth[i] or np.isnan(sides.before[i, 0])):
+        return False
+    x, y = sides.points[q, 0] - sides.points[p, 0], sides.points[q, 1] - sides.points[p, 1]
+    long = np.hypot(x, y)
+    u, v = sides.points[i, 0] - sides.points[p, 0], sides.points[i, 1] - sides.points[p, 1]
+    off = abs(x * v - y * u)
+    tilt = abs(x * sides.before[i, 1] - y * sides.before[i, 0])
+    inside = 0.0 < x * u + y * v < long * long
+    if in_plane:
+        return bool(inside and off < IN_PLANE_MM * long)
+    return bool(inside and off < FLAT_MM * long and 0.25 * tilt < FLAT_MM)

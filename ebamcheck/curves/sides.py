@@ -27,17 +27,15 @@ class Sides(NamedTuple):
     """(N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown."""
     smooth: Bools
     """(N,) whether the contour has no corner at the point."""
-    flat: Bools
-    """(N,) whether the segment after the point may be a flat side: its facet has a coplanar neighbour, or is unknown."""
+    unknown: Bools
+    """(N,) whether nothing is known of the segment after the point: no facet."""
     plane_before: Index
     """(N,) plane in which the segment that ends at the point lies; :data:`NO_PLANE` for none."""
     plane_after: Index
     """(N,) plane in which the segment that begins at the point lies."""
-    rough: Bools
-    """(N,) whether the noise of the mesh there exceeds what a lift could gain: the point is not lifted, and its segments stay
-    chords."""
     share: Floats
-    """(N,) share, 0 .. 1, of the lift and bend demanded by the normals that is applied at the point."""
+    """(N,) share, 0 .. 1, of the lift and bend demanded by the normals that is applied at the point; 0 where they are noise: its
+    segments stay chords."""
     plausible: Floats
     """(N,) plausible height of the surface over the facets there, over the sine of their slope, mm."""
     form_before: Index
@@ -59,7 +57,6 @@ def as_they_are(points: Floats) -> Sides:
         np.ones(count, np.bool_),
         np.full(count, NO_PLANE, np.int32),
         np.full(count, NO_PLANE, np.int32),
-        np.zeros(count, np.bool_),
         np.ones(count),
         np.full(count, np.inf),
         np.full(count, NO_FORM, np.int32),

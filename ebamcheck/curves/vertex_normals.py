@@ -1,4 +1,4 @@
-"""Normals of the surface that a mesh approximates, at its vertices, separately on the two sides of a crease.
+"""The surface that a mesh stands for: its regions, normals at the corners of facets, sagittas, and exact surfaces.
 
 A *sector* is a set of facet corners about one vertex that no crease separates: a smooth vertex has one, a
 vertex on a sharp edge two, the corner of a cube three. Each sector has a normal of its own, by the regions of the mesh
@@ -14,91 +14,123 @@ from numpy.typing import NDArray
 
 from ebamcheck.curves.exact import ExactSurfaces, exact_surfaces
 from ebamcheck.curves.per_part import once_a_part
-from ebamcheck.curves.plausible import Sagittas, mesh_sagittas
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
-from ebamcheck.curves.regions.normals import region_normals, rough_rows
+from ebamcheck.curves.regions.normals import region_normals
 from ebamcheck.curves.regions.offsets import Offsets, vertex_offsets
-from ebamcheck.curves.regions.segmentation import rim_sagittas
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
 from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.stages import CurveSettings
 
+LEAST_SAGITTA_MM = 1e-6
+"""Facets with a smaller sagitta are left out of the median."""
 
-class SurfaceNormals(NamedTuple):
-    """Normals of the smooth surface at the corners of facets."""
 
+class Sagittas(NamedTuple):
+    """How far facets are from the surface, by their dihedral angles, mm; infinite where nothing is known."""
+
+    mean: Floats
+    """(V,) mean over the edges at a vertex, weighted by their lengths."""
+    largest: Floats
+    """(V,) largest at a vertex."""
+    typical: float
+    """Median over the facets outside of planes, weighted by area."""
+
+
+class PartSurface(NamedTuple):
+    """A mesh with what is known of the smooth surface that it approximates."""
+
+    vertices: Floats
+    faces: Index
+    across: Index
+    """(3 F,) half-edge across each, at creases too."""
+    twin: Index
+    """(3 F,) half-edge across each where the surface continues without a crease; else :data:`NO_TWIN`."""
     sectors: Index
     """(F, 3) row of the normal of each corner of each facet."""
     normals: Floats
     """(S, 3) unit normals."""
-    smooth: Bools
-    """(3 F,) whether the surface continues across half-edge ``3 f + i`` without a crease."""
-    flat: Bools
-    """(F,) whether the facet is coplanar with a neighbour: in a strip of a cylinder, or a flat side."""
+    noise: Floats
+    """(S,) residual of the fitted surface at the vertices about, mm; NaN where it is unknown."""
+    fans: Index
+    """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
     kind: NDArray[np.uint8]
     """(F,) kind of region of the facet."""
     region: Index
     """(F,) planar group of the facet."""
-    fans: Index
-    """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
-    rough: Bools
-    """(S,) whether the noise of the vertices about exceeds what lifting could gain there."""
-    noise: Floats
-    """(S,) residual of the fitted surface at the vertices about, mm; infinite where it is unknown."""
+    facet_normals: Floats
+    """(F, 3) unit normals of the facets' groups."""
     sagittas: Sagittas
-    """How far facets are from the surface, by their dihedral angles."""
     offsets: Offsets
     """Whether the vertices lie on the surface."""
-    rims: Floats
-    """(G, 2) how far a surface would stand off the strip of each region, mm, if the bends at its sides were a rounding's."""
-    crease_angle_deg: float
-    """Crease angle with which the normals were estimated."""
     exact: ExactSurfaces
     """Surfaces that are known by formula."""
 
+    @property
+    def smooth(self) -> Bools:
+        """(3 F,) whether the surface continues across each half-edge without a crease."""
+        return np.asarray(self.twin != NO_TWIN)
+
 
 @once_a_part
-def surface_normals(part: Part, settings: CurveSettings) -> SurfaceNormals:
-    """Estimate the normals of the surface that a mesh approximates.
+def surface_of(part: Part, settings: CurveSettings) -> PartSurface:
+    """Find the surface that a mesh approximates.
 
-    Parameters
-    ----------
-    part
-        The mesh.
-    settings
-        Edges whose facets' normals differ by at least the crease angle are sharp; so are edges with only one facet, or with
-        facets that do not run in opposite directions along it, and every bend between two planes.
+    Edges whose facets' normals differ by at least the crease angle are sharp; so are edges with only one facet, or with
+    facets that do not run in opposite directions along it, and every bend between two planes.
     """
-    groups = edge_groups(part.faces, len(part.vertices))
-    twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
-    whole = twin.copy()
+    vertices, faces = part.vertices, part.faces
+    groups = edge_groups(faces, len(vertices))
+    across = twins(vertices, faces, groups.half_edges, groups.starts)
+    twin = across.copy()
     regions = find_regions(part, twin, settings)
     label = regions.groups.label
+    kind, facet_normals = regions.kind[label], regions.groups.normals[label]
     found = region_normals(part, twin, regions)
-    smooth, kind = twin != NO_TWIN, regions.kind[label]
-    stands_off = mesh_sagittas(part.vertices, part.faces, twin, regions.groups.normals[label], kind)
-    rims = rim_sagittas(twin, whole, label, regions.borders, regions.kind)
-    return SurfaceNormals(
+    sagittas = mesh_sagittas(vertices, faces, twin, facet_normals, kind)
+    return PartSurface(
+        vertices,
+        faces,
+        across,
+        twin,
         found.rows,
         found.normals,
-        smooth,
-        kind == PLANE,
+        found.noise,
+        found.fans,
         kind,
         label,
-        found.fans,
-        rough_rows(part.vertices, part.faces, found),
-        np.nan_to_num(found.noise, nan=np.inf),
-        stands_off,
-        vertex_offsets(part.vertices, part.faces, smooth, found.fans, kind == FREEFORM),
-        rims,
-        settings.crease_angle_deg,
-        exact_surfaces(part, twin, whole, regions, rims, stands_off.typical),
+        facet_normals,
+        sagittas,
+        vertex_offsets(vertices, faces, twin != NO_TWIN, found.fans, kind == FREEFORM),
+        exact_surfaces(part, twin, across, regions, sagittas.typical),
     )
 
 
-def corners_of_vertices(faces: Index, vertex_count: int) -> tuple[NDArray[np.int64], Index]:
-    """Corners ``3 f + i`` by vertex: first of each vertex (V + 1,), and the corners (3 F,)."""
-    flat = faces.reshape(-1)
-    starts = np.concatenate([[0], np.cumsum(np.bincount(flat, minlength=vertex_count))]).astype(np.int64)
-    return starts, np.argsort(flat, kind="stable").astype(np.int32)
+def mesh_sagittas(
+    vertices: Floats, faces: Index, twin: Index, normals: Floats, kind: NDArray[np.uint8]
+) -> Sagittas:
+    """Sagittas across edges that are no crease: of an arc over the lower of the two facets that turns by what they turn."""
+    count = len(vertices)
+    edges = vertices[np.roll(faces, -1, axis=1)] - vertices[faces]
+    lengths = np.linalg.norm(edges, axis=2)
+    areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    heights = (2.0 * areas[:, None] / np.maximum(lengths, 1e-300)).reshape(-1)
+    h = np.flatnonzero(twin != NO_TWIN)
+    g = twin[h]
+    turn = 2.0 * np.arcsin(np.minimum(0.5 * np.linalg.norm(normals[h // 3] - normals[g // 3], axis=1), 1.0))
+    edge = np.zeros(twin.size)
+    edge[h] = turn * np.minimum(heights[h], heights[g]) / 8.0
+    of_facet = edge.reshape(-1, 3).max(axis=1, initial=0.0)
+    told = np.flatnonzero((kind != PLANE) & (of_facet > LEAST_SAGITTA_MM))
+    if not told.size:
+        return Sagittas(np.full(count, np.inf), np.full(count, np.inf), np.inf)
+    order = told[np.argsort(of_facet[told], kind="stable")]
+    below = np.cumsum(areas[order])
+    typical = float(of_facet[order][np.searchsorted(below, 0.5 * below[-1])])
+    ends = np.concatenate([faces.reshape(-1)[h], np.roll(faces, -1, axis=1).reshape(-1)[h]])
+    long, both = np.tile(lengths.reshape(-1)[h], 2), np.tile(edge[h], 2)
+    weights = np.bincount(ends, long, minlength=count)
+    mean = np.bincount(ends, long * both, minlength=count) / np.where(weights > 0.0, weights, 1.0)
+    largest = np.zeros(count)
+    np.maximum.at(largest, ends, both)
+    return Sagittas(mean, largest, typical)

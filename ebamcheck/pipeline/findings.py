@@ -22,8 +22,7 @@ from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.process_checks import seam_turns
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.doubt import doubted_layers
-from ebamcheck.curves.evidence import CAUSES
-from ebamcheck.curves.fallback import POLYLINE
+from ebamcheck.curves.gate import CAUSES
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.nc.control import control
@@ -255,12 +254,10 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
         if not number or not rings.size:
             continue
         worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
-        plain = int((found.method[rings] == POLYLINE).sum())
         distance = cause in ("sagitta", "plane")
         yield _told(
             "curve-fell-back",
-            f"{rings.size} of {found.cause.size} rings fell back to a more cautious fit, {plain} of them to the contour "
-            f"itself, because {WHY[cause]}",
+            f"{rings.size} of {found.cause.size} rings fell back to the contour itself, because {WHY[cause]}",
             verdict.place_of(worst),
             float(found.value_mm[worst]) if distance else None,
             float(found.limit_mm[worst]) if distance else None,

@@ -24,8 +24,8 @@ from ebamcheck.curves import (
 from ebamcheck.curves.accuracy import CURVE_TOLERANCE_MM
 from ebamcheck.curves.columns import Evidence
 from ebamcheck.curves.edges import with_edges
-from ebamcheck.curves.evidence import CAUSES, StackEvidence, stack_evidence
-from ebamcheck.curves.fallback import METHODS as FALLBACKS
+from ebamcheck.curves.gate import CAUSES, StackEvidence, stack_evidence
+from ebamcheck.curves.gate import METHODS as FALLBACKS
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.tables import Table
@@ -40,7 +40,7 @@ WHY: Mapping[str, str] = {
     "turned": "it encloses nothing, or runs the other way",
     "nesting": "it lies in another ring than its contour",
 }
-"""Causes of :data:`ebamcheck.curves.evidence.CAUSES` in words."""
+"""Causes of :data:`ebamcheck.curves.gate.CAUSES` in words."""
 
 REMEDY: Mapping[str, str] = {
     "sagitta": "give a finer mesh, or set curves.method = 'chord'",
@@ -128,7 +128,7 @@ def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[
 def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
     """The table of the fit with what speaks for it, one row a layer.
 
-    Adds ``allowed_mm`` (mean of what is allowed), ``lift_mm`` (mean lift), ``chord_rings``, ``polyline_rings`` and
+    Adds ``allowed_mm`` (mean of what is allowed), ``lift_mm`` (mean lift), ``polyline_rings`` and
     ``open_rings`` (rings that fell back, or that nothing was found for).
     """
     of_ring, found = verdict.curves.ring_layer, verdict.evidence

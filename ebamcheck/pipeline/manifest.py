@@ -14,7 +14,7 @@ import pandas as pd
 
 from ebamcheck.checks.consumables import plate_record
 from ebamcheck.comparison import Comparison
-from ebamcheck.curves.fallback import METHODS as FALLBACKS
+from ebamcheck.curves.gate import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.json_values import sha256_of_file, sha256_of_json

@@ -6,7 +6,7 @@ estimated from normals.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,15 +14,12 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.curves.exact.fitting import told_forms
-from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, distances, signed_distance
-from ebamcheck.curves.exact.growing import Ground, absorb, grown, touching
-from ebamcheck.curves.plausible import OF_ROUNDING
-from ebamcheck.curves.regions.borders import LIKE
-from ebamcheck.curves.regions.segmentation import INWARD, OUTWARD, PLANE, STRIP, Regions
+from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distances
+from ebamcheck.curves.exact.growing import Ground, grown
+from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 FIT = 3.0
 """Tolerance of a fitted surface, over that of a plane: errors of the fitted position and size add to those of the vertices."""
@@ -35,29 +32,11 @@ GAP = 4.0
 MOST_OF_TYPICAL = 25.0
 """Largest distance of a facet from an exact surface, over the mesh's median sagitta: long facets of scattered points are so far."""
 
-PATCHES = (48, 16)
-"""Sizes, in groups, of the patches about a seed from which a surface is tried, in this order."""
-
 MOST_PIECES = 1000
 """Pieces that may fail before the search stops, the largest first: a noisy mesh has very many."""
 
-MOST_SEEDS = 240
-"""Patches that may fail before the search stops: on a mesh of free forms alone this bounds the work."""
-
 MOST_ROUNDS = 6
 """Rounds of growing and fitting for one surface; it usually stops growing after two or three."""
-
-TANGENT_COSINE = np.cos(np.deg2rad(0.6))
-"""Cosine of the largest angle at which two surfaces count as tangent along their border, given the rounding of a file."""
-
-TANGENT = 0.9
-"""Of the border edges beyond which a surface is known, the least share at which the two must be tangent."""
-
-BESIDE = 0.4
-"""Least share of a surface's smooth border edges beyond which something is known: about one of two rims."""
-
-LEAST_BESIDE = 6
-"""Least number of such edges."""
 
 
 class ExactSurfaces(NamedTuple):
@@ -75,7 +54,7 @@ def no_surfaces(facet_count: int) -> ExactSurfaces:
 
 
 def exact_surfaces(
-    part: Part, twin: Index, across: Index, regions: Regions, rims: Floats, typical_mm: float
+    part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float
 ) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
@@ -89,24 +68,17 @@ def exact_surfaces(
         (3 F,) the same, at creases too.
     regions
         Regions of the mesh.
-    rims
-        (G, 2) how far a surface would stand off the strip of each group, inward and outward, mm, if the bends at its sides
-        were those of a rounding.
     typical_mm
         Median sagitta of the mesh, from its dihedral angles.
     """
-    return _Search(part, twin, across, regions, rims, typical_mm).run()
+    return _Search(part, twin, across, regions, typical_mm).run()
 
 
 class _Search:
     """State of the search for exact surfaces: what is found, and the planar groups that it has taken."""
 
-    def __init__(
-        self, part: Part, twin: Index, across: Index, regions: Regions, rims: Floats, typical_mm: float
-    ) -> None:
+    def __init__(self, part: Part, twin: Index, across: Index, regions: Regions, typical_mm: float) -> None:
         self.across = across
-        self.rims = rims
-        self.coarse_mm = OF_ROUNDING * typical_mm
         self.largest_mm = MOST_OF_TYPICAL * typical_mm
         groups = regions.groups
         vertices, faces = part.vertices, part.faces
@@ -123,26 +95,17 @@ class _Search:
         self.of_group = np.full(len(groups.normals), NO_SURFACE, np.int32)
         self.rows: list[Floats] = []
         self.sagittas: list[float] = []
-        self.supported = False
-        """Whether the surfaces now looked for must be confirmed by their neighbours."""
 
     def run(self) -> ExactSurfaces:
-        """Try each smooth piece of one kind as a whole, then patches of it, then what is left between known surfaces."""
-        self._try_each(self._pieces(np.inf), MOST_PIECES)
-        self._try_each(
-            (patch for piece in self._pieces(np.inf) for patch in self._patches(piece)), MOST_SEEDS
-        )
-        known = 0
-        self._try_each(self._pieces(LIKE) if self.rows else (), MOST_PIECES)
-        self.supported = True
-        while len(self.rows) > known:
-            known = len(self.rows)
-            for most in (np.inf, LIKE):
-                self._try_each(self._pieces(most), MOST_PIECES)
+        """Try each smooth piece of one kind; slivers beside a surface, whose normals say nothing, join it."""
+        failed = 0
+        for piece in self._pieces():
+            failed += not self._try(piece)
+            if failed >= MOST_PIECES:
+                break
         label = self.of_group[self.ground.label]
         rows = np.array(self.rows).reshape(-1, SIZE)
-        free = self.kind[self.ground.label] != PLANE
-        while absorb(self.ground, self.across, free, rows, np.array(self.sagittas), self.tolerance_mm, label):
+        while self._absorb(label, rows):
             pass
         return self._with_planes(label, rows)
 
@@ -163,18 +126,12 @@ class _Search:
             found.append(row)
         return ExactSurfaces(label, np.concatenate(found))
 
-    def _pieces(self, most: float) -> Iterator[Index]:
-        """Smooth pieces of groups of one kind that no surface has taken, the largest first.
-
-        Neighbours in a piece differ in area by less than the factor `most`, which parts the narrow rows of a rounding from the
-        wall that they touch.
-        """
+    def _pieces(self) -> Iterator[Index]:
+        """Smooth pieces of groups of one kind, the largest first."""
         ground = self.ground
         half = np.flatnonzero(ground.twin != NO_TWIN)
         a, b = ground.label[half // 3], ground.label[ground.twin[half] // 3]
         joined = (self.kind[a] == self.kind[b]) & (self.kind[a] != PLANE) & (a != b)
-        joined &= ~(self.taken[a] | self.taken[b])
-        joined &= np.maximum(self.areas[a], self.areas[b]) < most * np.minimum(self.areas[a], self.areas[b])
         count = len(self.kind)
         links = coo_matrix((np.ones(joined.sum()), (a[joined], b[joined])), (count, count))
         piece = connected_components(links, directed=False)[1]
@@ -185,26 +142,6 @@ class _Search:
             groups = pieces[number]
             if len(groups) > 1 and self.kind[groups[0]] != PLANE and not self.taken[groups[0]]:
                 yield groups
-
-    def _patches(self, piece: Index) -> Iterator[Index]:
-        """Patches about seeds spread evenly over the area of a piece."""
-        share = np.cumsum(self.areas[piece])
-        seeds = min(len(piece), 4 + int(np.sqrt(len(piece))))
-        at = np.searchsorted(share, (np.arange(seeds) + 0.5) / seeds * share[-1])
-        for size in PATCHES:
-            if size >= len(piece):
-                continue
-            for seed in np.unique(piece[np.minimum(at, len(piece) - 1)]):
-                if not self.taken[seed]:
-                    yield _patch(self.ground, int(seed), self.taken, self.kind, size)
-
-    def _try_each(self, pieces: Iterable[Index], most: int) -> None:
-        """Look for the surface of each piece, until `most` of them have failed."""
-        failed = 0
-        for piece in pieces:
-            failed += not self._try(piece)
-            if failed >= most:
-                break
 
     def _try(self, groups: Index) -> bool:
         """Look for a surface through some groups, and take all groups that lie on it; False if there is none."""
@@ -225,14 +162,15 @@ class _Search:
     def _forms(self, groups: Index) -> Iterator[Floats]:
         """Forms fitted to the told vertices of groups (:mod:`ebamcheck.curves.exact.finding`), with their sides set."""
         ground = self.ground
-        facets = _facets_of(ground.starts, ground.facets, groups)
+        facets = _facets_of(ground, groups)
         corners = np.unique(ground.faces[facets][ground.told[facets]])
         normals = ground.normals[ground.label[facets]]
         places = self.middles[facets]
         straight = bool((self.kind[groups] == STRIP).all())
         vertices = ground.vertices[corners]
-        for row in told_forms(vertices, places, normals, self.tolerance_mm, straight, self.supported):
-            row[SIDE] = np.sign(_facing(row, places, normals))
+        for row in told_forms(vertices, places, normals, self.tolerance_mm, straight):
+            gradients = signed_distances(row[None], places)[:, 1:]
+            row[SIDE] = np.sign((gradients * normals).sum(axis=1).mean())
             if row[SIDE] != 0.0:
                 yield row
 
@@ -253,10 +191,6 @@ class _Search:
                 grown(self.ground, seeds, self.taken, row, self.tolerance_mm, largest, sagittas)
             groups = np.flatnonzero(sagittas >= 0.0).astype(np.int32)
             if len(groups) <= before:
-                if self.supported and not self._is_borne_out(row, groups):
-                    return None
-                if self._may_be_rounding(row, groups, float(sagittas.max())):
-                    return None
                 return row, groups, float(sagittas.max())
             before = len(groups)
             refitted = next(self._forms(groups), None)
@@ -265,27 +199,27 @@ class _Search:
             row = refitted
         return None
 
-    def _may_be_rounding(self, row: Floats, groups: Index, sagitta: float) -> bool:
-        """Whether the groups may be strips of a coarse rounding, curved across them the other way by a similar sagitta.
-
-        See :func:`ebamcheck.curves.plausible.sure_share`.
-        """
-        if not (self.kind[groups] == STRIP).all():
-            return False
-        facets = _facets_of(self.ground.starts, self.ground.facets, groups)
-        off = distances(row, self.middles[facets])
-        other_way = INWARD if row[SIDE] * off.mean() < 0.0 else OUTWARD
-        rim = float(np.median(self.rims[groups, other_way]))
-        return 0.5 * sagitta < rim <= self.coarse_mm
-
-    def _is_borne_out(self, row: Floats, groups: Index) -> bool:
-        """Whether the known surfaces and planes that continue the groups smoothly are tangent to `row` along their border."""
-        rows = np.array(self.rows).reshape(-1, SIZE)
-        planes = self.kind == PLANE
-        found = touching(self.ground, groups, self.of_group, rows, planes, row, TANGENT_COSINE)
-        return (
-            found.known >= max(LEAST_BESIDE, BESIDE * found.smooth) and found.tangent >= TANGENT * found.known
+    def _absorb(self, label: Index, rows: Floats) -> int:
+        """Give facets beside a surface to it that stand off no farther than its own; how many were given."""
+        ground = self.ground
+        free = (label == NO_SURFACE) & (self.kind[ground.label] != PLANE)
+        half = np.flatnonzero(free.repeat(3) & (self.across != NO_TWIN))
+        half = half[label[self.across[half] // 3] != NO_SURFACE]
+        if not half.size:
+            return 0
+        facet, surface = half // 3, label[self.across[half] // 3]
+        corners = ground.vertices[ground.faces[facet]]
+        places = np.concatenate(
+            [corners, 0.5 * (corners + np.roll(corners, -1, axis=1)), corners.mean(axis=1)[:, None]], axis=1
         )
+        off = signed_distances(np.repeat(rows[surface], 7, axis=0), places.reshape(-1, 3))[:, 0]
+        largest = np.array(self.sagittas)[surface][:, None]
+        most = np.where(ground.told[facet], self.tolerance_mm, largest)
+        off = np.abs(off).reshape(-1, 7)
+        taken = (off[:, :3] <= most).all(axis=1) & (off[:, 3:] <= largest).all(axis=1)
+        facet, first = np.unique(facet[taken], return_index=True)
+        label[facet] = surface[taken][first]
+        return len(facet)
 
 
 def _without_flat_sides(sagittas: Floats) -> float:
@@ -295,57 +229,11 @@ def _without_flat_sides(sagittas: Floats) -> float:
     return float(1.01 * upper[leaps[0]]) if leaps.size else np.inf
 
 
-def _facing(row: Floats, places: Floats, normals: Floats) -> float:
-    """Mean cosine between facet normals and the gradient of the signed distance from a surface."""
-    return float(np.mean(_cosines(row, places, normals)))
-
-
-@kernel
-def _facets_of(starts: Index, facets: Index, groups: Index) -> Index:
+def _facets_of(ground: Ground, groups: Index) -> Ints:
     """Facets of some groups."""
-    count = 0
-    for group in groups:
-        count += starts[group + 1] - starts[group]
-    found = np.empty(count, np.int32)
-    n = 0
-    for group in groups:
-        for place in range(starts[group], starts[group + 1]):
-            found[n] = facets[place]
-            n += 1
-    return found
-
-
-@kernel
-def _cosines(row: Floats, places: Floats, normals: Floats) -> Floats:
-    found = np.empty(len(places))
-    for i in range(len(places)):
-        _, x, y, z = signed_distance(row, places[i, 0], places[i, 1], places[i, 2])
-        found[i] = x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2]
-    return found
-
-
-@kernel
-def _patch(ground: Ground, seed: int, taken: Bools, kind: np.ndarray, size: int) -> Index:
-    """Groups about a seed, of its kind: the nearest by steps."""
-    queue = np.empty(size + 1, np.int32)
-    queue[0] = seed
-    first, last = 0, 1
-    seen = taken.copy()
-    seen[seed] = True
-    while first < last and last < size:
-        group = queue[first]
-        first += 1
-        for place in range(ground.starts[group], ground.starts[group + 1]):
-            for k in range(3):
-                h = ground.twin[3 * ground.facets[place] + k]
-                if h == NO_TWIN or last >= size:
-                    continue
-                other = ground.label[h // 3]
-                if not seen[other] and kind[other] == kind[seed]:
-                    seen[other] = True
-                    queue[last] = other
-                    last += 1
-    return queue[:last].copy()
+    sizes = ground.starts[groups + 1] - ground.starts[groups]
+    first = np.repeat(ground.starts[groups] - np.concatenate([[0], np.cumsum(sizes)[:-1]]), sizes)
+    return np.asarray(ground.facets[first + np.arange(first.size)], np.int64)
 
 
 # -- Told corners: vertices that lie on the surface that a mesh approximates, as far as its facets can tell ----
@@ -375,71 +263,33 @@ def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, t
         How far a vertex may lie from the line of two neighbours, and be on it.
     """
     count = int(sectors.max(initial=-1)) + 1
-    several = _meet_groups(label, sectors, count)
-    split = _split_edges(vertices, faces, tolerance_mm)
-    return np.asarray(several[sectors] & ~split[faces])
+    flat, groups = sectors.reshape(-1), np.repeat(label, 3)
+    low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, -1)
+    np.minimum.at(low, flat, groups)
+    np.maximum.at(high, flat, groups)
+    return np.asarray((high > low)[sectors] & ~_split_edges(vertices, faces, tolerance_mm)[faces])
 
 
-@kernel
-def _meet_groups(label: Index, sectors: Index, count: int) -> Bools:
-    """Fans (count,) in which facets of several groups meet."""
-    first = np.full(count, -1, np.int32)
-    several = np.zeros(count, np.bool_)
-    for f in range(len(sectors)):
-        for k in range(3):
-            s = sectors[f, k]
-            if first[s] < 0:
-                first[s] = label[f]
-            elif first[s] != label[f]:
-                several[s] = True
-    return several
-
-
-@kernel
 def _split_edges(vertices: Floats, faces: Index, tolerance: float) -> Bools:
     """Vertices (V,) that lie on the line between two of their neighbours."""
-    count = len(vertices)
-    starts = np.zeros(count + 1, np.int64)
-    for f in range(len(faces)):
-        for k in range(3):
-            starts[faces[f, k] + 1] += 1
-    for i in range(count):
-        starts[i + 1] += starts[i]
-    fill = starts[:-1].copy()
-    neighbours = np.empty(3 * len(faces), np.int32)
-    for f in range(len(faces)):
-        for k in range(3):
-            i = faces[f, k]
-            neighbours[fill[i]] = faces[f, (k + 1) % 3]
-            fill[i] += 1
-    split = np.zeros(count, np.bool_)
-    for i in range(count):
-        for p in range(starts[i], starts[i + 1]):
-            if split[i]:
-                break
-            for q in range(starts[i], p):
-                if _is_between(vertices, neighbours[p], i, neighbours[q], tolerance):
-                    split[i] = True
-                    break
+    corners = faces.reshape(-1)
+    ahead = np.roll(faces, -1, axis=1).reshape(-1)
+    order = np.argsort(corners, kind="stable")
+    sizes = np.bincount(corners, minlength=len(vertices))
+    split = np.zeros(len(vertices), np.bool_)
+    at = np.concatenate([[0], np.cumsum(sizes)])
+    place = np.arange(order.size) - np.repeat(at[:-1], sizes)
+    # Each neighbour with the one `step` places before it, for all vertices at once.
+    for step in range(1, int(sizes.max(initial=0))):
+        k = np.flatnonzero(place >= step)
+        i = corners[order[k]]
+        k = k[~split[i]]
+        i = corners[order[k]]
+        u = vertices[ahead[order[k]]] - vertices[i]
+        v = vertices[ahead[order[k - step]]] - vertices[i]
+        to, away, along = (np.einsum("ij,ij->i", a, b) for a, b in ((u, u), (v, v), (u, v)))
+        straight = (along < 0.0) & (along * along >= STRAIGHT_COSINE * STRAIGHT_COSINE * to * away)
+        across = np.cross(u, v)
+        off = np.einsum("ij,ij->i", across, across)
+        split[i[straight & (off <= tolerance * tolerance * (to + away - 2.0 * along))]] = True
     return split
-
-
-@kernel
-def _is_between(vertices: Floats, a: int, i: int, b: int, tolerance: float) -> bool:
-    ux, uy, uz = (
-        vertices[a, 0] - vertices[i, 0],
-        vertices[a, 1] - vertices[i, 1],
-        vertices[a, 2] - vertices[i, 2],
-    )
-    vx, vy, vz = (
-        vertices[b, 0] - vertices[i, 0],
-        vertices[b, 1] - vertices[i, 1],
-        vertices[b, 2] - vertices[i, 2],
-    )
-    to, away = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
-    ahead = ux * vx + uy * vy + uz * vz
-    if ahead >= 0.0 or ahead * ahead < STRAIGHT_COSINE * STRAIGHT_COSINE * to * away:
-        return False
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    whole = to + away - 2.0 * ahead
-    return bool(x * x + y * y + z * z <= tolerance * tolerance * whole)

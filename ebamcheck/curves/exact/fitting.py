@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from ebamcheck.curves.exact.forms import (
     CONE,
@@ -24,8 +25,6 @@ from ebamcheck.curves.exact.forms import (
     TORUS,
     distances,
 )
-from ebamcheck.numeric.elimination import eliminated
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Floats
 
 MOST_POINTS = 400
@@ -66,26 +65,11 @@ def told_forms(
     normals: Floats,
     tolerance_mm: float,
     straight: bool = False,
-    supported: bool = False,
 ) -> Iterator[Floats]:
-    """Forms on which vertices lie, the simplest first.
+    """Forms (SIZE,) on which vertices (n, 3) lie, the simplest first; their side is to be set.
 
-    Parameters
-    ----------
-    points
-        (n, 3) vertices, mm.
-    places, normals
-        (m, 3) middles and unit normals of facets, for the first guess.
-    tolerance_mm
-        How far a vertex may lie from its surface.
-    straight
-        Whether all facets are strips, which show that the surface is straight from rim to rim.
-    supported
-        Whether neighbouring surfaces will confirm the form: then two rims are enough for a cylinder or cone, three for a torus.
-
-    Yields
-    ------
-    rows (SIZE,) of :mod:`ebamcheck.curves.exact.forms`; their side is to be set.
+    The first guess is by middles and normals of facets. `straight`: all of these are strips, which show that the surface is
+    straight from rim to rim.
     """
     if len(points) > MOST_POINTS:
         points = points[np.linspace(0, len(points) - 1, MOST_POINTS).astype(np.int64)]
@@ -104,11 +88,11 @@ def told_forms(
             yield from _kept(_sphere(points, middle), points, size, tolerance_mm)
         for first in (_cylinder, _cone):
             for row in _kept(first(points, places, normals), points, size, tolerance_mm):
-                if _is_ruled(row, points, tolerance_mm, straight, supported):
+                if _is_ruled(row, points, tolerance_mm, straight):
                     yield row
-    if len(points) >= 7 + SPARE and (supported or not quadrics.count):
+    if len(points) >= 7 + SPARE and not quadrics.count:
         for row in _kept(_torus(points, places, normals), points, size, tolerance_mm):
-            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE - supported:
+            if _profile_points(row, points, tolerance_mm) >= LEAST_PROFILE:
                 yield row
     if quadrics.count == 1 and quadrics.borne_out:
         yield quadrics.only
@@ -249,11 +233,8 @@ def _circle(points: Floats) -> tuple[Floats, float]:
 # -- what is told ------------------------------------------------------------------------------------------
 
 
-def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool, supported: bool) -> bool:
-    """Whether points determine the rulings of a cylinder or cone: by two on each where there are strips, else by three heights.
-
-    If `supported`, two heights do.
-    """
+def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool) -> bool:
+    """Whether points determine the rulings of a cylinder or cone: by two on each where there are strips, else by three heights."""
     axis = row[OWN : OWN + 3]
     off = points - row[PLACE : PLACE + 3]
     flat = off @ _across(axis).T
@@ -266,7 +247,7 @@ def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool, 
         return True
     if len(points) < SPARE + (6 if int(row[0]) == CONE else 5):
         return False
-    return _distinct(off @ axis, APART * tolerance_mm) >= (LEAST_HEIGHTS - supported)
+    return _distinct(off @ axis, APART * tolerance_mm) >= LEAST_HEIGHTS
 
 
 def _profile_points(row: Floats, points: Floats, tolerance_mm: float) -> int:
@@ -282,123 +263,60 @@ def _distinct(places: Floats, apart: float) -> int:
     return 1 + int(np.count_nonzero(np.diff(np.sort(places)) > apart))
 
 
-# -- Least-squares fit of a form to points by their distances, with damped Gauss-Newton steps (Levenberg and
-# Marquardt).
+# -- the form of least squares --------------------------------------------------------------------------------
 
-
-MOST_STEPS = 40
-
-LOST_STEPS = 8
+FIRST_STEPS = 8
 """Steps after which a form that is still far from its points is given up."""
 
 LOST = 100.0
 """Largest root mean square distance after that many steps, in tolerances."""
 
+MOST_STEPS = 40
+
 STEP = 1e-6
 """Step of the difference quotients: a fraction of the points' extent, or rad."""
 
-ENOUGH = 1e-13
-"""Root of the sum of squared distances, over the points' extent, at which nothing is left to gain."""
-
-MOST_UNKNOWNS = 7
-
-NO_PIVOT = 1e-14
+UNKNOWNS = {SPHERE: 4, CYLINDER: 5, CONE: 6, TORUS: 7}
 
 
-@kernel
 def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
-    """The form of least squares from a first guess.
+    """The form (SIZE,) of least squares from a first guess; one that stays far beyond the tolerance is given up early."""
+    size = float(np.ptp(points, axis=0).max())
+    count = UNKNOWNS[int(row[KIND])]
+    move = np.zeros(count)
 
-    Parameters
-    ----------
-    row
-        (SIZE,) the guess: a sphere, cylinder, cone or torus.
-    points
-        (n, 3) mm.
-    tolerance
-        How far a point may lie off, mm; a form that stays far beyond is given up early.
+    def off(x: Floats) -> Floats:
+        return distances(_moved(row, x, size), points) / size
 
-    Returns
-    -------
-    numpy.ndarray
-        (SIZE,) the form.
-    """
-    size = 0.0
-    for axis in range(3):
-        size = max(size, points[:, axis].max() - points[:, axis].min())
-    count = _unknowns(int(row[KIND]))
-    best = row.copy()
-    off = distances(best, points) / size
-    square = np.sum(off * off)
-    damping = 1e-4
-    jacobian = np.empty((count, len(points)))
-    move = np.zeros(MOST_UNKNOWNS)
-    equations = np.empty((count, count + 1))
-    for step in range(MOST_STEPS):
-        if square <= ENOUGH * ENOUGH or not np.isfinite(square):
+    for steps in (FIRST_STEPS, MOST_STEPS):
+        found = least_squares(
+            off,
+            move,
+            method="lm" if len(points) >= count else "trf",
+            diff_step=np.full(count, STEP),
+            max_nfev=steps * (count + 1),
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        )
+        move = found.x
+        if not np.sqrt(np.mean(found.fun * found.fun)) * size <= LOST * tolerance:
             break
-        if step == LOST_STEPS and np.sqrt(square / len(points)) * size > LOST * tolerance:
-            break
-        for k in range(count):
-            move[:] = 0.0
-            move[k] = STEP
-            jacobian[k] = (distances(_moved(best, move, size), points) / size - off) / STEP
-        gained = False
-        for _ in range(MOST_UNKNOWNS):
-            for i in range(count):
-                for j in range(count):
-                    equations[i, j] = np.dot(jacobian[i], jacobian[j])
-                equations[i, count] = -np.dot(jacobian[i], off)
-                equations[i, i] *= 1.0 + damping
-                equations[i, i] += 1e-300
-            if eliminated(equations, count, NO_PIVOT):
-                move[:] = 0.0
-                move[:count] = equations[:, count]
-                tried = _moved(best, move, size)
-                there = distances(tried, points) / size
-                lesser = np.sum(there * there)
-                if lesser < square:
-                    gained = bool(lesser < (1.0 - 1e-9) * square)
-                    best, off, square = tried, there, lesser
-                    damping = max(0.1 * damping, 1e-12)
-                    break
-            damping = 10.0 * damping
-        if not gained:
-            break
-    return best
+    return _moved(row, move, size)
 
 
-@kernel
-def _unknowns(kind: int) -> int:
-    if kind == SPHERE:
-        return 4
-    if kind == CYLINDER:
-        return 5
-    return 6 if kind == CONE else 7
-
-
-@kernel
 def _moved(row: Floats, move: Floats, size: float) -> Floats:
     """A form after a small move: of its place and sizes in units of `size`, of its axis and angles in rad."""
     kind = int(row[KIND])
     found = row.copy()
     if kind == SPHERE:
-        for k in range(3):
-            found[PLACE + k] += size * move[k]
+        found[PLACE : PLACE + 3] += size * move[:3]
         found[OWN] += size * move[3]
         return found
     axis = row[OWN : OWN + 3]
-    u = np.zeros(3)
-    u[np.argmin(np.abs(axis))] = 1.0
-    u -= axis * np.sum(u * axis)
-    u /= np.sqrt(np.sum(u * u))
-    v = np.array([
-        axis[1] * u[2] - axis[2] * u[1],
-        axis[2] * u[0] - axis[0] * u[2],
-        axis[0] * u[1] - axis[1] * u[0],
-    ])  # fmt: skip
+    u, v = _across(axis)
     turned = axis + move[0] * u + move[1] * v
-    found[OWN : OWN + 3] = turned / np.sqrt(np.sum(turned * turned))
+    found[OWN : OWN + 3] = turned / np.linalg.norm(turned)
     found[PLACE : PLACE + 3] += size * (move[2] * u + move[3] * v)
     if kind == CYLINDER:
         found[OWN + 3] += size * move[4]
@@ -407,7 +325,6 @@ def _moved(row: Floats, move: Floats, size: float) -> Floats:
     if kind == CONE:
         angle = np.arctan2(row[OWN + 4], row[OWN + 3]) + move[5]
         found[OWN + 3], found[OWN + 4] = np.cos(angle), np.sin(angle)
-    elif kind == TORUS:
-        found[OWN + 3] += size * move[5]
-        found[OWN + 4] += size * move[6]
+    else:
+        found[OWN + 3 : OWN + 5] += size * move[5:7]
     return found

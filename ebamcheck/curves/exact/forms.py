@@ -82,9 +82,15 @@ def _off_quadric(own: Floats, x: float, y: float, z: float) -> Signed:
 
 
 @kernel
+def signed_distances(rows: Floats, points: Floats) -> Floats:
+    """Signed distances of points (n, 3) from a surface each, mm, and their gradients, (n, 4); one row of surfaces serves all."""
+    found = np.empty((len(points), 4))
+    for i in range(len(points)):
+        row = rows[i if len(rows) > 1 else 0]
+        found[i] = signed_distance(row, points[i, 0], points[i, 1], points[i, 2])
+    return found
+
+
 def distances(row: Floats, points: Floats) -> Floats:
     """Signed distances (n,) of points (n, 3) from a surface, mm."""
-    found = np.empty(len(points))
-    for i in range(len(points)):
-        found[i] = signed_distance(row, points[i, 0], points[i, 1], points[i, 2])[0]
-    return found
+    return np.asarray(signed_distances(row[None], points)[:, 0])

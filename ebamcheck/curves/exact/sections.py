@@ -1,14 +1,16 @@
-"""Sections of exact surfaces: the place near a contour point where a layer cuts one surface, or two that meet at an edge."""
+"""Sections of exact surfaces: contour points move to where a layer cuts one surface, or two that meet at an edge, and points are
+put between them where one cubic would not follow the section."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, Signed, signed_distance
-from ebamcheck.curves.sides import Sides
-from ebamcheck.curves.surface_edges import SurfaceMesh, Vector
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.curves.exact.finding import ExactSurfaces
+from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, signed_distances
+from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 MOST_STEPS = 40
 """Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level."""
@@ -25,143 +27,218 @@ LEAST_SINE = np.sin(np.deg2rad(5.0))
 MOST_GROWTH = 3.0
 """Farthest move of a point, over its first-order distance from the surface: a section farther off is another one."""
 
-Place = tuple[bool, float, float]
-"""Whether there is such a place, and its x and y, mm."""
-
-
-@kernel
-def slope_of(at: Signed) -> float:
-    """Horizontal part of a unit gradient."""
-    return float(np.sqrt(at[1] * at[1] + at[2] * at[2]))
-
-
-@kernel
-def on_one(row: Floats, x: float, y: float, z: float) -> Place:
-    """The place on a surface's section straight ahead of a point."""
-    at = signed_distance(row, x, y, z)
-    slope = slope_of(at)
-    if slope < LEAST_SLOPE:
-        return False, x, y
-    allowed = MOST_GROWTH * abs(at[0]) / slope + CLOSE_MM
-    u, v = x, y
-    for _ in range(MOST_STEPS):
-        if abs(at[0]) <= CLOSE_MM:
-            break
-        square = at[1] * at[1] + at[2] * at[2]
-        if square < LEAST_SLOPE * LEAST_SLOPE:
-            return False, x, y
-        u -= at[0] * at[1] / square
-        v -= at[0] * at[2] / square
-        at = signed_distance(row, u, v, z)
-    if abs(at[0]) > CLOSE_MM or np.hypot(u - x, v - y) > allowed:
-        return False, x, y
-    return True, u, v
-
-
-@kernel
-def on_both(row: Floats, other: Floats, x: float, y: float, z: float) -> Place:
-    """The place where the sections of two surfaces meet beside a point; where they touch, midway between both."""
-    at, beside = signed_distance(row, x, y, z), signed_distance(other, x, y, z)
-    slope, sloping = slope_of(at), slope_of(beside)
-    if slope < LEAST_SLOPE or sloping < LEAST_SLOPE:
-        return False, x, y
-    sine = abs(at[1] * beside[2] - at[2] * beside[1]) / (slope * sloping)
-    if sine < LEAST_SINE:
-        return _midway(row, other, x, y, z)
-    allowed = MOST_GROWTH * (abs(at[0]) / slope + abs(beside[0]) / sloping) + CLOSE_MM
-    u, v = x, y
-    for _ in range(MOST_STEPS):
-        if abs(at[0]) <= CLOSE_MM and abs(beside[0]) <= CLOSE_MM:
-            break
-        determinant = at[1] * beside[2] - at[2] * beside[1]
-        if abs(determinant) < 1e-9:
-            return False, x, y
-        u -= (at[0] * beside[2] - beside[0] * at[2]) / determinant
-        v -= (at[1] * beside[0] - beside[1] * at[0]) / determinant
-        at, beside = signed_distance(row, u, v, z), signed_distance(other, u, v, z)
-    if max(abs(at[0]), abs(beside[0])) > CLOSE_MM or np.hypot(u - x, v - y) > allowed:
-        return False, x, y
-    return True, u, v
-
-
-@kernel
-def _midway(row: Floats, other: Floats, x: float, y: float, z: float) -> Place:
-    """Midway between the places on two surfaces that touch; a plane stays one."""
-    if int(row[KIND]) == FLAT or int(other[KIND]) == FLAT:
-        return on_one(row if int(row[KIND]) == FLAT else other, x, y, z)
-    found, u, v = on_one(row, x, y, z)
-    too, s, t = on_one(other, x, y, z)
-    if not found or not too:
-        return False, x, y
-    return True, 0.5 * (u + s), 0.5 * (v + t)
-
-
-@kernel
-def set_along(row: Floats, x: float, y: float, z: float, direction: Floats) -> bool:
-    """Set the direction of a section with the solid to its left; whether it has one."""
-    _, u, v, _ = signed_distance(row, x, y, z)
-    slope = np.sqrt(u * u + v * v)
-    if slope < LEAST_SLOPE:
-        return False
-    direction[0], direction[1] = -row[SIDE] * v / slope, row[SIDE] * u / slope
-    return True
-
-
-# -- Placing: contour points on exact surfaces move onto the surfaces' sections, and take their directions -----
-
-
 SMOOTH_COSINE = np.cos(np.deg2rad(0.5))
 """Least cosine between the directions of two sections at which a contour is smooth. A larger angle would let the uncertain
 place of their joint bend a long segment beside a small rounding."""
 
 
-@kernel
-def is_placed(mesh: SurfaceMesh, up: int, down: int, z: float, i: int, found: Sides) -> bool:
-    """Place point i of contours, on the edge of two half-edges, if the surfaces on both sides are known.
+def on_one(rows: Floats, places: Floats) -> tuple[Bools, Floats]:
+    """The places (n, 2) straight ahead of points (n, 3) on the section of one surface each, and whether there is one."""
+    at = places.copy()
+    off = signed_distances(rows, at)
+    slope = np.hypot(off[:, 1], off[:, 2])
+    known = slope >= LEAST_SLOPE
+    allowed = MOST_GROWTH * np.abs(off[:, 0]) / np.maximum(slope, 1e-300) + CLOSE_MM
+    for _ in range(MOST_STEPS):
+        moving = np.flatnonzero(known & (np.abs(off[:, 0]) > CLOSE_MM))
+        if not moving.size:
+            break
+        some = off[moving]
+        square = some[:, 1] ** 2 + some[:, 2] ** 2
+        level = square < LEAST_SLOPE * LEAST_SLOPE
+        known[moving[level]] = False
+        moving, some, square = moving[~level], some[~level], square[~level]
+        at[moving, :2] -= some[:, :1] * some[:, 1:3] / square[:, None]
+        off[moving] = signed_distances(rows[moving], at[moving])
+    known &= (np.abs(off[:, 0]) <= CLOSE_MM) & (np.hypot(*(at - places)[:, :2].T) <= allowed)
+    return known, np.where(known[:, None], at[:, :2], places[:, :2])
 
-    Planes count as surfaces beside others; two of them have a straight edge.
+
+def on_both(rows: Floats, others: Floats, places: Floats) -> tuple[Bools, Floats]:
+    """The places (n, 2) beside points (n, 3) where the sections of two surfaces meet, and whether there is one.
+
+    Where two touch it is midway between both, and on the plane if one is a plane.
     """
-    mine, other = mesh.exact[up // 3], mesh.exact[down // 3]
-    if mine < 0 or other < 0:
-        return False
-    curved = int(mesh.forms[mine, KIND]) != FLAT, int(mesh.forms[other, KIND]) != FLAT
-    if not (curved[0] or curved[1]):
-        return False
-    x, y = found.points[i, 0], found.points[i, 1]
-    if mine == other:
-        known, x, y = on_one(mesh.forms[mine], x, y, z)
-    else:
-        known, x, y = on_both(mesh.forms[mine], mesh.forms[other], x, y, z)
-    if not known:
-        return False
-    before, after = found.before[i], found.after[i]
-    if not set_along(mesh.forms[mine], x, y, z, before) or not set_along(mesh.forms[other], x, y, z, after):
-        return False
-    found.points[i, 0], found.points[i, 1] = x, y
-    found.smooth[i] = before[0] * after[0] + before[1] * after[1] >= SMOOTH_COSINE
-    if curved[0]:
-        found.form_before[i] = mine
-    if curved[1]:
-        found.form_after[i] = other
-    found.flat[i] = found.flat[i] and not curved[1]
-    return True
+    at = places.copy()
+    one, two = signed_distances(rows, at), signed_distances(others, at)
+    slopes = np.hypot(one[:, 1], one[:, 2]), np.hypot(two[:, 1], two[:, 2])
+    known = (slopes[0] >= LEAST_SLOPE) & (slopes[1] >= LEAST_SLOPE)
+    product = np.maximum(slopes[0] * slopes[1], 1e-300)
+    touching = known & (np.abs(one[:, 1] * two[:, 2] - one[:, 2] * two[:, 1]) < LEAST_SINE * product)
+    allowed = CLOSE_MM + MOST_GROWTH * sum(
+        np.abs(off[:, 0]) / np.maximum(slope, 1e-300) for off, slope in zip((one, two), slopes, strict=True)
+    )
+    for _ in range(MOST_STEPS):
+        far = np.maximum(np.abs(one[:, 0]), np.abs(two[:, 0])) > CLOSE_MM
+        moving = np.flatnonzero(known & ~touching & far)
+        if not moving.size:
+            break
+        a, b = one[moving], two[moving]
+        determinant = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
+        lost = np.abs(determinant) < 1e-9
+        known[moving[lost]] = False
+        moving, a, b, determinant = moving[~lost], a[~lost], b[~lost], determinant[~lost]
+        at[moving, 0] -= (a[:, 0] * b[:, 2] - b[:, 0] * a[:, 2]) / determinant
+        at[moving, 1] -= (a[:, 1] * b[:, 0] - b[:, 1] * a[:, 0]) / determinant
+        one[moving], two[moving] = (
+            signed_distances(rows[moving], at[moving]),
+            signed_distances(others[moving], at[moving]),
+        )
+    close = np.maximum(np.abs(one[:, 0]), np.abs(two[:, 0])) <= CLOSE_MM
+    met = known & ~touching & close & (np.hypot(*(at - places)[:, :2].T) <= allowed)
+    found = np.where(met[:, None], at[:, :2], places[:, :2])
+    k = np.flatnonzero(touching)
+    if k.size:
+        met[k], found[k] = _midway(rows[k], others[k], places[k])
+    return met, found
 
 
-@kernel
-def place_beside(mesh: SurfaceMesh, up: int, down: int, at: Vector, i: int, found: Sides) -> None:
-    """Place point i, lifted by normals from `at`, on the one surface that is known on one side of its edge alone."""
-    mine, other = mesh.exact[up // 3], mesh.exact[down // 3]
-    if (mine < 0) == (other < 0):
-        return
-    form = max(mine, other)
-    if int(mesh.forms[form, KIND]) == FLAT:
-        return
-    known, x, y = on_one(mesh.forms[form], at[0], at[1], at[2])
-    along = found.before[i] if mine >= 0 else found.after[i]
-    if not known or not set_along(mesh.forms[form], x, y, at[2], along):
-        return
-    found.points[i, 0], found.points[i, 1] = x, y
-    if mine >= 0:
-        found.form_before[i] = form
-    else:
-        found.form_after[i] = form
+def _midway(rows: Floats, others: Floats, places: Floats) -> tuple[Bools, Floats]:
+    """Midway between the places on two surfaces that touch; a plane stays one."""
+    ways = [on_one(r, places) for r in (rows, others)]
+    flat = rows[:, KIND] == FLAT, others[:, KIND] == FLAT
+    known = np.where(flat[0], ways[0][0], np.where(flat[1], ways[1][0], ways[0][0] & ways[1][0]))
+    share = np.where(flat[0], 0.0, np.where(flat[1], 1.0, 0.5))[:, None]
+    return known, np.where(known[:, None], (1.0 - share) * ways[0][1] + share * ways[1][1], places[:, :2])
+
+
+def directions(rows: Floats, places: Floats) -> tuple[Bools, Floats]:
+    """Directions (n, 2) of sections with the solid to their left, and whether they have one."""
+    _, u, v, _ = signed_distances(rows, places).T
+    slope = np.hypot(u, v)
+    turned = np.column_stack([-v, u]) * (rows[:, SIDE] / np.maximum(slope, 1e-300))[:, None]
+    return slope >= LEAST_SLOPE, turned
+
+
+def place(exact: ExactSurfaces, before: Ints, after: Ints, heights: Floats, i: Ints, found: Sides) -> Bools:
+    """Place those points `i` of contours that have known surfaces on both sides, one of them curved; which these are.
+
+    `before` and `after` are the facets of the segments that end and begin at each. Planes count as surfaces beside others;
+    two of them have a straight edge.
+    """
+    label, forms = exact
+    done = np.zeros(i.size, np.bool_)
+    if not len(forms):
+        return done
+    curved = forms[:, KIND] != FLAT
+    mine, other = label[before], label[after]
+    k = np.flatnonzero((mine >= 0) & (other >= 0))
+    k = k[curved[mine[k]] | curved[other[k]]]
+    one, two = mine[k], other[k]
+    places = np.column_stack([found.points[i[k]], heights[k]])
+    known, at = np.zeros(k.size, np.bool_), places[:, :2].copy()
+    same = one == two
+    known[same], at[same] = on_one(forms[one[same]], places[same])
+    known[~same], at[~same] = on_both(forms[one[~same]], forms[two[~same]], places[~same])
+    places[:, :2] = at
+    ways = [directions(forms[way], places) for way in (one, two)]
+    known &= ways[0][0] & ways[1][0]
+    rows = i[k[known]]
+    found.points[rows] = at[known]
+    found.before[rows], found.after[rows] = ways[0][1][known], ways[1][1][known]
+    found.smooth[rows] = np.einsum("ij,ij->i", ways[0][1], ways[1][1])[known] >= SMOOTH_COSINE
+    found.form_before[rows] = np.where(curved[one], one, NO_FORM)[known]
+    found.form_after[rows] = np.where(curved[two], two, NO_FORM)[known]
+    done[k[known]] = True
+    return done
+
+
+# -- Refinement: points are inserted into a contour, on the section of its exact surface, where a cubic would not follow that.
+
+
+LARGEST_SPAN_RAD = np.deg2rad(20.0)
+"""Largest turn of a section along one cubic, which then follows it to some 1e-5 of its length."""
+
+LEAST_SPAN_RAD = np.deg2rad(1.0)
+"""Turn of a section below which it is as good as straight."""
+
+UNEVEN = 0.05
+"""Largest difference between the angles at the two ends of a segment, over their sum, for one as good as circular."""
+
+MOST_PARTS = 32
+"""Most parts into which a segment is divided."""
+
+
+def refined(
+    forms: Floats, sides: Sides, heights: Floats, ring_starts: Ints, closed: Bools
+) -> tuple[Sides, Ints]:
+    """Contours with points inserted on exact surfaces, and the new starts of their rings.
+
+    `forms` are the exact surfaces, `heights` (R,) those of the rings.
+    """
+    if not len(forms):
+        return sides, ring_starts
+    sizes = np.diff(ring_starts)
+    ring = np.repeat(np.arange(closed.size), sizes)
+    following = np.arange(1, ring.size + 1)
+    following[ring_starts[1:][sizes > 0] - 1] = ring_starts[:-1][sizes > 0]
+    form = sides.form_after
+    asked = (form != NO_FORM) & (form == sides.form_before[following])
+    asked &= closed[ring] | (following > np.arange(ring.size))
+    pending = np.flatnonzero(asked)
+    parts = np.ones(ring.size, np.int64)
+    kept: dict[int, tuple[Ints, Floats, Floats]] = {}
+    count = 1
+    while pending.size:
+        j = following[pending]
+        found = _divided(forms[form[pending]], sides, pending, j, heights[ring[pending]], count)
+        good = found.known & (found.followed | (count == MOST_PARTS))
+        parts[pending[good]] = count
+        kept[count] = pending[good], found.places[good], found.directions[good]
+        pending = pending[found.known & ~good]
+        count *= 2
+    if (parts == 1).all():
+        return sides, ring_starts
+    at = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
+    more = Sides._make(np.repeat(column, parts, axis=0) for column in sides)
+    for count, (i, places, ways) in kept.items():
+        if count == 1 or not i.size:
+            continue
+        rows = at[i][:, None] + np.arange(1, count)
+        more.points[rows], more.before[rows], more.after[rows] = places, ways, ways
+        more.smooth[rows], more.unknown[rows] = True, False
+        more.plane_before[rows] = more.plane_after[rows] = NO_PLANE
+        more.form_before[rows] = form[i][:, None]
+        more.share[rows], more.plausible[rows] = 1.0, np.inf
+    return more, at[ring_starts]
+
+
+class _Divided(NamedTuple):
+    """Segments divided into equal parts: whether their sections are known, and cubics follow them; places and directions between."""
+
+    known: Bools
+    followed: Bools
+    places: Floats
+    """(n, parts - 1, 2) mm."""
+    directions: Floats
+    """(n, parts - 1, 2) unit vectors."""
+
+
+def _divided(rows: Floats, sides: Sides, i: Ints, j: Ints, heights: Floats, parts: int) -> _Divided:
+    """Divide the segments from points i to j on the sections of one surface each."""
+    n = i.size
+    p, q = sides.points[i], sides.points[j]
+    share = (np.arange(1, parts) / parts)[None, :, None]
+    chords = p[:, None] + (q - p)[:, None] * share
+    places = np.concatenate([chords, np.repeat(heights, parts - 1).reshape(n, -1, 1)], axis=2).reshape(-1, 3)
+    every = np.repeat(rows, parts - 1, axis=0)
+    known, at = on_one(every, places)
+    places[:, :2] = at
+    directed, ways = directions(every, places)
+    every_known = np.asarray((known & directed).reshape(n, -1).all(axis=1))
+    at, ways = at.reshape(n, -1, 2), ways.reshape(n, -1, 2)
+    points = np.concatenate([p[:, None], at, q[:, None]], axis=1)
+    starts = np.concatenate([sides.after[i][:, None], ways], axis=1)
+    ends = np.concatenate([ways, sides.before[j][:, None]], axis=1)
+    chord = np.diff(points, axis=1)
+    start, end = _angle(starts, chord), _angle(chord, ends)
+    span = np.abs(start) + np.abs(end)
+    uneven = (span > LEAST_SPAN_RAD) & (np.abs(start - end) > UNEVEN * span)
+    return _Divided(every_known, ~((span > LARGEST_SPAN_RAD) | uneven).any(axis=1), at, ways)
+
+
+def _angle(a: Floats, b: Floats) -> Floats:
+    """Signed angle between vectors (..., 2), rad."""
+    return np.arctan2(
+        a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+    )

@@ -55,7 +55,10 @@ def find_borders(
     counts = np.zeros(len(groups.normals) + 1, np.int32)
     _measure(vertices, faces, twin, groups, least_cosine, turn, width, counts)
     starts = np.cumsum(counts).astype(np.int32)
-    return Borders(turn, width, starts, _by_group(twin, groups.label, starts))
+    label = np.repeat(groups.label, 3)
+    half_edges = np.flatnonzero((twin != NO_TWIN) & (label != groups.label[twin // 3]))
+    by_group = np.argsort(label[half_edges], kind="stable")
+    return Borders(turn, width, starts, half_edges[by_group].astype(np.int32))
 
 
 @kernel
@@ -131,18 +134,6 @@ def _width(vertices: Floats, faces: Index, groups: PlanarGroups, h: int, enough:
         if widest >= enough:
             break
     return float(widest)
-
-
-@kernel
-def _by_group(twin: Index, label: Index, starts: Index) -> Index:
-    fill = starts[:-1].copy()
-    result = np.empty(starts[-1], np.int32)
-    for h in range(twin.size):
-        if twin[h] != NO_TWIN and label[h // 3] != label[twin[h] // 3]:
-            group = label[h // 3]
-            result[fill[group]] = h
-            fill[group] += 1
-    return result
 
 
 @kernel

@@ -103,13 +103,13 @@ def _jets(
     found: Jets,
 ) -> None:
     rows = np.empty((MOST_NEIGHBOURS, 3))
-    around = np.empty(MOST_NEIGHBOURS, np.int32)
+    around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
     equations = np.empty((CUBIC, CUBIC + 1))
     u, w, scales, normal = np.empty(3), np.empty(3), np.empty(2), np.empty(3)
     for s in range(first, last):
         if least_cosines[s] >= 1.0 - 1e-15 or corners.starts[s + 1] == corners.starts[s]:
             continue
-        near, count = _neighbours(faces, corners, s, around)
+        near, count = _neighbours(faces, corners, s, around, of_fan)
         if near < 3:
             continue
         n = means[s]
@@ -117,12 +117,7 @@ def _jets(
         frame = _Frame(n, u, w)
         corner = corners.corners[corners.starts[s]]
         here = vertices[faces[corner // 3, corner % 3]]
-        for i in range(count):
-            p = vertices[around[i]]
-            x, y, z = p[0] - here[0], p[1] - here[1], p[2] - here[2]
-            rows[i, 0] = x * u[0] + y * u[1] + z * u[2]
-            rows[i, 1] = x * w[0] + y * w[1] + z * w[2]
-            rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
+        _set_rows(vertices, around, count, here, n, u, w, rows)
         if not _even_out(rows, near, count, u, w, scales):
             continue
         own = _normal(rows, near, QUADRIC, 0, equations, scales, frame, least_cosines[s], normal)
@@ -137,13 +132,8 @@ def _jets(
             continue
         found.noise[s] = _residual(rows, count, size, equations)
         spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
-        if not own or _dot(normal, found.normals[s]) >= np.cos(AGREE * spread):
+        if not own or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
             found.normals[s] = normal
-
-
-@kernel
-def _dot(a: Floats, b: Floats) -> float:
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 @kernel
@@ -179,40 +169,56 @@ def _normal(
 
 
 @kernel
-def _neighbours(faces: Index, corners: Corners, s: int, around: Index) -> tuple[int, int]:
-    """Vertices of the first ring, then of the second; returns how many are in the first and in both."""
-    count = 0
+def _neighbours(faces: Index, corners: Corners, s: int, around: Index, of_fan: Index) -> tuple[int, int]:
+    """Vertices of the first ring, then of the second, and their fans; returns how many are in the first and in both."""
+    count = near = 0
     corner = corners.corners[corners.starts[s]]
     own = faces[corner // 3, corner % 3]
-    for place in range(corners.starts[s], corners.starts[s + 1]):
-        c = corners.corners[place]
-        for step in (1, 2):
-            count = _add(around, count, own, faces[c // 3, (c % 3 + step) % 3])
-    near = count
-    for place in range(corners.starts[s], corners.starts[s + 1]):
-        c = corners.corners[place]
-        if not corners.seen[c // 3]:
-            continue
-        for step in (1, 2):
-            ring = corners.sectors[c // 3, (c % 3 + step) % 3]
-            for at in range(corners.starts[ring], corners.starts[ring + 1]):
-                other = corners.corners[at]
-                if not corners.seen[other // 3]:
+    for ring in range(2):
+        near = count
+        for place in range(corners.starts[s], corners.starts[s + 1]):
+            c = corners.corners[place]
+            if ring and not corners.seen[c // 3]:
+                continue
+            for step in (1, 2):
+                k = (c % 3 + step) % 3
+                fan = corners.sectors[c // 3, k]
+                if not ring:
+                    count = _add(around, of_fan, count, own, faces[c // 3, k], fan)
                     continue
-                for side in (1, 2):
-                    count = _add(around, count, own, faces[other // 3, (other % 3 + side) % 3])
+                for at in range(corners.starts[fan], corners.starts[fan + 1]):
+                    other = corners.corners[at]
+                    if not corners.seen[other // 3]:
+                        continue
+                    for side in (1, 2):
+                        m = (other % 3 + side) % 3
+                        vertex = faces[other // 3, m]
+                        count = _add(around, of_fan, count, own, vertex, corners.sectors[other // 3, m])
     return near, count
 
 
 @kernel
-def _add(around: Index, count: int, own: int, vertex: int) -> int:
+def _add(around: Index, of_fan: Index, count: int, own: int, vertex: int, fan: int) -> int:
     if vertex == own or count == MOST_NEIGHBOURS:
         return count
     for i in range(count):
         if around[i] == vertex:
             return count
-    around[count] = vertex
+    around[count], of_fan[count] = vertex, fan
     return count + 1
+
+
+@kernel
+def _set_rows(
+    vertices: Floats, around: Index, count: int, here: Floats, n: Floats, u: Floats, w: Floats, rows: Floats
+) -> None:
+    """Neighbours in the frame of a vertex."""
+    for i in range(count):
+        p = vertices[around[i]]
+        x, y, z = p[0] - here[0], p[1] - here[1], p[2] - here[2]
+        rows[i, 0] = x * u[0] + y * u[1] + z * u[2]
+        rows[i, 1] = x * w[0] + y * w[1] + z * w[2]
+        rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
 
 
 @kernel
@@ -308,3 +314,114 @@ def _residual(rows: Floats, count: int, size: int, A: Floats) -> float:
         total += weight * off * off
         weights += weight
     return float(np.sqrt(total / weights * count / (count - size)))
+
+
+# -- Predicted places: where the neighbours of a vertex put it, by a cubic fitted to them without it. -----------
+
+TERMS = 10
+"""Coefficients of a cubic over the plane: height, two slopes, three curvatures, and their four changes."""
+
+LEAST_TERM_PIVOT = 1e-6
+"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine such a cubic."""
+
+SOFTENING = 0.3
+"""Squared distance, in units of the first ring, within which neighbours have about the same weight."""
+
+
+@kernel
+def predicted(
+    vertices: Floats, faces: Index, corners: Corners, asked: Bools, first: int, last: int, found: Floats
+) -> None:
+    """Ask the neighbours of some fans from `first` on, and write what is found of each (S, 2); NaN stays where nothing is told.
+
+    First by how much more a vertex would stand beyond the surface than its neighbours do, by the weights that the cubic
+    gives them, if each stood there by the mean sagitta of its own edges; then by how much it does. Both in mean sagittas.
+    """
+    around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
+    rows, weights = np.empty((MOST_NEIGHBOURS, 3)), np.empty(MOST_NEIGHBOURS)
+    A, B = np.empty((TERMS, TERMS + 1)), np.empty((TERMS, TERMS + 1))
+    terms, scales, u, w, n = np.empty(TERMS), np.empty(2), np.empty(3), np.empty(3), np.empty(3)
+    for s in range(first, last):
+        if not asked[s]:
+            continue
+        near, count = _neighbours(faces, corners, s, around, of_fan)
+        if count < TERMS + SPARE:
+            continue
+        n[:] = 0.0
+        for place in range(corners.starts[s], corners.starts[s + 1]):
+            f = corners.corners[place] // 3
+            a, b = (
+                vertices[faces[f, 1]] - vertices[faces[f, 0]],
+                vertices[faces[f, 2]] - vertices[faces[f, 0]],
+            )
+            n[0] += a[1] * b[2] - a[2] * b[1]
+            n[1] += a[2] * b[0] - a[0] * b[2]
+            n[2] += a[0] * b[1] - a[1] * b[0]
+        length = np.sqrt(np.sum(n * n))
+        if length == 0.0:
+            continue
+        n /= length
+        _frame(n, u, w)
+        corner = corners.corners[corners.starts[s]]
+        here = vertices[faces[corner // 3, corner % 3]]
+        _set_rows(vertices, around, count, here, n, u, w, rows)
+        if not _even_out(rows, near, count, u, w, scales):
+            continue
+        u /= scales[0]
+        w /= scales[1]
+        A[:], B[:] = 0.0, 0.0
+        for k in range(count):
+            x, y = rows[k, 0], rows[k, 1]
+            terms[0] = 1.0
+            _terms(x, y, CUBIC, terms[1:])
+            weights[k] = 1.0 / (x * x + y * y + SOFTENING) ** 2
+            for i in range(TERMS):
+                for j in range(TERMS):
+                    A[i, j] += weights[k] * terms[i] * terms[j]
+                A[i, TERMS] += weights[k] * terms[i] * rows[k, 2]
+        B[:, :TERMS] = A[:, :TERMS]
+        B[0, TERMS] = 1.0
+        if not (eliminated(A, TERMS, LEAST_TERM_PIVOT) and eliminated(B, TERMS, LEAST_TERM_PIVOT)):
+            continue
+        bends = A[3, TERMS], A[4, TERMS], A[5, TERMS]
+        own, sizes = _sagitta(vertices, faces, corners, s, here, u, w, bends)
+        expected = 0.0
+        for i in range(count):
+            terms[0] = 1.0
+            _terms(rows[i, 0], rows[i, 1], CUBIC, terms[1:])
+            share = weights[i] * np.sum(B[:, TERMS] * terms)
+            other, size = _sagitta(vertices, faces, corners, of_fan[i], vertices[around[i]], u, w, bends)
+            expected += share * other
+            sizes += size
+        typical = sizes / (count + 1)
+        if typical > 0.0:
+            found[s, 0] = (own - expected) / typical
+            found[s, 1] = min(max(-A[0, TERMS] / typical, -1.0), 1.0)
+
+
+@kernel
+def _sagitta(
+    vertices: Floats,
+    faces: Index,
+    corners: Corners,
+    s: int,
+    here: Floats,
+    u: Floats,
+    w: Floats,
+    bends: tuple[float, float, float],
+) -> tuple[float, float]:
+    """Mean sagitta of the edges of a fan under given curvatures, mm: signed, positive where convex; and its magnitude."""
+    total = size = 0.0
+    for place in range(corners.starts[s], corners.starts[s + 1]):
+        f, k = corners.corners[place] // 3, corners.corners[place] % 3
+        for step in (1, 2):
+            p = vertices[faces[f, (k + step) % 3]]
+            x = y = 0.0
+            for i in range(3):
+                x += (p[i] - here[i]) * u[i]
+                y += (p[i] - here[i]) * w[i]
+            rise = -(0.5 * bends[0] * x * x + bends[1] * x * y + 0.5 * bends[2] * y * y) / 4.0
+            total += rise
+            size += abs(rise)
+    count = 2 * (corners.starts[s + 1] - corners.starts[s])
+    return total / count, size / count

@@ -9,14 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.regions.borders import Borders, edge_direction
+from ebamcheck.curves.regions.borders import LIKE
 from ebamcheck.curves.regions.jets import Corners, jets
-from ebamcheck.curves.regions.planes import PlanarGroups
-from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Kinds, Regions, is_link
+from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Regions
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 ALONG_COSINE = 0.9
 """Least cosine between a sharp border of a strip and its rulings for the border to run along these; else it runs across them."""
@@ -38,17 +36,6 @@ class RegionNormals(NamedTuple):
     """(F, 3) smooth fan of each corner."""
 
 
-class _Mesh(NamedTuple):
-    """A mesh with its regions."""
-
-    vertices: Floats
-    faces: Index
-    twin: Index
-    groups: PlanarGroups
-    borders: Borders
-    kind: Kinds
-
-
 def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     """Find the normals at all corners of facets; `twin` is -1 at creases."""
     vertices, faces = part.vertices, part.faces
@@ -58,26 +45,20 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     count = int(sectors.max(initial=-1)) + 1
     facet_normals = regions.groups.normals[label]
     means = _means(vertices, faces, facet_normals, seen, sectors, count)
-    found = jets(
-        vertices,
-        faces,
-        _corners(sectors, count, seen),
-        means,
-        _least_cosines(facet_normals, seen, sectors, means),
-    )
-    rows = split_corners(faces, _inner_twins(twin, label, kind))
+    corner = np.repeat(seen, 3)
+    cosines = np.einsum("ij,ij->i", np.repeat(facet_normals, 3, axis=0), means[sectors.reshape(-1)])
+    least = np.ones(count)
+    np.minimum.at(least, sectors.reshape(-1)[corner], cosines[corner])
+    found = jets(vertices, faces, _corners(sectors, count, seen), means, least)
+    a, b = np.repeat(label, 3), label[twin // 3]
+    inner = (twin != NO_TWIN) & ((a == b) | ((kind[a] == FREEFORM) & (kind[b] == FREEFORM)))
+    rows = split_corners(faces, np.where(inner, twin, NO_TWIN).astype(twin.dtype))
     row_count = int(rows.max(initial=-1)) + 1
-    strips = _strip_normals(
-        _Mesh(vertices, faces, twin, regions.groups, regions.borders, kind),
-        sectors,
-        found.normals,
-        rows,
-        row_count,
-    )
-    normals = _put_together(regions.groups, kind, sectors, found.normals, rows, strips, count)
+    strips = _strip_normals(part, twin, regions, found.normals[sectors], rows, row_count)
+    normals = _put_together(regions, sectors, found.normals, rows, strips, count)
     noise = np.full(row_count, np.nan)
-    curved = (kind[label] == FREEFORM)[:, None] & np.ones((1, 3), np.bool_)
-    noise[rows[curved]] = found.noise[sectors[curved]]
+    free = np.repeat(kind[label] == FREEFORM, 3)
+    noise[rows.reshape(-1)[free]] = found.noise[sectors.reshape(-1)[free]]
     return RegionNormals(rows, normals, noise, sectors)
 
 
@@ -88,253 +69,117 @@ def _corners(sectors: Index, count: int, seen: Bools) -> Corners:
     return Corners(sectors, starts, order, seen)
 
 
-@kernel
-def _inner_twins(twin: Index, label: Index, kind: Kinds) -> Index:
-    """Twins within one group, and between freely curved facets."""
-    result = twin.copy()
-    for h in range(twin.size):
-        if twin[h] == NO_TWIN:
-            continue
-        a, b = label[h // 3], label[twin[h] // 3]
-        if a != b and not (kind[a] == FREEFORM and kind[b] == FREEFORM):
-            result[h] = NO_TWIN
-    return result
-
-
-@kernel
 def _means(
     vertices: Floats, faces: Index, facet_normals: Floats, seen: Bools, sectors: Index, count: int
 ) -> Floats:
     """Mean normals (S, 3) of the facets that are of no plane, weighed by angle; 0 where there are none."""
-    means = np.zeros((count, 3))
-    for f in range(len(faces)):
-        if not seen[f]:
-            continue
-        for k in range(3):
-            a, b, c = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]], vertices[faces[f, (k + 2) % 3]]
-            px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-            x, y, z = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-            angle = np.arctan2(np.sqrt(x * x + y * y + z * z), px * qx + py * qy + pz * qz)
-            for axis in range(3):
-                means[sectors[f, k], axis] += angle * facet_normals[f, axis]
-    for s in range(count):
-        length = np.sqrt(np.sum(means[s] * means[s]))
-        if length > 0.0:
-            means[s] /= length
-    return means
+    corners = vertices[faces]
+    p, q = np.roll(corners, -1, axis=1) - corners, np.roll(corners, -2, axis=1) - corners
+    angle = np.arctan2(np.linalg.norm(np.cross(p, q), axis=2), (p * q).sum(axis=2)) * seen[:, None]
+    weighed = angle[:, :, None] * facet_normals[:, None]
+    return _unit(_summed(sectors.reshape(-1), weighed.reshape(-1, 3), count))
 
 
-@kernel
-def _least_cosines(facet_normals: Floats, seen: Bools, sectors: Index, means: Floats) -> Floats:
-    """Cosine of the greatest angle between a sector's mean normal and that of one of its facets, (S,)."""
-    result = np.ones(len(means))
-    for f in range(len(sectors)):
-        if seen[f]:
-            for k in range(3):
-                s = sectors[f, k]
-                result[s] = min(result[s], _dot(facet_normals[f], means[s]))
-    return result
+def _summed(rows: Index, vectors: Floats, count: int) -> Floats:
+    """Sums (count, 3) of vectors by row."""
+    return np.stack([np.bincount(rows, vectors[:, axis], minlength=count) for axis in range(3)], axis=1)
 
 
-@kernel
-def _dot(a: Floats, b: Floats) -> float:
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+def _unit(vectors: Floats) -> Floats:
+    """Unit vectors; 0 stays."""
+    lengths = np.linalg.norm(vectors, axis=1)
+    return np.asarray(vectors / np.where(lengths > 0.0, lengths, 1.0)[:, None])
 
 
-@kernel
-def _between(n: Floats, m: Floats, share: float) -> Floats:
-    """Unit normal turned from n towards m by a share of the angle between them; backward where it is negative."""
-    angle = np.arccos(min(max(_dot(n, m), -1.0), 1.0))
-    if angle < 1e-7:
-        return n.copy()
-    result = (np.sin((1.0 - share) * angle) * n + np.sin(share * angle) * m) / np.sin(angle)
-    return np.asarray(result / np.sqrt(_dot(result, result)))
+def _between(n: Floats, m: Floats, share: Floats) -> Floats:
+    """Unit normals turned from n towards m (each (k, 3)) by a share of the angle between them; backward where it is negative."""
+    angle = np.arccos(np.clip((n * m).sum(axis=1), -1.0, 1.0))
+    sine = np.sin(np.maximum(angle, 1e-7))
+    turned = (np.sin((1.0 - share) * angle) / sine)[:, None] * n + (np.sin(share * angle) / sine)[:, None] * m
+    return np.where((angle < 1e-7)[:, None], n, _unit(turned))
 
 
-@kernel
+def _across(normals: Floats, along: Floats) -> Floats:
+    """Normals less their part along unit vectors."""
+    return np.asarray(normals - (normals * along).sum(axis=1)[:, None] * along)
+
+
 def _strip_normals(
-    mesh: _Mesh,
-    sectors: Index,
-    curved: Floats,
-    rows: Index,
-    row_count: int,
+    part: Part, twin: Index, regions: Regions, curved: Floats, rows: Index, row_count: int
 ) -> Floats:
-    """Sums of normals (rows, 3) at the corners of strips, by their rulings; 0 elsewhere.
+    """Sums of normals (rows, 3) at the corners of strips, by their rulings; 0 elsewhere. `curved` (F, 3, 3) are the jets'.
 
     Between two strips of a circle the normal turns by the share of each in their width. At a sharp border along the
-    rulings it goes on as it came.
+    rulings it goes on as it came. Corners that lie on no ruling take the jet's normal, less its part along the rulings.
     """
-    vertices, faces, twin = mesh.vertices, mesh.faces, mesh.twin
-    groups, borders, kind = mesh.groups, mesh.borders, mesh.kind
-    sums = np.zeros((row_count, 3))
-    for h in range(twin.size):
-        f, k = h // 3, h % 3
-        a = groups.label[f]
-        if kind[a] != STRIP:
-            continue
-        if is_link(twin, groups.label, borders, h):
-            g = twin[h]
-            b = groups.label[g // 3]
-            if kind[b] == FREEFORM:
-                x, y, z = edge_direction(vertices, faces, h)
-                for corner in (k, (k + 1) % 3):
-                    n = curved[sectors[f, corner]]
-                    along = n[0] * x + n[1] * y + n[2] * z
-                    sums[rows[f, corner], 0] += n[0] - along * x
-                    sums[rows[f, corner], 1] += n[1] - along * y
-                    sums[rows[f, corner], 2] += n[2] - along * z
-                continue
-            share = 1.0 if kind[b] == PLANE else borders.width[h] / (borders.width[h] + borders.width[g])
-            n = _between(groups.normals[a], groups.normals[b], share)
-        elif twin[h] == NO_TWIN:
-            n = _beyond(mesh, h)
-            if n[0] == 0.0 and n[1] == 0.0 and n[2] == 0.0:
-                continue
-        else:
-            continue
-        sums[rows[f, k]] += n
-        sums[rows[f, (k + 1) % 3]] += n
-    _fill_ends(mesh, sectors, curved, rows, sums)
+    groups, borders, kind = regions.groups, regions.borders, regions.kind
+    label, width, normals = groups.label, borders.width, groups.normals
+    ahead = np.roll(part.faces, -1, axis=1)
+    direction = _unit((part.vertices[ahead] - part.vertices[part.faces]).reshape(-1, 3))
+    mine, other = np.repeat(label, 3), label[twin // 3]
+    link = (twin != NO_TWIN) & (mine != other) & (width < LIKE * width[twin])
+    kinds = kind[mine], kind[other]
+    share = np.where(kinds[1] == PLANE, 1.0, width / np.maximum(width + width[twin], 1e-300))
+    ruled = np.flatnonzero(link & (kinds[0] == STRIP) & (kinds[1] != FREEFORM))
+    ends = _between(normals[mine[ruled]], normals[other[ruled]], share[ruled])
+    free = np.flatnonzero(link & (kinds[0] == STRIP) & (kinds[1] == FREEFORM))
+    sharp = np.flatnonzero((twin == NO_TWIN) & (kinds[0] == STRIP))
+    beyond = _ruling_along(sharp, mine, link, direction, regions)
+    sharp, beyond = sharp[beyond >= 0], beyond[beyond >= 0]
+    known = kinds[1][beyond] != FREEFORM
+    sharp, beyond = sharp[known], beyond[known]
+    goes_on = _between(normals[mine[sharp]], normals[other[beyond]], -share[beyond])
+    flat, jet = rows.reshape(-1), curved.reshape(-1, 3)
+    following = 3 * (np.arange(flat.size) // 3) + (np.arange(flat.size) + 1) % 3
+    places = [ruled, following[ruled], sharp, following[sharp], free, following[free]]
+    vectors = [ends, ends, goes_on, goes_on]
+    vectors += [_across(jet[corner], direction[free]) for corner in places[4:]]
+    sums = _summed(flat[np.concatenate(places)], np.concatenate(vectors), row_count)
+    bare = np.flatnonzero((kinds[0] == STRIP) & (sums[flat] == 0.0).all(axis=1))
+    links = borders.half_edges[link[borders.half_edges]]
+    of_group = np.full(len(kind), -1)
+    of_group[mine[links][::-1]] = links[::-1]
+    first = of_group[mine[bare]]
+    sums[flat[bare]] = np.where((first >= 0)[:, None], _across(jet[bare], direction[first]), jet[bare])
     return sums
 
 
-@kernel
-def _beyond(mesh: _Mesh, h: int) -> Floats:
-    """Normal of a strip at a sharp border along its rulings, by how it turns at the ruling on its other side; else 0."""
-    vertices, faces, twin = mesh.vertices, mesh.faces, mesh.twin
-    groups, borders, kind = mesh.groups, mesh.borders, mesh.kind
-    group = groups.label[h // 3]
-    x, y, z = edge_direction(vertices, faces, h)
-    for place in range(borders.starts[group], borders.starts[group + 1]):
-        k = borders.half_edges[place]
-        if not is_link(twin, groups.label, borders, k):
-            continue
-        u, v, w = edge_direction(vertices, faces, k)
-        if abs(x * u + y * v + z * w) < ALONG_COSINE:
-            continue
-        other = groups.label[twin[k] // 3]
-        if kind[other] == FREEFORM:
-            break
-        mine, theirs = borders.width[k], borders.width[twin[k]]
-        share = 1.0 if kind[other] == PLANE else mine / (mine + theirs)
-        return _between(groups.normals[group], groups.normals[other], -share)
-    return np.zeros(3)
+def _ruling_along(sharp: Ints, mine: Index, link: Bools, direction: Floats, regions: Regions) -> Ints:
+    """The first ruling of its strip along each sharp half-edge; -1 for none."""
+    borders = regions.borders
+    group = mine[sharp]
+    sizes = (borders.starts[group + 1] - borders.starts[group]).astype(np.int64)
+    edge = np.repeat(np.arange(sharp.size), sizes)
+    skipped = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
+    ruling = borders.half_edges[(borders.starts[group] - skipped)[edge] + np.arange(edge.size)]
+    along = np.abs((direction[sharp[edge]] * direction[ruling]).sum(axis=1)) >= ALONG_COSINE
+    fits = np.flatnonzero(along & link[ruling])[::-1]
+    found = np.full(sharp.size, -1, np.int64)
+    found[edge[fits]] = ruling[fits]
+    return found
 
 
-@kernel
-def _fill_ends(
-    mesh: _Mesh,
-    sectors: Index,
-    curved: Floats,
-    rows: Index,
-    sums: Floats,
-) -> None:
-    """Corners of strips that lie on no ruling take the jet's normal, less its part along the rulings."""
-    vertices, faces, twin = mesh.vertices, mesh.faces, mesh.twin
-    groups, borders, kind = mesh.groups, mesh.borders, mesh.kind
-    for f in range(len(faces)):
-        group = groups.label[f]
-        if kind[group] != STRIP:
-            continue
-        for k in range(3):
-            if sums[rows[f, k], 0] != 0.0 or sums[rows[f, k], 1] != 0.0 or sums[rows[f, k], 2] != 0.0:
-                continue
-            n = curved[sectors[f, k]].copy()
-            for place in range(borders.starts[group], borders.starts[group + 1]):
-                h = borders.half_edges[place]
-                if is_link(twin, groups.label, borders, h):
-                    x, y, z = edge_direction(vertices, faces, h)
-                    along = n[0] * x + n[1] * y + n[2] * z
-                    n[0] -= along * x
-                    n[1] -= along * y
-                    n[2] -= along * z
-                    break
-            sums[rows[f, k]] = n
-
-
-@kernel
 def _put_together(
-    groups: PlanarGroups,
-    kind: Kinds,
-    sectors: Index,
-    curved: Floats,
-    rows: Index,
-    strips: Floats,
-    count: int,
+    regions: Regions, sectors: Index, curved: Floats, rows: Index, strips: Floats, count: int
 ) -> Floats:
-    """Normals of all rows."""
-    plane = np.full(count, -1, np.int32)
-    ruled, agree = np.zeros((count, 3)), np.ones(count, np.bool_)
-    for f in range(len(sectors)):
-        group = groups.label[f]
-        for k in range(3):
-            s = sectors[f, k]
-            if kind[group] == PLANE:
-                plane[s] = group if plane[s] < 0 or plane[s] == group else len(kind)
-            elif kind[group] == STRIP:
-                n = strips[rows[f, k]]
-                length = max(np.sqrt(_dot(n, n)), 1e-300)
-                if _dot(ruled[s], ruled[s]) > 0.0 and _dot(n, ruled[s]) < AGREE_COSINE * length:
-                    agree[s] = False
-                ruled[s] = n / length
+    """Normals of all rows: of planes and strips their own, of other facets those of what they touch, or else the jets'."""
+    label, kind = regions.groups.label, regions.kind
+    sector, row, group = sectors.reshape(-1), rows.reshape(-1), np.repeat(label, 3)
+    flat, ruled = kind[group] == PLANE, kind[group] == STRIP
+    low, high = np.full(count, len(kind)), np.full(count, -1)
+    np.minimum.at(low, sector[flat], group[flat])
+    np.maximum.at(high, sector[flat], group[flat])
+    of_strip, agree = np.zeros((count, 3)), np.ones(count, np.bool_)
+    unit = _unit(strips)
+    of_strip[sector[ruled]] = unit[row[ruled]]
+    apart = (unit[row[ruled]] * of_strip[sector[ruled]]).sum(axis=1) < AGREE_COSINE
+    agree[sector[ruled][apart]] = False
+    agree &= (of_strip != 0.0).any(axis=1)
+    of_sector = np.where(agree[:, None], of_strip, curved)
+    one_plane = low == high
+    of_sector[one_plane] = regions.groups.normals[low[one_plane]]
     normals = np.zeros((len(strips), 3))
-    for f in range(len(sectors)):
-        group = groups.label[f]
-        for k in range(3):
-            s, row = sectors[f, k], rows[f, k]
-            if kind[group] == PLANE:
-                normals[row] = groups.normals[group]
-            elif kind[group] == STRIP:
-                normals[row] = strips[row]
-            elif 0 <= plane[s] < len(kind):
-                normals[row] = groups.normals[plane[s]]
-            elif agree[s] and _dot(ruled[s], ruled[s]) > 0.0:
-                normals[row] = ruled[s]
-            else:
-                normals[row] = curved[s]
-    for row in range(len(normals)):
-        length = np.sqrt(_dot(normals[row], normals[row]))
-        if length > 0.0:
-            normals[row] /= length
-    return normals
-
-
-# -- Noise of a mesh: whether its vertices are farther from the surface than lifting could gain ----------------
-
-
-ROUGH = 1.5
-"""Ratio of the noise to the sagitta of the edges about from which no lift gains anything. Vertices with an error s leave a
-contour point two thirds of s off; their normals lift it by about a quarter of s to a wrong place, and demand such sagittas even
-where there are none."""
-
-
-def rough_rows(vertices: Floats, faces: Index, found: RegionNormals) -> Bools:
-    """Rows of normals (rows,) whose noise exceeds what lifting could gain: all of a mesh, or none.
-
-    Medians over the freely curved facets decide: a single residual of few degrees of freedom tells little, and the noise of a
-    mesh comes from one scanner.
-    """
-    told = np.isfinite(found.noise)
-    rough = False
-    if told.any():
-        sagitta = _sagittas(vertices, faces, found.rows, found.normals)[told]
-        rough = bool(np.median(found.noise[told]) > ROUGH * np.median(sagitta))
-    return np.full(len(found.noise), rough)
-
-
-@kernel
-def _sagittas(vertices: Floats, faces: Index, rows: Index, normals: Floats) -> Floats:
-    """Mean sagitta (rows,) of the edges that end at a row, as its normal asks for them, mm."""
-    total, count = np.zeros(len(normals)), np.zeros(len(normals))
-    for f in range(len(faces)):
-        for k in range(3):
-            row = rows[f, k]
-            for step in (1, 2):
-                p, q = vertices[faces[f, (k + step) % 3]], vertices[faces[f, k]]
-                off = 0.0
-                for axis in range(3):
-                    off += (p[axis] - q[axis]) * normals[row, axis]
-                total[row] += 0.25 * abs(off)
-                count[row] += 1.0
-    return total / np.maximum(count, 1.0)
+    normals[row] = of_sector[sector]
+    normals[row[ruled]] = unit[row[ruled]]
+    normals[row[flat]] = regions.groups.normals[group[flat]]
+    return _unit(normals)

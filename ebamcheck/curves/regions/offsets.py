@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.regions.foretold import foretold
+from ebamcheck.curves.regions.jets import Corners, predicted
 from ebamcheck.mesh.topology import Index
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 VERTICES_A_BLOCK = 512
 
@@ -119,8 +119,10 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     asked = np.zeros(count, np.bool_)
     asked[np.flatnonzero(inner)[:: -(-int(inner.sum()) // MOST_ASKED)]] = True
 
+    by_fan = Corners(fans, starts, corners, np.ones(len(faces), np.bool_))
+
     def work(first: int, last: int) -> None:
-        foretold(vertices, faces, fans, starts, corners, asked, first, last, found)
+        predicted(vertices, faces, by_fan, asked, first, last, found)
 
     run_blocks(work, count, VERTICES_A_BLOCK)
     x, r = found[np.isfinite(found).all(axis=1)].T
@@ -133,37 +135,21 @@ def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, f
     return rows._replace(told=len(x), offset=offset, error=error)
 
 
-@kernel
 def _splitting(
     vertices: Floats, faces: Index, fans: Index, starts: Index, corners: Index, closed: Bools
-) -> tuple[Bools, Index]:
+) -> tuple[Bools, Ints]:
     """Fans of vertices that split an edge, and how many edges fewer each fan has without them."""
-    split = np.zeros(closed.size, np.bool_)
-    fewer = np.zeros(closed.size, np.int32)
-    for s in range(closed.size):
-        if not closed[s] or starts[s + 1] - starts[s] != 4:
-            continue
-        for place in range(starts[s], starts[s + 1]):
-            f, k = corners[place] // 3, corners[place] % 3
-            v, a = faces[f, k], faces[f, (k + 1) % 3]
-            least = 1.0
-            for other in range(starts[s], starts[s + 1]):
-                g, m = corners[other] // 3, corners[other] % 3
-                least = min(least, _cosine(vertices, v, a, faces[g, (m + 1) % 3]))
-            if least > IN_LINE_COSINE:
-                continue
-            # Two of the four lie on the line; the corner that follows `a` in its facet is one of the other two.
-            split[s] = True
-            fewer[fans[f, (k + 2) % 3]] += 1
+    split, fewer = np.zeros(closed.size, np.bool_), np.zeros(closed.size, np.int64)
+    four = np.flatnonzero(closed & (np.diff(starts) == 4))
+    around = corners[starts[four][:, None] + np.arange(4)]
+    flat = faces.reshape(-1)
+    ahead = vertices[flat[3 * (around // 3) + (around + 1) % 3]] - vertices[flat[around[:, :1]]]
+    lengths = np.linalg.norm(ahead, axis=2)
+    product = np.einsum("nad,nbd->nab", ahead, ahead)
+    cosine = product / np.maximum(lengths[:, :, None] * lengths[:, None], 1e-300)
+    straight = cosine.min(axis=2, initial=1.0) <= IN_LINE_COSINE
+    split[four[straight.any(axis=1)]] = True
+    # Two of the four lie on the line; the corner that follows one of them in its facet is one of the other two.
+    across = around[straight]
+    np.add.at(fewer, fans.reshape(-1)[3 * (across // 3) + (across + 2) % 3], 1)
     return split, fewer
-
-
-@kernel
-def _cosine(vertices: Floats, v: int, a: int, b: int) -> float:
-    product = p = q = 0.0
-    for i in range(3):
-        x, y = vertices[a, i] - vertices[v, i], vertices[b, i] - vertices[v, i]
-        product += x * y
-        p += x * x
-        q += y * y
-    return float(product / max(np.sqrt(p * q), 1e-300))

@@ -48,58 +48,20 @@ class PlanarGroups(NamedTuple):
 
 def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: float) -> PlanarGroups:
     """Group the facets that are coplanar with their neighbours, within the tolerance."""
-    vectors = area_vectors(vertices, faces)
-    areas = np.sqrt((vectors * vectors).sum(axis=1))
+    corners = vertices[faces]
+    vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(vectors, axis=1)
+    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1, initial=0.0)
     order = np.argsort(-areas, kind="stable").astype(np.int32)
-    label, count = _grow(vertices, faces, twin, vectors, areas, order, tolerance_mm)
-    normals, group_areas, offsets = _measured(vertices, faces, vectors, areas, label, count)
-    count = _put_out(vertices, faces, label, count, normals, offsets, IN_PLANE * tolerance_mm)
+    label, count = _grow(vertices, faces, twin, vectors, areas, longest, order, tolerance_mm)
+    normals, group_areas, offsets = _measured(corners, vectors, areas, label, count)
+    count = _put_out(corners, label, normals, offsets, IN_PLANE * tolerance_mm)
     if count > len(normals):
-        normals, group_areas, offsets = _measured(vertices, faces, vectors, areas, label, count)
+        normals, group_areas, offsets = _measured(corners, vectors, areas, label, count)
     sizes = np.bincount(label, minlength=count).astype(np.int32)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
     return PlanarGroups(
         label, normals, sizes, group_areas, starts, np.argsort(label, kind="stable").astype(np.int32)
-    )
-
-
-@kernel
-def area_vectors(vertices: Floats, faces: Index) -> Floats:
-    """Normal of each facet times its area (F, 3), mm2."""
-    result = np.empty((len(faces), 3))
-    for f in range(len(faces)):
-        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
-        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
-        result[f, 0] = 0.5 * (uy * vz - uz * vy)
-        result[f, 1] = 0.5 * (uz * vx - ux * vz)
-        result[f, 2] = 0.5 * (ux * vy - uy * vx)
-    return result
-
-
-@kernel
-def longest_edge(vertices: Floats, faces: Index, f: int) -> float:
-    """Length of the longest edge of a facet, mm."""
-    longest = 0.0
-    for k in range(3):
-        p, q = vertices[faces[f, k]], vertices[faces[f, (k + 1) % 3]]
-        longest = max(longest, (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
-    return float(np.sqrt(longest))
-
-
-@kernel
-def _off(point: Floats, middle: Floats, normal: Floats) -> float:
-    return float(
-        (point[0] - middle[0]) * normal[0]
-        + (point[1] - middle[1]) * normal[1]
-        + (point[2] - middle[2]) * normal[2]
-    )
-
-
-@kernel
-def _away(point: Floats, middle: Floats) -> float:
-    return float(
-        np.sqrt((point[0] - middle[0]) ** 2 + (point[1] - middle[1]) ** 2 + (point[2] - middle[2]) ** 2)
     )
 
 
@@ -110,6 +72,7 @@ def _grow(
     twin: Index,
     vectors: Floats,
     areas: Floats,
+    longest: Floats,
     order: Index,
     tolerance: float,
 ) -> tuple[Index, int]:
@@ -124,7 +87,7 @@ def _grow(
         label[seed] = groups
         total[:] = vectors[seed]
         area = areas[seed]
-        reach = longest_edge(vertices, faces, seed)
+        reach = longest[seed]
         middle[:] = (vertices[faces[seed, 0]] + vertices[faces[seed, 1]] + vertices[faces[seed, 2]]) / 3.0
         normal[:] = total / max(area, 1e-300)
         depth = 0
@@ -139,12 +102,14 @@ def _grow(
                     continue
                 e = g // 3
                 tip = vertices[faces[e, (g % 3 + 2) % 3]]
-                away = _away(tip, middle)
+                x, y, z = tip[0] - middle[0], tip[1] - middle[1], tip[2] - middle[2]
+                away = np.sqrt(x * x + y * y + z * z)
                 allowed = tolerance * min(1.0 + away * reach / area, MOST_REACH)
-                if abs(_off(tip, middle, normal)) > allowed:
+                if abs(x * normal[0] + y * normal[1] + z * normal[2]) > allowed:
                     continue
-                sure = 2.0 * areas[e] > SURE_HEIGHT * tolerance * longest_edge(vertices, faces, e)
-                if sure and _off(vectors[e], 0.0 * middle, normal) <= 0.0:
+                sure = 2.0 * areas[e] > SURE_HEIGHT * tolerance * longest[e]
+                facing = vectors[e, 0] * normal[0] + vectors[e, 1] * normal[1] + vectors[e, 2] * normal[2]
+                if sure and facing <= 0.0:
                     continue
                 label[e] = groups
                 stack[depth] = e
@@ -161,61 +126,35 @@ def _grow(
     return label, groups
 
 
-@kernel
 def _measured(
-    vertices: Floats, faces: Index, vectors: Floats, areas: Floats, label: Index, count: int
+    corners: Floats, vectors: Floats, areas: Floats, label: Index, count: int
 ) -> tuple[Floats, Floats, Floats]:
-    """Normals (G, 3), areas (G,), and distances (G,) of the planes from the first vertex of each group, mm."""
-    normals, group_areas = np.zeros((count, 3)), np.zeros(count)
-    offsets, corners = np.zeros(count), np.zeros(count)
-    first = np.full(count, -1, np.int32)
-    for f in range(len(faces)):
-        g = label[f]
-        normals[g] += vectors[f]
-        group_areas[g] += areas[f]
-        if first[g] < 0:
-            first[g] = faces[f, 0]
-    for g in range(count):
-        length = np.sqrt(np.sum(normals[g] * normals[g]))
-        if length > 0.0:
-            normals[g] /= length
-    for f in range(len(faces)):
-        g = label[f]
-        for k in range(3):
-            offsets[g] += _off(vertices[faces[f, k]], vertices[first[g]], normals[g])
-            corners[g] += 1.0
-    for g in range(count):
-        offsets[g] = offsets[g] / corners[g] + _off(vertices[first[g]], 0.0 * normals[g], normals[g])
-    return normals, group_areas, offsets
+    """Normals (G, 3), areas (G,), and distances (G,) of the planes from the origin, mm."""
+    sums = [np.bincount(label, vectors[:, axis], minlength=count) for axis in range(3)]
+    normals = np.stack(sums, axis=1).astype(np.float64)
+    lengths = np.linalg.norm(normals, axis=1)
+    normals /= np.where(lengths > 0.0, lengths, 1.0)[:, None]
+    first = np.zeros((count, 3))
+    first[label[::-1]] = corners[::-1, 0]
+    # Relative to a vertex of the group: distances from the origin lose digits.
+    off = np.einsum("fkd,fd->f", corners - first[label][:, None], normals[label])
+    offsets = np.bincount(label, off, minlength=count) / (3.0 * np.bincount(label, minlength=count))
+    group_areas = np.bincount(label, areas, minlength=count).astype(np.float64)
+    return normals, group_areas, np.asarray(offsets + (first * normals).sum(axis=1))
 
 
-@kernel
-def _put_out(
-    vertices: Floats,
-    faces: Index,
-    label: Index,
-    count: int,
-    normals: Floats,
-    offsets: Floats,
-    allowed: float,
-) -> int:
+def _put_out(corners: Floats, label: Index, normals: Floats, offsets: Floats, allowed: float) -> int:
     """Give facets that do not lie in the plane of their whole group groups of their own; returns the number of groups."""
-    sizes = np.bincount(label, minlength=count)
-    for f in range(len(faces)):
-        g = label[f]
-        if g >= normals.shape[0] or sizes[g] < 2:
-            continue
-        off = 0.0
-        for k in range(3):
-            p = vertices[faces[f, k]]
-            off = max(
-                off, abs(p[0] * normals[g, 0] + p[1] * normals[g, 1] + p[2] * normals[g, 2] - offsets[g])
-            )
-        if off > allowed:
-            label[f] = count
-            count += 1
-            sizes[g] -= 1
-    return count
+    count = len(normals)
+    off = np.abs(np.einsum("fkd,fd->fk", corners, normals[label]) - offsets[label][:, None]).max(axis=1)
+    out = np.flatnonzero(off > allowed)
+    # The last facet of a group stays in it.
+    sizes, gone = np.bincount(label, minlength=count), np.bincount(label[out], minlength=count)
+    last = np.full(count, -1)
+    last[label[out]] = out
+    out = out[~((gone == sizes)[label[out]] & (last[label[out]] == out))]
+    label[out] = count + np.arange(out.size)
+    return count + int(out.size)
 
 
 # -- Rounding of coordinates: the tolerance within which facets count as lying in one plane --------------------

@@ -76,32 +76,19 @@ def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
     borders = find_borders(
         vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg)))
     )
-    _make_sharp(twin, part_bends(vertices, faces, twin, groups, borders))
+    twin[part_bends(vertices, faces, twin, groups, borders)] = NO_TWIN
     kind = _kinds(vertices, faces, twin, groups, borders)
     polygons = _polygon_edges(
         vertices, faces, twin, groups, borders, kind,
         np.deg2rad(settings.polygon_angle_deg), settings.polygon_sagitta_mm,
     )  # fmt: skip
     if polygons.any():
-        _make_sharp(twin, polygons)
+        twin[polygons] = NO_TWIN
         kind = _kinds(vertices, faces, twin, groups, borders)
-    _make_sharp(twin, _between_planes(twin, groups.label, kind))
+    # Whatever their angle, two planes meet in a bend.
+    a, b = np.repeat(groups.label, 3), groups.label[twin // 3]
+    twin[(a != b) & (kind[a] == PLANE) & (kind[b] == PLANE)] = NO_TWIN
     return Regions(groups, borders, kind, tolerance_mm)
-
-
-def _make_sharp(twin: Index, sharp: Bools) -> None:
-    twin[sharp] = NO_TWIN
-
-
-@kernel
-def _between_planes(twin: Index, label: Index, kind: Kinds) -> Bools:
-    """Half-edges between two different planes: whatever their angle, they meet in a bend."""
-    result = np.zeros(twin.size, np.bool_)
-    for h in range(twin.size):
-        if twin[h] != NO_TWIN:
-            a, b = label[h // 3], label[twin[h] // 3]
-            result[h] = a != b and kind[a] == PLANE and kind[b] == PLANE
-    return result
 
 
 @kernel
@@ -136,15 +123,6 @@ def _kinds(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, bo
         elif groups.sizes[group] > 1 and parallel:
             kind[group] = STRIP
     return kind
-
-
-@kernel
-def is_link(twin: Index, label: Index, borders: Borders, h: int) -> bool:
-    """Whether a half-edge of a strip is one of its rulings: the group beyond it is another one, and not far narrower."""
-    g = twin[h]
-    if g == NO_TWIN or label[h // 3] == label[g // 3]:
-        return False
-    return bool(borders.width[h] < LIKE * borders.width[g])
 
 
 @kernel
@@ -258,32 +236,3 @@ def _is_tangent(
             ratio = borders.turn[h] / expected
             return bool(HALF_TURN[0] <= ratio <= HALF_TURN[1])
     return False
-
-
-INWARD, OUTWARD = 0, 1
-"""Columns of the rims' sagittas: the side of the strip on which the surface may lie."""
-
-
-# -- Rims: bends at the sides of strips that may be a coarse rounding across them ------------------------------
-#
-# A strip that is curved along its length, between two bends, may be one of a few strips of a rounding that is
-# curved the other way across them, as at the inner rim of a ring. The contour's chord errors in the two
-# directions have opposite signs there and partly cancel; correcting only one would increase the error.
-
-
-@kernel
-def rim_sagittas(twin: Index, whole: Index, label: Index, borders: Borders, kind: Kinds) -> Floats:
-    """How far a surface would stand off each strip (G, 2), mm, if its bends to other strips were a rounding's; else 0.
-
-    `twin` lacks the half-edges at which the surface is sharp, `whole` none. Edges at which facets meet by the crease angle or
-    more are no such bends: `borders` does not have their turns.
-    """
-    found = np.zeros((len(kind), 2))
-    for h in range(twin.size):
-        group, turn = label[h // 3], borders.turn[h]
-        if twin[h] != NO_TWIN or turn == 0.0 or kind[group] != STRIP:
-            continue
-        if kind[label[whole[h] // 3]] == STRIP:
-            side = OUTWARD if turn > 0.0 else INWARD
-            found[group, side] = max(found[group, side], borders.width[h] * abs(turn) / 8.0)
-    return found

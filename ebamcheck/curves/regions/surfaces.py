@@ -15,9 +15,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ebamcheck.curves.exact.forms import CONE, CYLINDER, FLAT, KIND, NAMES, OWN, SPHERE, TORUS
 from ebamcheck.curves.regions.segmentation import PLANE, STRIP
-from ebamcheck.curves.vertex_normals import SurfaceNormals, surface_normals
+from ebamcheck.curves.vertex_normals import PartSurface, surface_of
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import NO_TWIN, edge_groups, twins
+from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.stages import CurveSettings
 
@@ -87,8 +87,8 @@ def table(found: list[Surface]) -> str:
 
 def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
     """Find the surfaces of a part, the largest first."""
-    normals = surface_normals(part, settings.model_copy(update={"regions": "on"}))
-    label = _connected(part, normals)
+    normals = surface_of(part, settings)
+    label = _connected(normals)
     order = np.argsort(label, kind="stable")
     found = [
         _surface(part, normals, facets)
@@ -98,7 +98,7 @@ def surfaces(part: Part, settings: CurveSettings) -> list[Surface]:
     return sorted(found, key=lambda s: (-s.area_mm2, int(s.facets[0])))
 
 
-def _form(normals: SurfaceNormals) -> Ints:
+def _form(normals: PartSurface) -> Ints:
     """Exact surface (F,) of each facet; -1 for planes and what is not known."""
     label, rows = normals.exact
     if not len(rows):
@@ -106,12 +106,10 @@ def _form(normals: SurfaceNormals) -> Ints:
     return np.where((label >= 0) & (rows[label, KIND] != FLAT), label, -1).astype(np.int64)
 
 
-def _connected(part: Part, normals: SurfaceNormals) -> Ints:
+def _connected(normals: PartSurface) -> Ints:
     """Number (F,) of the surface of each facet."""
-    groups = edge_groups(part.faces, len(part.vertices))
-    twin = twins(part.vertices, part.faces, groups.half_edges, groups.starts)
-    form, region, kind = _form(normals), normals.region, normals.kind
-    half = np.flatnonzero((twin != NO_TWIN) & normals.smooth)
+    twin, form, region, kind = normals.twin, _form(normals), normals.region, normals.kind
+    half = np.flatnonzero(twin != NO_TWIN)
     a, b = half // 3, twin[half] // 3
     unnamed = (form[a] < 0) & (form[b] < 0)
     joined = unnamed & ((region[a] == region[b]) | ((kind[a] == kind[b]) & (kind[a] != PLANE)))
@@ -123,7 +121,7 @@ def _connected(part: Part, normals: SurfaceNormals) -> Ints:
     return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
-def _surface(part: Part, normals: SurfaceNormals, facets: Ints) -> Surface:
+def _surface(part: Part, normals: PartSurface, facets: Ints) -> Surface:
     corners = part.vertices[part.faces[facets]]
     area = 0.5 * np.linalg.norm(
         np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
@@ -139,7 +137,7 @@ def _surface(part: Part, normals: SurfaceNormals, facets: Ints) -> Surface:
     return Surface(name, facets, float(area.sum()), (x, y, z), figure)
 
 
-def _noise(normals: SurfaceNormals, facets: Ints) -> str:
+def _noise(normals: PartSurface, facets: Ints) -> str:
     """Median distance of vertices from a smooth surface through their neighbours, as text; empty where it is unknown."""
     noise = normals.noise[normals.sectors[facets]]
     told = noise[np.isfinite(noise)]

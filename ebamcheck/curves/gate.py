@@ -1,0 +1,308 @@
+"""The gate of the fit: which rings of curves are accepted, and the contour's polyline in place of any other.
+
+A ring is accepted if it crosses neither itself nor another, runs in the direction of its contour, lies inside the same ring as
+that, and leaves it by no more than a surface plausibly stands over the facets there
+(:class:`~ebamcheck.curves.lifting.Limits`): not at all inside of planes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ebamcheck.curves.cleaning import clean
+from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence
+from ebamcheck.curves.crossings import crossings
+from ebamcheck.curves.deviation import deviation_of
+from ebamcheck.curves.lifting import Limits
+from ebamcheck.curves.splitting import LINE
+from ebamcheck.layers.stack import Layers
+from ebamcheck.mesh.bodies import volumes_between
+from ebamcheck.mesh.part import Part
+from ebamcheck.numeric import rings
+from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
+"""Names of the causes for which a ring is not accepted, by number; "" for an accepted one."""
+
+ACCEPTED, SAGITTA, PLANE, CROSSING, TURNED, NESTING = range(len(CAUSES))
+
+METHODS = ("", "polyline")
+"""The requested method, and that to which a ring falls back."""
+
+POLYLINE = 1
+
+MOST_ROUNDS = 6
+"""Most rounds of falling back: a ring falls once, but its neighbours may have to follow it."""
+
+MEAN_SHARE = 0.25
+"""Mean limit along a ring, over those of its places: single places may be off by more than a whole ring."""
+
+NESTING_MM = 0.01
+"""Chord error of the polylines by which nesting is found: one point of a ring tells, as nesting matters only if none cross."""
+
+
+class Slack(NamedTuple):
+    """Tolerances that are added to the limits of a fit, mm."""
+
+    anywhere: float
+    """Of the fit and of the cleaning."""
+    in_planes: float
+    """Of the cleaning and of the file's rounding."""
+
+
+def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curves:
+    """Curves with their evidence; those rings that are not accepted are the polylines of their contours."""
+    asked = found = evidence(curves, layers, limits, slack)
+    fallen = np.zeros(curves.closed.size, np.uint8)
+    for _ in range(MOST_ROUNDS):
+        falling = ~found.accepted & (fallen == 0)
+        if not falling.any():
+            break
+        for name in ("cause", "value_mm", "limit_mm", "at"):  # of what was asked for, or of what followed it
+            getattr(asked, name)[falling] = getattr(found, name)[falling]
+        curves = with_rings(curves, polylines(rings_of(layers, falling)), falling)
+        fallen[falling] = POLYLINE
+        found = evidence(curves, layers, limits, slack)
+    # A polyline is the contour itself: what is still wrong with it was wrong with the contour, not with the fit.
+    accepted = found.accepted | ((fallen == POLYLINE) & (found.cause != CROSSING))
+    if not accepted.all():
+        accepted |= ~evidence(polylines(layers), layers, limits, slack).accepted
+    return replace(curves, evidence=replace(asked, method=fallen, accepted=accepted))
+
+
+def joined(blocks: Sequence[Evidence]) -> Evidence:
+    """Evidence of consecutive blocks of one stack."""
+    columns: dict[str, Any] = {n: np.concatenate([getattr(b, n) for b in blocks]) for n in EVIDENCE_COLUMNS}
+    return replace(blocks[0], **columns)
+
+
+def evidence(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Evidence:
+    """Judge each ring of curves against its contour."""
+    found = _farthest(curves, layers, limits, slack)
+    cause = found.cause
+    crossed = crossings(curves)
+    fresh = crossed.crossed & (cause == ACCEPTED)
+    cause[fresh] = CROSSING
+    found.at[fresh] = crossed.at[fresh]
+    cause[(np.sign(ring_areas(curves)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
+    cause[_moved_out(curves, layers) & (cause == ACCEPTED)] = NESTING
+    return replace(found, accepted=cause == ACCEPTED)
+
+
+def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Evidence:
+    """Where each ring is farthest beyond its limit: places of the curve first, then points of the contour."""
+    count = curves.closed.size
+    off = deviation_of(curves, layers)
+    sizes = np.diff(layers.ring_starts)
+    following = _following(layers)
+    k = off.segment
+    inside = limits.plane[k] & (off.share > 0.0) & (off.share < 1.0)
+    room = np.maximum(limits.of_point[k], limits.of_point[following[k]])
+    value = np.concatenate([off.of_place, off.of_point])
+    limit = np.concatenate(
+        [np.where(inside, slack.in_planes, room + slack.anywhere), limits.of_point + slack.anywhere]
+    )
+    planes = np.concatenate([limits.plane[k], np.zeros(len(layers.points), np.bool_)])
+    at = np.concatenate([off.places, layers.points])
+    ring = np.concatenate(
+        [np.repeat(np.arange(count), np.diff(off.starts)), np.repeat(np.arange(count), sizes)]
+    )
+    order = np.lexsort((limit - value, ring))
+    worst = order[np.flatnonzero(np.diff(ring[order], prepend=-1))]
+    worst = worst[np.diff(off.starts)[ring[worst]] > 0]
+    found = Evidence(
+        np.zeros(count, np.uint8),
+        np.zeros(count, np.uint8),
+        np.ones(count, np.bool_),
+        np.zeros(count),
+        np.full(count, slack.anywhere),
+        np.full((count, 2), np.nan),
+        slack.anywhere + _mean_along(layers, limits, following),
+    )
+    rows = ring[worst]
+    found.value_mm[rows], found.limit_mm[rows], found.at[rows] = value[worst], limit[worst], at[worst]
+    found.cause[rows] = np.where(
+        value[worst] > limit[worst], np.where(planes[worst], PLANE, SAGITTA), ACCEPTED
+    )
+    return found
+
+
+def _following(layers: Layers) -> Ints:
+    """The point after each, around its ring."""
+    following = np.arange(1, len(layers.points) + 1)
+    filled = np.diff(layers.ring_starts) > 0
+    following[layers.ring_starts[1:][filled] - 1] = layers.ring_starts[:-1][filled]
+    return following
+
+
+def _mean_along(layers: Layers, limits: Limits, following: Ints) -> Floats:
+    """Mean limit along each ring, (R,) mm."""
+    ring = np.repeat(np.arange(layers.closed.size), np.diff(layers.ring_starts))
+    long = np.hypot(*(layers.points[following] - layers.points).T)
+    middle = np.where(limits.plane, 0.0, 0.5 * (limits.of_point + limits.of_point[following])) * MEAN_SHARE
+    total, weighed = (np.bincount(ring, w, minlength=layers.closed.size) for w in (long, long * middle))
+    return np.asarray(weighed / np.where(total > 0.0, total, 1.0))
+
+
+def ring_areas(curves: Curves) -> Floats:
+    """Exact signed area of each closed ring, (R,) mm2; 0 for open paths. Arcs are cubics within 1e-9 of them."""
+    spans = curves.bezier_spans()
+    P = spans.points
+
+    def cross(i: int, j: int) -> Floats:
+        return np.asarray(P[:, i, 0] * P[:, j, 1] - P[:, i, 1] * P[:, j, 0])
+
+    area = (
+        6.0 * cross(0, 1)
+        + 3.0 * cross(0, 2)
+        + cross(0, 3)
+        + 3.0 * cross(1, 2)
+        + 3.0 * cross(1, 3)
+        + 6.0 * cross(2, 3)
+    )
+    total = np.bincount(spans.ring, area / 20.0, minlength=curves.closed.size)
+    return np.where(curves.closed, total, 0.0)
+
+
+def _moved_out(curves: Curves, layers: Layers) -> Bools:
+    """Rings (R,) whose enclosing ring is not that of their contour."""
+    several = np.repeat(np.diff(layers.layer_starts) > 1, np.diff(layers.layer_starts))
+    if not several.any():
+        return np.zeros(curves.closed.size, np.bool_)
+    sampled = curves.sampled_rings(NESTING_MM)
+    areas = rings.signed_areas(sampled.points, sampled.ring_starts, curves.closed)
+    boxes = rings.bounds(sampled.points, sampled.ring_starts)
+    parents = rings.parents(sampled.points, sampled.ring_starts, layers.layer_starts, areas, boxes)
+    return np.asarray(several & (parents != layers.parents))
+
+
+# -- polylines, and curves of which some rings are replaced -----------------------------------------------------
+
+
+def polylines(layers: Layers) -> Curves:
+    """Contours as curves, without points that repeat or lie on the line between their neighbours."""
+    cleaned = clean(np.ascontiguousarray(layers.points), layers.ring_starts, layers.closed, 0.0, 0.0)
+    sizes = np.diff(cleaned.starts)
+    more = sizes + (layers.closed & (sizes > 0))
+    control_starts = _starts(more)
+    ring = np.repeat(np.arange(sizes.size), more)
+    place = np.arange(control_starts[-1]) - control_starts[ring]
+    rows = cleaned.rows[cleaned.starts[ring] + place % sizes[ring]]
+    filled = sizes > 0
+    count = int(np.count_nonzero(filled))
+    return Curves(
+        heights=layers.heights,
+        layer_starts=layers.layer_starts,
+        ring_starts=_starts(filled),
+        closed=layers.closed,
+        kind=np.full(count, LINE, np.uint8),
+        control_starts=_starts(more[filled]),
+        control=np.ascontiguousarray(layers.points)[rows],
+        knot_starts=np.zeros(count + 1, np.int64),
+        knots=np.zeros(0),
+    )
+
+
+def rings_of(layers: Layers, which: Bools) -> Layers:
+    """The layers with only some of their rings."""
+    sizes = np.diff(layers.ring_starts)
+    rows = np.repeat(which, sizes)
+    counts = np.bincount(layers.ring_layer[which], minlength=len(layers))
+    return replace(
+        layers,
+        points=layers.points[rows],
+        ring_starts=_starts(sizes[which]),
+        layer_starts=_starts(counts),
+        closed=layers.closed[which],
+        edge=None if layers.edge is None else layers.edge[rows],
+        edge_t=None if layers.edge_t is None else layers.edge_t[rows],
+    )
+
+
+def with_rings(curves: Curves, others: Curves, which: Bools) -> Curves:
+    """Curves in which the rings marked by `which` (R,) are replaced, in order, by those of `others`."""
+    count = curves.closed.size
+    source = np.arange(count)
+    source[which] = count + np.arange(others.closed.size)
+    both = [curves, others]
+    pieces, ring_starts = _chosen([c.ring_starts for c in both], source)
+    rows, control_starts = _chosen([c.control_starts for c in both], pieces)
+    knots, knot_starts = _chosen([c.knot_starts for c in both], pieces)
+    return replace(
+        curves,
+        ring_starts=ring_starts,
+        kind=np.concatenate([c.kind for c in both])[pieces],
+        control_starts=control_starts,
+        control=np.concatenate([c.control for c in both])[rows],
+        knot_starts=knot_starts,
+        knots=np.concatenate([c.knots for c in both])[knots],
+    )
+
+
+def _starts(sizes: Ints | Bools) -> Ints:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+def _chosen(columns: list[Ints], groups: Ints) -> tuple[Ints, Ints]:
+    """Members of some groups of ragged columns that follow each other, and the starts of the column that they make."""
+    starts = _starts(np.concatenate([np.diff(s) for s in columns]))
+    sizes = np.diff(starts)[groups]
+    new_starts = _starts(sizes)
+    members = np.arange(new_starts[-1]) + np.repeat(starts[:-1][groups] - new_starts[:-1], sizes)
+    return members.astype(np.int64), new_starts
+
+
+# -- a whole stack of curves: layers against their neighbours, and against the mesh between them ----------------
+#
+# The mean lift of a layer is the area that its curves enclose beyond its contours, over their length. It may
+# differ between two layers by no more than the mesh allows there: a layer that stands out was lifted the
+# wrong way. The volume between two layers is known exactly from the mesh. The volume by the areas of the
+# curves must agree with it, up to the error that the areas of the contours themselves make, and up to how far
+# curves may lie outside or inside their contours.
+
+VOLUME_ROUNDING = 1e-9
+"""Relative rounding error allowed in the sum of a volume."""
+
+
+class StackEvidence(NamedTuple):
+    """How layers agree with each other and with the mesh."""
+
+    lift_mm: Floats
+    """(L,) mean lift of each layer; 0 without contours."""
+    allowed_mm: Floats
+    """(L,) mean limit along the contours, by the mesh and the tolerance."""
+    jump_excess_mm: Floats
+    """(L,) difference of the lift from that of the layer below, less the allowed one; 0 or less is within the limit."""
+    volume_excess_mm3: Floats
+    """(L,) difference between the volumes, above the layer below, by the curves and of the mesh, less the allowed one."""
+
+    @property
+    def accepted(self) -> bool:
+        """Whether no layer stands out."""
+        return bool((self.jump_excess_mm <= 0.0).all() and (self.volume_excess_mm3 <= 0.0).all())
+
+
+def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) -> StackEvidence:
+    """Compare the layers of curves, from below, and the volume between them with that of the mesh."""
+    count = len(layers)
+    of_ring = curves.ring_layer
+    length = np.bincount(of_ring, layers.ring_lengths, minlength=count)
+    weight = np.where(length > 0.0, length, 1.0)
+    gain = np.bincount(of_ring, ring_areas(curves) - layers.ring_areas, minlength=count)
+    may = np.bincount(of_ring, found.mean_limit_mm * layers.ring_lengths, minlength=count) / weight
+    lift = gain / weight
+    jumps, volumes = np.zeros(count), np.zeros(count)
+    if count > 1 and (np.diff(layers.heights) > 0.0).all():
+        jumps[1:] = np.abs(np.diff(lift)) - (may[1:] + may[:-1])
+        step = np.diff(layers.heights)
+        mesh = volumes_between(part, layers.heights)
+        areas = layers.areas()
+        plain = 0.5 * step * (areas[1:] + areas[:-1])
+        curved = plain + 0.5 * step * (gain[1:] + gain[:-1])
+        allowed = np.abs(mesh - plain) + 0.5 * step * (may[1:] * length[1:] + may[:-1] * length[:-1])
+        volumes[1:] = np.abs(mesh - curved) - allowed - VOLUME_ROUNDING * np.abs(mesh)
+    return StackEvidence(lift, may, jumps, volumes)
