@@ -76,14 +76,21 @@ def nearest_option(entry: Floats, x: float, y: float) -> tuple[float, int]:
     return nearest, option
 
 
-@kernel
 def nearest_options(order: Ints, entry: Floats, leave: Floats) -> Ints:
     """Entry option of each island, by island (I,): the nearest one."""
-    options = np.zeros(len(entry), np.int64)
-    for n in range(1, len(order)):
-        x, y = leave[order[n - 1], options[order[n - 1]]]
-        options[order[n]] = nearest_option(entry[order[n]], x, y)[1]
-    return options
+    return completed_options(np.full(len(entry), NEAREST), order, entry, leave)
+
+
+@kernel
+def completed_options(chosen: Ints, order: Ints, entry: Floats, leave: Floats) -> Ints:
+    """Entry options (I,) by island: those that are chosen, and the nearest one where there is none (-1)."""
+    options = chosen.copy()
+    for n in range(len(order)):
+        if n > 0 and options[order[n]] < 0:
+            x, y = leave[order[n - 1], options[order[n - 1]]]
+            options[order[n]] = nearest_option(entry[order[n]], x, y)[1]
+        options[order[n]] = max(options[order[n]], 0)
+    return np.maximum(options, 0)
 
 
 def clocked(
@@ -114,8 +121,7 @@ def in_sequence(
     order = order[np.diff(first)[order] > 0]
     if not len(order):
         return np.zeros(0, np.int64), np.zeros(0, np.bool_)
-    if (options < 0).any():
-        options = nearest_options(order, *island_ends(start, end, first, chained))
+    options = completed_options(options, order, *island_ends(start, end, first, chained))
     lines, option = np.diff(first)[order], options[order]
     place = np.arange(lines.sum()) - np.repeat(np.cumsum(lines) - lines, lines)
     rows = np.where(

@@ -421,7 +421,12 @@ def time_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
             start = start + time[last] + np.true_divide(distance, layer.rapid_mm_s)
             left_by = option[last, left_by, island]
             travel += distance
-            touches += beside[last, island]
+            if beside[last, island]:
+                # It counts only while another one is left that does not touch.
+                m = n + 1
+                while m < len(order) and beside[last, order[m]]:
+                    m += 1
+                touches += m < len(order)
         log.start_s[n], log.option[n], log.travel_mm[n], log.touches[n] = start, left_by, travel, touches
         last = island
 
