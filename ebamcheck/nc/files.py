@@ -51,9 +51,8 @@ class ProgramFiles:
 
     def __repr__(self) -> str:
         said = "VALIDATED" if self.validated else "NOT VALIDATED"
-        return short_text.line(
-            "ProgramFiles", said, f"{self.names[0]} of {len(self.names)} files", str(self.folder)
-        )
+        files = f"{self.names[0]} of {len(self.names)} files"
+        return short_text.line("ProgramFiles", said, files, str(self.folder))
 
     @property
     def main(self) -> Path:

@@ -59,9 +59,8 @@ class SourceFile:
     end_code: str
 
     def __repr__(self) -> str:
-        return short_text.line(
-            "SourceFile", self.name, f"{len(self.data)} bytes", f"{self.line_count} lines", self.end_code
-        )
+        size = f"{len(self.data)} bytes", f"{self.line_count} lines"
+        return short_text.line("SourceFile", self.name, *size, self.end_code)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,10 +236,8 @@ class NCProgram(Columns[Motion]):
         round_ = np.flatnonzero(self.kind[rows] == ARC)
         if round_.size:
             r = rows[round_]
-            centre, turn = (
-                self.arc[r, :2, None],
-                self.arc[r, 2, None] * (each if len(each) == 1 else each[round_]),
-            )
+            centre = self.arc[r, :2, None]
+            turn = self.arc[r, 2, None] * (each if len(each) == 1 else each[round_])
             spoke = self.start[r, :2, None] - centre
             cos, sin = np.cos(turn), np.sin(turn)
             points[round_, :, 0] = centre[:, 0] + cos * spoke[:, 0] - sin * spoke[:, 1]
@@ -431,11 +428,8 @@ class Beads:
 
     def greatest(self, values: Floats) -> Floats:
         """Greatest (P,) of the `values` (n,) of each bead; NaN where one is."""
-        return (
-            np.maximum.reduceat(values, np.searchsorted(self.bead, np.arange(len(self))))
-            if len(self)
-            else values[:0]
-        )
+        first = np.searchsorted(self.bead, np.arange(len(self)))
+        return np.maximum.reduceat(values, first) if len(self) else values[:0]
 
     def middles(self, length_mm: Floats) -> tuple[Floats, Floats]:
         """Distance (n,) of the middle of each motion from the start of its bead, and the length (P,) of each bead, mm."""

@@ -81,12 +81,8 @@ class ProcessValues:
 
     def at(self, power: float, wire: float) -> ProcessValues:
         """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
-        return replace(
-            self,
-            power_w=power * self.power_w,
-            current_ma=power * self.current_ma,
-            wire_mm_s=wire * self.wire_mm_s,
-        )
+        power_w, current_ma = power * self.power_w, power * self.current_ma
+        return replace(self, power_w=power_w, current_ma=current_ma, wire_mm_s=wire * self.wire_mm_s)
 
     def fill(self, name: str, template: Iterable[str]) -> list[str]:
         """Fill the lines of the template `name`; raises :class:`SettingsError` for what makes no block."""
@@ -241,9 +237,8 @@ def _check_value(name: str, block: str, action: Action) -> None:
     where = f"machine.{name}: {block!r}"
     filled = action.placeholder
     if action.meaning in VALUES:
-        other = (name in BEAM_TEMPLATES and action.meaning in WIRE_VALUES) or (
-            name in WIRE_TEMPLATES and action.meaning in BEAM_VALUES
-        )
+        other = name in BEAM_TEMPLATES and action.meaning in WIRE_VALUES
+        other = other or (name in WIRE_TEMPLATES and action.meaning in BEAM_VALUES)
         other = other or (name in FOCUS_TEMPLATES) != (action.meaning == FOCUS)
         if other:
             raise SettingsError(f"{where}: {action.word!r} sets {action.meaning}, which {name} must not")
@@ -267,9 +262,8 @@ def _check_values(templates: Programmed) -> None:
         filled = [action.placeholder for _, actions in templates[name] for action in actions]
         if templates[name] and not any(value in filled for value in wanted):
             raise SettingsError(f"machine.{name} sets none of {', '.join(wanted)}, which is what it is for")
-    filled = [
-        a.placeholder for name in ("set_beam", "beam_on") for _, actions in templates[name] for a in actions
-    ]
+    blocks = (*templates["set_beam"], *templates["beam_on"])
+    filled = [action.placeholder for _, actions in blocks for action in actions]
     if "power_w" not in filled and not {"voltage_kv", "current_ma"} <= set(filled):
         raise SettingsError(
             "machine.set_beam and beam_on set no power: give {voltage_kv} and {current_ma}, or {power_w}"

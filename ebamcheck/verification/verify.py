@@ -218,15 +218,11 @@ def _text_alone(run: RunFolder, manifest: dict[str, Any], config: Config) -> lis
     record = manifest.get("program")
     if record is None:
         return [] if manifest.get("job") == "check" else [_no_program()]
-    main, hashes = (
-        run.program_folder / record["files"][0]["name"],
-        {file["name"]: file["sha256"] for file in record["files"]},
-    )
+    main = run.program_folder / record["files"][0]["name"]
+    hashes = {file["name"]: file["sha256"] for file in record["files"]}
     smooth = smooth_sections(Curves.from_parquet(run.path / "curves.parquet"), config)
-    curves, plan = (
-        Curves.from_parquet(run.path / "beads.parquet"),
-        ScanPlan.from_parquet(run.path / "scan.parquet"),
-    )
+    curves = Curves.from_parquet(run.path / "beads.parquet")
+    plan = ScanPlan.from_parquet(run.path / "scan.parquet")
     # Of the solid nothing is known here: a quick check needs no part.
     return verify_file(
         main, config=config, curves=curves, plan=plan, layers=run.read_layers(record["witness"]), smooth=smooth, metal=True,

@@ -114,11 +114,8 @@ def cut(path: Toolpath, parts: Parts, decimals: int) -> Toolpath:
     start = path.start.copy()
     moved = np.flatnonzero(sizes > 0)
     first = track_starts[moved]
-    start[moved] = np.where(
-        (parts.low[first] == 0.0)[:, None],
-        path.segment_start[segment[first]],
-        rounded(made_points[first, 0], decimals),
-    )
+    whole_start, cut_start = path.segment_start[segment[first]], rounded(made_points[first, 0], decimals)
+    start[moved] = np.where((parts.low[first] == 0.0)[:, None], whole_start, cut_start)
     # A ring comes back to where it started to the last digit, however the place was rounded.
     ring = (path.ring >= 0)[parts.track]
     back = ring & (np.abs(end - start[parts.track]).max(axis=1) <= 2.0 * 10.0**-decimals)
@@ -138,13 +135,9 @@ def _in_whole_pieces(path: Toolpath, parts: Parts, whole: Bools) -> Bools:
     """Parts (n,) of pieces of the curves that are driven whole, at one power and width, the first time around."""
     piece, segment = path.piece[parts.segment], parts.segment
     new = np.ones(segment.size, np.bool_)
-    new[1:] = (
-        (np.diff(piece) != 0)
-        | (np.diff(parts.power) != 0.0)
-        | (np.diff(parts.width) != 0.0)
-        | (np.diff(segment) != 1)
-        | (np.diff(parts.track) != 0)
-    )
+    new[1:] = np.diff(segment) != 1
+    for column in (piece, parts.power, parts.width, parts.track):
+        new[1:] |= np.diff(column) != 0
     run = np.cumsum(new) - 1
     found = np.bincount(run, whole & (parts.lap == 0))
     wanted = np.bincount(path.piece[path.piece >= 0], minlength=1)[np.maximum(piece[new], 0)]

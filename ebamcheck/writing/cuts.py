@@ -85,9 +85,8 @@ def _lines(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats
 
 def _arcs(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
     middle = _on_arcs(points, 0.5 * (low + high) / lengths)
-    return np.stack(
-        [_on_arcs(points, low / lengths), middle, middle, _on_arcs(points, high / lengths)], axis=1
-    )
+    first, last = (_on_arcs(points, at / lengths) for at in (low, high))
+    return np.stack([first, middle, middle, last], axis=1)
 
 
 def _cubics(points: Floats, lengths: Floats, low: Floats, high: Floats) -> Floats:
@@ -119,9 +118,8 @@ def _cubic_parameters(points: Floats, length: Floats) -> Floats:
     def some(first: int, last: int) -> Floats:
         return np.concatenate([bisected(slice(AT_ONCE * k, AT_ONCE * (k + 1))) for k in range(first, last)])
 
-    return (
-        np.zeros(0) if not len(points) else np.concatenate(run_blocks(some, math.ceil(len(points) / AT_ONCE)))
-    )
+    blocks = run_blocks(some, math.ceil(len(points) / AT_ONCE)) if len(points) else [np.zeros(0)]
+    return np.concatenate(blocks)
 
 
 def _cubic_lengths(points: Floats, t: Floats) -> Floats:

@@ -153,10 +153,8 @@ def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
     The chord error of n equal parts is at most ``max |p''| / (8 n^2)``, and p'' of a cubic is largest at an end. Returns the first point
     of each piece, (P + 1,), and the points (N, 2), mm.
     """
-    bend = np.maximum(
-        np.linalg.norm(2.0 * found.quadratic, axis=1),
-        np.linalg.norm(2.0 * found.quadratic + 6.0 * found.cubic, axis=1),
-    )
+    first, last = 2.0 * found.quadratic, 2.0 * found.quadratic + 6.0 * found.cubic
+    bend = np.maximum(np.linalg.norm(first, axis=1), np.linalg.norm(last, axis=1))
     parts = np.maximum(1, np.ceil(np.sqrt(bend / (8.0 * tolerance_mm)))).astype(np.int64)
     offset = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
     span = np.repeat(np.arange(parts.size), parts)

@@ -91,12 +91,8 @@ def tilt_of(config: Config, form: BlockFormat) -> Tilt | None:
     # A place p of the program lies at turn @ (p - shift) on the table.
     whole = table @ turn
     zero = form.rounded(moved - whole @ shift)
-    return Tilt(
-        positions,
-        zero,
-        round(math.degrees(math.atan2(whole[1, 0], whole[0, 0])), form.decimals),
-        _up_mm(config, positions, form),
-    )
+    turn_deg = round(math.degrees(math.atan2(whole[1, 0], whole[0, 0])), form.decimals)
+    return Tilt(positions, zero, turn_deg, _up_mm(config, positions, form))
 
 
 def positions_of(direction: Floats, axes: Sequence[RotaryAxis]) -> tuple[float, ...]:

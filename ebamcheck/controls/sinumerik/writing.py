@@ -68,9 +68,8 @@ def write_program(
         entry = [*modes(machine), f'MSG("LAYER {k + 1} OF {layers}")']
         before, after = _turned(tilt, post, k)
         before = [*(scans.get(k, []) if inside else []), *before]
-        texts[f"{layer_name}.SPF"] = subprogram(
-            layer_name, layer_blocks(post, k, motions, entry, (before, after))
-        )
+        blocks = layer_blocks(post, k, motions, entry, (before, after))
+        texts[f"{layer_name}.SPF"] = subprogram(layer_name, blocks)
     for k, scan_name in scan_names.items():
         texts[f"{scan_name}.SPF"] = subprogram(scan_name, scans[k])
     return write_files(texts, Path(folder), validated=validated)
@@ -82,9 +81,8 @@ def _turned(tilt: Tilt | None, post: Post, k: int) -> tuple[list[str], list[str]
     if tilt is None or first == int(post.path.layer_starts[k + 1]):
         return [], []
     off = off_blocks(post.values(k), post.templates)
-    return tilt.before(off, post.path.start[first], post.config, post.form), tilt.after(
-        off, post.config, post.form
-    )
+    before = tilt.before(off, post.path.start[first], post.config, post.form)
+    return before, tilt.after(off, post.config, post.form)
 
 
 def _preheating(post: Post) -> dict[int, list[str]]:
