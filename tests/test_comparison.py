@@ -12,8 +12,8 @@ import shapely
 from comparison_stacks import COLUMNS, SQUARE, box, judged, shifted, stack
 
 from ebamcheck.comparison import compare, compare_all
-from ebamcheck.comparison.causes import MeshFlaws
 from ebamcheck.comparison.consensus import agreement
+from ebamcheck.comparison.place_causes import MeshFlaws
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
 

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from comparison_stacks import SQUARE, box, judged
 
-from ebamcheck.comparison.causes import MeshFlaws, Place, likely_cause
+from ebamcheck.comparison.place_causes import MeshFlaws, Place, likely_cause
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
 

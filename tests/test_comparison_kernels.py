@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.comparison.chains import rising_order
 from ebamcheck.comparison.depth import Deepest, search
-from ebamcheck.comparison.distance import directed
+from ebamcheck.comparison.hausdorff import directed
 from ebamcheck.comparison.measure import Figures, linked_within, measure
-from ebamcheck.comparison.outline import outline, winding
-from ebamcheck.comparison.overlap import overlap
+from ebamcheck.comparison.outline import outline, rising_order, winding
+from ebamcheck.comparison.sweep import overlap
 from ebamcheck.geometry.nearest import nearest_segment
 from ebamcheck.layers.stack import Layers, from_polygons, from_rings
 
@@ -28,6 +27,11 @@ def shifted(points, x_mm, y_mm=0.0):
 
 def figures(a: Layers, b: Layers, limit=1e-3, exact_a=False, exact_b=False, origin=(0.0, 0.0)) -> Figures:
     return Figures(*measure(outline(a, 0, origin), outline(b, 0, origin), limit, exact_a, exact_b))
+
+
+def rings_of(o):
+    """Segments of the closed rings of an outline."""
+    return o.segments[: o.paths[o.rings]]
 
 
 def circle(radius, points=720, centre=(0.0, 0.0), phase=0.0):
@@ -288,7 +292,7 @@ def test_nearest_and_winding_are_those_of_plain_search(seed):
         square, segment = nearest_segment(prepared.tree, x, y, -1)
         assert np.sqrt(square) == pytest.approx(shapely.Point(x, y).distance(region.boundary), abs=1e-12)
         assert segment >= 0
-        assert (winding(prepared, x, y) > 0) == region.contains(shapely.Point(x, y))
+        assert (winding(rings_of(prepared), x, y) > 0) == region.contains(shapely.Point(x, y))
 
 
 def test_points_on_straight_runs_are_dropped():
@@ -310,7 +314,7 @@ def test_the_deepest_place_of_overlapping_rings_lies_in_the_difference(seed):
     found = figures(a, b, limit=1e-3, exact_a=True)
     o, p = outline(a, 0, (0.0, 0.0)), outline(b, 0, (0.0, 0.0))
     around = np.array([found.depth_x, found.depth_y]) + rng.normal(size=(2000, 2)) * 1e-4
-    assert any((winding(o, x, y) > 0) != (winding(p, x, y) > 0) for x, y in around)
+    assert any((winding(rings_of(o), x, y) > 0) != (winding(rings_of(p), x, y) > 0) for x, y in around)
     measured = o if len(o.segments) else p
     square, _ = nearest_segment(measured.tree, found.depth_x, found.depth_y, -1)
     assert np.sqrt(square) == pytest.approx(found.depth, abs=1e-9)
@@ -326,7 +330,8 @@ def test_areas_of_overlapping_rings_are_those_by_winding_number(seed):
     lines = [shapely.linestrings(s.reshape(2, 2)) for o in outlines for s in o.segments]
     cells = shapely.get_parts(shapely.polygonize([shapely.union_all(lines)]))
     inside = [
-        np.array([winding(o, p.x, p.y) > 0 for p in shapely.point_on_surface(cells)], bool) for o in outlines
+        np.array([winding(rings_of(o), p.x, p.y) > 0 for p in shapely.point_on_surface(cells)], bool)
+        for o in outlines
     ]
     found = figures(a, b)
     size = shapely.area(cells)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_comparison_kernels import circle, lattice_rings, layer, random_pair
+from test_comparison_kernels import circle, lattice_rings, layer
 
 from ebamcheck.comparison import depth as status
-from ebamcheck.comparison.distance import PERCENTILE, _percentile
-from ebamcheck.comparison.outline import outline, winding, windings
-from ebamcheck.comparison.overlap import overlap
+from ebamcheck.comparison.hausdorff import PERCENTILE, _percentile
+from ebamcheck.comparison.outline import outline
+from ebamcheck.comparison.sweep import overlap
 
 ORIGIN = (0.0, 0.0)
 
@@ -130,12 +130,3 @@ def test_a_sweep_over_nothing_and_something_finds_the_area_of_that():
     assert overlap(nothing, ring, True)[:3] == (0.0, area, area)
     assert overlap(ring, nothing, True)[:3] == (area, 0.0, area)
     assert overlap(nothing, nothing, True)[:3] == (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_winding_numbers_about_two_points_are_those_about_each(seed):
-    rng = np.random.default_rng(seed)
-    for pair in (random_pair(seed)[:2], (layer(*lattice_rings(rng)),)):
-        for o in (outline(x, 0, ORIGIN) for x in pair):
-            for x0, y0, x1, y1 in rng.uniform(-12, 12, (50, 4)):
-                assert windings(o, x0, y0, x1, y1) == (winding(o, x0, y0), winding(o, x1, y1))

@@ -13,7 +13,7 @@ from command_line import ebamcheck
 from finished_runs import certified_plate
 from sealed_runs import copied, failed, resealed, two_keys
 
-from ebamcheck.comparison.disagreement import Disagreement
+from ebamcheck.comparison.naming import Disagreement
 from ebamcheck.errors import ExitCode, InputError
 from ebamcheck.json_values import json_text, read_json, sha256_of_file
 from ebamcheck.record.certificate import CERTIFICATE, find_certificate, find_record, write_sealed

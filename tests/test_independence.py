@@ -12,8 +12,7 @@ from parts import box
 from pydantic import ValidationError
 
 from ebamcheck.comparison import compare_all
-from ebamcheck.comparison.consensus import agreement
-from ebamcheck.comparison.independence import EvidenceRule, best_pair
+from ebamcheck.comparison.consensus import EvidenceRule, agreement, best_pair
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.pipeline.cross_check import evidence_records, evidence_rule, resting
 from ebamcheck.pipeline.gates import agreement_gate

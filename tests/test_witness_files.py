@@ -24,7 +24,7 @@ from ebamcheck.scratch import scratch_folder
 from ebamcheck.testing.solids import simple
 from ebamcheck_cura.gcode import read_paths
 from ebamcheck_prusa.images import archived_images, contours, unfiltered
-from ebamcheck_slic3r.svg import slices
+from ebamcheck_slic3r.slicer import slices
 
 # -- programs ------------------------------------------------------------------------------------------
 
@@ -121,12 +121,12 @@ SVG = b"""<?xml version="1.0" encoding="UTF-8" standalone="yes"?>
 
 def test_slices_of_slic3r_are_read() -> None:
     found = list(slices(io.BytesIO(SVG)))
-    assert [round(one.height_mm, 9) for one in found] == [0.5, 1.5, 2.5]
-    assert [len(one.rings) for one in found] == [2, 0, 1]
-    areas = [shapely.Polygon(ring).exterior.is_ccw for ring in found[0].rings]
+    assert [round(height_mm, 9) for height_mm, _ in found] == [0.5, 1.5, 2.5]
+    assert [len(rings) for _, rings in found] == [2, 0, 1]
+    areas = [shapely.Polygon(ring).exterior.is_ccw for ring in found[0][1]]
     assert areas == [True, False]
-    assert shapely.Polygon(found[2].rings[0]).exterior.is_ccw
-    assert found[2].rings[0].shape == (4, 2)
+    assert shapely.Polygon(found[2][1][0]).exterior.is_ccw
+    assert found[2][1][0].shape == (4, 2)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ class InPlaneRays:
         """Layers of one piece in canonical form, by casting all their rays at once; and the unpaired rays of each."""
         points: list[Floats] = [np.zeros((0, 2))]
         sizes: list[Ints] = [np.zeros(1, np.int64)]
-        layer_starts, unpaired = [0], []
+        layer_starts, unpaired = [0], list[int]()
         if len(z_mm):
             mesh, scene = self._slabs[int(self._slabs.of(z_mm[:1])[0])]
             sections = sections_at(mesh, z_mm)
@@ -121,7 +121,7 @@ class InPlaneRays:
             points.append(found + self._centre_mm[:2])
             sizes.append(np.diff(starts))
             layer_starts.append(layer_starts[-1] + len(starts) - 1)
-            unpaired.append(np.count_nonzero(~rows.sound[a:b]) + np.count_nonzero(~columns.sound[c:d]))
+            unpaired.append(int((~rows.sound[a:b]).sum() + (~columns.sound[c:d]).sum()))
         layers = canonical(
             heights,
             np.concatenate(points),

@@ -68,9 +68,9 @@ class Scene:
         direction = np.zeros((1, 3), np.float32)  # of all rays
         direction[0, axis] = 1.0
         count = len(rays)
-        under_way = UnderWay(rays, origins, np.full(count, -1, np.int32), np.zeros(count, np.int32))
+        last, repeats = np.full(count, -1, np.int32), np.zeros(count, np.int32)
         while count:
-            under_way = UnderWay(*(column[:count] for column in under_way))
+            under_way = UnderWay(rays[:count], origins[:count], last[:count], repeats[:count])
             met = self._scene.run(under_way.origin, direction, output=True)
             count = take(met["primID"], met["tfar"], under_way)
 

@@ -7,12 +7,14 @@ than rounding, so the places are declared as doubtful.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck_manifold.placement import Floats, Placement
+from ebamcheck.mesh.part import Part
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -26,6 +28,7 @@ LEAST_SLOPE = 0.05
 BOUND_MARGIN = 1.01
 """Factor on a bound, for rounding and the ends of the slab."""
 
+Floats = NDArray[np.float64]
 Keys = NDArray[np.uint64]
 
 
@@ -60,18 +63,19 @@ def _totals(keys: Keys) -> tuple[int, int, int]:
 def _vertex_keys(vertices: Floats) -> Keys:
     """Key of each vertex (V,): the bits of its coordinates, spread by the finalizer of MurmurHash3 (public domain)."""
     x, y, z = np.ascontiguousarray(vertices + 0.0).view(np.uint64).T  # -0.0 and 0.0 are one number
-    keys = x
+    keys: Keys = x
     for bits in (y, z, np.uint64(0)):
         keys = (keys ^ (keys >> np.uint64(33))) * np.uint64(0xFF51AFD7ED558CCD)
         keys = (keys ^ (keys >> np.uint64(33))) * np.uint64(0xC4CEB9FE1A85EC53) + bits
-    return keys ^ (keys >> np.uint64(33))
+    keys ^= keys >> np.uint64(33)
+    return keys
 
 
 def _facet_keys(vertex_keys: Keys, faces: NDArray[Any]) -> Keys:
     """Key of each facet (F,): its corners in their order, whichever comes first."""
     swapped = (vertex_keys >> np.uint64(32)) | (vertex_keys << np.uint64(32))
     a, b, c = faces.T
-    keys = vertex_keys[a] * swapped[b]
+    keys: Keys = vertex_keys[a] * swapped[b]
     keys += vertex_keys[b] * swapped[c]
     keys += vertex_keys[c] * swapped[a]
     return keys
@@ -134,3 +138,56 @@ def _known_bound(bounds: Floats) -> dict[str, float]:
     """The greatest bound, with a margin for rounding; empty unless every facet has a bound."""
     most = float(bounds.max())
     return {"bound_mm": most * BOUND_MARGIN} if np.isfinite(most) and most > 0.0 else {}
+
+
+# -- Placement near the origin and at a size at which manifold3d loses no digits -------------------------------
+#
+# manifold3d merges vertices within 1e-12 of the largest *coordinate* and rounds contours to 1e-8, whatever the size of the part.
+# A part far from the origin or a small one is therefore moved and scaled first, by operations that are exact in floating point,
+# so that `min <= h < max` stays the same comparison.
+
+
+WORKING_SIZE_EXPONENT = 10
+"""Parts smaller than 2**10 mm are scaled to lie between half that size and that size."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Map from part to working coordinates, those that manifold3d gets: ``(x - shift_mm) * scale``."""
+
+    shift_mm: Floats
+    scale: float
+
+    def apply(self, points: Floats) -> Floats:
+        """Move and scale points (..., 3), exactly."""
+        return np.ascontiguousarray((points - self.shift_mm) * self.scale)
+
+    def height(self, z_mm: float) -> float:
+        """Height of a plane in working coordinates."""
+        return (z_mm - float(self.shift_mm[2])) * self.scale
+
+    def undo(self, points: Floats) -> Floats:
+        """Return contour points (N, 2) of working coordinates in mm, as placed."""
+        placed = points / self.scale
+        # Column by column: ten times faster than adding a row of two to each row.
+        placed[:, 0] += self.shift_mm[0]
+        placed[:, 1] += self.shift_mm[1]
+        return placed
+
+
+def exact_placement(part: Part) -> Placement:
+    """Choose a shift and a power of two for the scale, so that no coordinate is rounded."""
+    least, greatest = part.bounds
+    size = float((greatest - least).max())
+    exponent = WORKING_SIZE_EXPONENT - math.frexp(size)[1] if size > 0.0 else 0
+    shift = [_exact_shift(float(a), float(b)) for a, b in zip(least, greatest, strict=True)]
+    return Placement(np.array(shift), math.ldexp(1.0, min(max(0, exponent), 200)))
+
+
+def _exact_shift(least: float, greatest: float) -> float:
+    """Return the end nearer to 0 if all differences to it are exact (Sterbenz's lemma), else 0."""
+    if least > 0.0 and greatest <= 2.0 * least:
+        return least
+    if greatest < 0.0 and least >= 2.0 * greatest:
+        return greatest
+    return 0.0

@@ -15,8 +15,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups, split_corners, twins
-from ebamcheck_manifold.changes import doubtful_regions
-from ebamcheck_manifold.placement import Floats, Placement, exact_placement
+from ebamcheck_manifold.changes import Floats, Placement, doubtful_regions, exact_placement
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

@@ -24,12 +24,9 @@ Bits = NDArray[np.bool_]
 
 
 def archived_images(path: Path) -> Iterator[tuple[int, Bits]]:
-    """Read the images of an archive: number of the layer, and mask of the solid pixels (H, W), with rows upwards.
+    """Images of an archive: number of the layer, and mask of the solid pixels (H, W), with rows upwards.
 
-    Raises
-    ------
-    BackendFailed
-        If the archive or an image in it cannot be read.
+    :class:`BackendFailed` is raised if the archive or an image in it cannot be read.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -92,10 +89,7 @@ def unfiltered(rows: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def contours(solid: Bits) -> list[Floats]:
     """Contours half way between solid and empty pixel centres, with the solid on the left.
 
-    Returns
-    -------
-    list of numpy.ndarray
-        Rings (n, 2) in pixels from the corner of the image, whose last point is their first one.
+    Rings (n, 2) are in pixels from the corner of the image; their last point is their first one.
     """
     from skimage.measure import find_contours
 

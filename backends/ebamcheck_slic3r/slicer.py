@@ -6,11 +6,15 @@ So the part is scaled for it: in x and y until the gaps that it closes are negli
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
@@ -27,7 +31,6 @@ from ebamcheck.slicers.outside.lattices import (
     scale_to,
 )
 from ebamcheck.slicers.outside.programs import Program, ProgramSettings
-from ebamcheck_slic3r.svg import slices
 
 PROGRAM = Program(
     name="Slic3r",
@@ -155,3 +158,52 @@ def _arguments() -> list[str]:
         "--output=part.svg",
         "part.stl",
     ]
+
+
+# -- the exported SVG: contours and holes of each layer, in millimetres --------------------------------------
+
+HEIGHT_UNIT_MM = 1e6
+"""Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers."""
+
+_LAYER = re.compile(rb'<g id="layer\d+"(?: slic3r:z="([^"]*)")?')
+_POLYGON = re.compile(rb'<polygon slic3r:type="(contour|hole)" points="([^"]*)"')
+
+
+def slices(lines: Iterable[bytes]) -> Iterator[tuple[float, list[Floats]]]:
+    """Height, mm above the bed, and rings of one slice of an exported SVG after the other.
+
+    Points (n, 2) of a ring are in mm from the least corner of the part, the first again at the end; contours run
+    counter-clockwise, holes clockwise. :class:`BackendFailed` is raised on text that Slic3r does not write.
+    """
+    height_mm = 0.0
+    rings: list[Floats] | None = None
+    line = b""
+    for line in lines:
+        if polygon := _POLYGON.search(line):
+            if rings is None:
+                raise BackendFailed("Slic3r wrote a polygon outside of any layer")
+            rings.append(_ring(polygon[1], polygon[2]))
+        elif layer := _LAYER.search(line):
+            if rings is not None:
+                yield height_mm, rings
+            if layer[1] is None:
+                raise BackendFailed("Slic3r wrote a layer without a height")
+            height_mm, rings = float(layer[1]) * HEIGHT_UNIT_MM, []
+    if line.strip() != b"</svg>":
+        raise BackendFailed("what Slic3r wrote is cut: the file does not end with </svg>")
+    if rings is not None:
+        yield height_mm, rings
+
+
+def _ring(kind: bytes, text: bytes) -> Floats:
+    try:
+        numbers = np.array(text.replace(b",", b" ").split(), dtype="S").astype(np.float64)
+        points = numbers.reshape(-1, 2)
+    except ValueError:
+        raise BackendFailed(
+            f"Slic3r wrote points that are none: {text[:60].decode('ascii', 'replace')!r}"
+        ) from None
+    points = np.concatenate([points, points[:1]])
+    x, y = (points - points[:1]).T
+    twice_area = float(np.dot(x[:-1], y[1:]) - np.dot(y[:-1], x[1:]))
+    return points if (twice_area > 0.0) == (kind == b"contour") else points[::-1]

@@ -42,10 +42,7 @@ class Device:
 def open_context() -> moderngl.Context:
     """Open a context without a window: by EGL, else by the platform's default way.
 
-    Raises
-    ------
-    BackendMissing
-        If there is none, or none that is sufficient; the message gives every reason.
+    :class:`BackendMissing` gives every reason if there is none, or none that is sufficient.
     """
     try:
         import moderngl
@@ -61,19 +58,16 @@ def open_context() -> moderngl.Context:
             continue
         bits = device(context).subpixel_bits
         if bits >= NEEDED_SUBPIXEL_BITS:
-            _match_pyopengl(way)
+            if (
+                way == "egl"
+            ):  # PyOpenGL, which the literal mode loads later, is to use the platform of the context
+                os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
             return context
         context.release()
         reasons.append(
             f"{way or 'the default way'}: its rasteriser keeps {bits} of {NEEDED_SUBPIXEL_BITS} bits"
         )
     raise BackendMissing(f"no OpenGL {NEEDED_VERSION / 100:.1f} context: {'; '.join(reasons)}")
-
-
-def _match_pyopengl(way: str | None) -> None:
-    """Make PyOpenGL, which the literal mode loads later, use the platform of the context."""
-    if way == "egl":
-        os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 
 def device(context: moderngl.Context) -> Device:

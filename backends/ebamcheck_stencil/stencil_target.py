@@ -204,13 +204,7 @@ class Drawing:
 
 
 def pyopengl() -> Any:
-    """PyOpenGL on the platform of the context, which only this mode needs.
-
-    Raises
-    ------
-    BackendMissing
-        If it does not load.
-    """
+    """PyOpenGL on the platform of the context, which only this mode needs; :class:`BackendMissing` if it does not load."""
     try:
         from OpenGL import GL as gl  # noqa: N811
     except Exception as error:  # PyOpenGL raises whatever its platform plugin does

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ebamcheck.comparison.consensus import Comparison, compare_all
-from ebamcheck.comparison.disagreement import Disagreement
+from ebamcheck.comparison.naming import Disagreement
 from ebamcheck.comparison.pairwise import FACE_ON_PLANE, GENERIC, VERTEX_ON_PLANE, compare, layer_classes
 
 __all__ = [

@@ -5,15 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from math import inf
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.comparison.disagreement import AGREE, EMPTY, NOT_COMPARED, OUTLIER, UNDECIDED, Disagreement
 from ebamcheck.comparison.doubt import allow_doubt
-from ebamcheck.comparison.independence import EvidenceRule, best_pair
-from ebamcheck.comparison.naming import named_findings
+from ebamcheck.comparison.naming import (
+    AGREE,
+    EMPTY,
+    NOT_COMPARED,
+    OUTLIER,
+    UNDECIDED,
+    Disagreement,
+    named_findings,
+)
 from ebamcheck.comparison.pairwise import (
     GENERIC,
     Pair,
@@ -26,6 +33,54 @@ from ebamcheck.comparison.sources import LayerSource, blocks_of, contour_figures
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.stages import ComparisonSettings
+
+Bounds = Mapping[str, tuple[float, float]]
+"""Error bound and height bound of each method, mm."""
+
+
+@dataclass(frozen=True)
+class EvidenceRule:
+    """Conditions under which an agreement counts."""
+
+    largest_error_mm: float = inf
+    largest_height_mm: float = inf
+    """Largest bounds of a method whose agreement is evidence: one with a greater bound agrees with too much."""
+    kin: frozenset[frozenset[str]] = frozenset()
+    """Pairs of names that are not independent: one is derived from the other, or both are the same code."""
+
+    def without_weight(self, bounds: Bounds) -> dict[str, str]:
+        """Methods whose agreement is no evidence, with the reason in one line."""
+        found = {}
+        for name, (error_mm, height_mm) in bounds.items():
+            if not error_mm <= self.largest_error_mm:
+                found[name] = f"its bound of {error_mm:.3g} mm is over {self.largest_error_mm:.3g} mm"
+            elif not height_mm <= self.largest_height_mm:
+                found[name] = (
+                    f"its height bound of {height_mm:.3g} mm is over {self.largest_height_mm:.3g} mm"
+                )
+        return found
+
+    def counts(self, a: str, b: str, without_weight: Mapping[str, str]) -> bool:
+        """Whether an agreement of two methods is evidence."""
+        return not {a, b} & set(without_weight) and frozenset((a, b)) not in self.kin
+
+
+def best_pair(
+    members: tuple[int, ...], count: int, good: NDArray[np.bool_], limits_mm: NDArray[np.float64]
+) -> tuple[int, int] | None:
+    """The two methods on which a consensus rests: those whose agreement, of all that are evidence, has the least limit.
+
+    For each pair of methods (P,), in the order of ``combinations(range(count), 2)``, `good` tells whether it agrees and is
+    evidence, and `limits_mm` within how much.
+    """
+    inside = set(members)
+    pairs = [
+        (float(limit), pair)
+        for pair, ok, limit in zip(combinations(range(count), 2), good, limits_mm, strict=True)
+        if ok and inside.issuperset(pair)
+    ]
+    return min(pairs)[1] if pairs else None
+
 
 HALF_OPEN = "half-open"
 
@@ -282,13 +337,9 @@ def shifted(comparison: Comparison, first: int) -> Comparison:
 
 
 def joined(comparisons: Sequence[Comparison]) -> Comparison:
-    """Join comparisons of consecutive layers into one, with consecutive layer numbers.
+    """Join comparisons of consecutive layers into one, from the lowest to the highest, with consecutive layer numbers.
 
-    Parameters
-    ----------
-    comparisons
-        At least one, from the lowest layers to the highest. A backend that is not in all of them has no figures in the
-        whole; its pairs are those of the layers where it was.
+    A backend that is not in all of them has no figures in the whole; its pairs are those of the layers where it was.
     """
     layers = pd.concat([one.layers for one in comparisons], ignore_index=True)
     names = [name for name in comparisons[0].stacks if all(name in one.stacks for one in comparisons)]

@@ -13,9 +13,9 @@ import pandas as pd
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.comparison.diagnosis.sheets import Reader
 from ebamcheck.comparison.pairwise import Pair, compare
 from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.comparison.whole_causes import Reader
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.numeric.rings import Floats
 
@@ -49,12 +49,7 @@ def allow_doubt(
 ) -> None:
     """Let layers agree that differ by no more than a declared doubt, and only within its boxes; changes `tables` in place.
 
-    Parameters
-    ----------
-    stacks, pairs, tables
-        All stacks, the pairs of them that were measured, and the table of each.
-    most_mm
-        Most that a doubt may add to a limit; a larger one changes nothing.
+    A doubt that would add more than `most_mm` to a limit changes nothing.
     """
     declared = [doubts_of(stack.settings) for stack in stacks]
     readers = [Reader(stack) for stack in stacks]

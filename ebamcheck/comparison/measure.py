@@ -9,9 +9,9 @@ import numpy as np
 
 from ebamcheck.comparison.depth import FINEST_DEPTH_MM as FINEST_DEPTH_MM
 from ebamcheck.comparison.depth import Deepest, enough_mm, resolution_mm, search
-from ebamcheck.comparison.distance import Directed, directed
-from ebamcheck.comparison.outline import Outline, encloses, winding, windings
-from ebamcheck.comparison.overlap import Overlap, overlap
+from ebamcheck.comparison.hausdorff import Directed, directed
+from ebamcheck.comparison.outline import Outline, winding
+from ebamcheck.comparison.sweep import Overlap, overlap
 from ebamcheck.geometry.nearest import nearest_segment, square_between
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -43,11 +43,14 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
     neither is exact; and the lesser of both depths where both are exact.
     """
     ab, ba = directed(a, b), directed(b, a)
-    from_a, from_b = _depth_from(a, b, exact_a, exact_b)
+    is_a, is_b = a.chains.steps.size > 0, b.chains.steps.size > 0
+    if not (is_a and is_b):
+        from_a, from_b = is_a, is_b
+    else:
+        from_a, from_b = exact_a or not exact_b, not exact_a
     known = _known(a, b, ab, ba, from_a, from_b, limit_mm)
     swept, deepest = _swept(a, b, ab, ba, from_a, from_b, known, limit_mm)
-    both = exact_a and exact_b and encloses(a) and encloses(b)
-    if both and swept.sound and deepest.depth_mm > resolution_mm(limit_mm):
+    if exact_a and exact_b and is_a and is_b and swept.sound and deepest.depth_mm > resolution_mm(limit_mm):
         known = _known(a, b, ab, ba, False, True, limit_mm)
         _, other = _swept(a, b, ab, ba, False, True, known, limit_mm)
         if other.depth_mm < deepest.depth_mm:
@@ -57,16 +60,6 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
         ab.most_mm, ba.most_mm, ab.p95_mm, ba.p95_mm,
         deepest.depth_mm, deepest.x_mm, deepest.y_mm, 1.0 if swept.sound else 0.0,
     )  # fmt: skip
-
-
-@kernel
-def _depth_from(a: Outline, b: Outline, exact_a: bool, exact_b: bool) -> tuple[bool, bool]:
-    """Whether depth is measured from the contours of each."""
-    if not (encloses(a) and encloses(b)):
-        return encloses(a), encloses(b)
-    if exact_a or exact_b:
-        return exact_a, not exact_a
-    return True, True
 
 
 @kernel
@@ -84,28 +77,15 @@ def _known(
 def _swept(
     a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, known: Deepest, limit_mm: float
 ) -> tuple[Overlap, Deepest]:  # fmt: skip
-    """Areas, and the greatest depth, from a depth already known."""
-    enough = enough_mm(known.depth_mm, limit_mm)
-    if _is_enough(a, b, ab, ba, from_a, from_b, enough):
+    """Areas, and the greatest depth, from a depth already known; none is searched for where links prove that nothing is deeper."""
+    # Of a link, no point is farther from its nearer end than half of it.
+    reach = enough_mm(known.depth_mm, limit_mm) * (2.0 if from_a and from_b else 1.0)
+    if (from_a and ba.most_mm <= reach and linked_within(a, b, ba.near, reach)) or (
+        (from_b or not from_a) and ab.most_mm <= reach and linked_within(b, a, ab.near, reach)
+    ):
         return overlap(a, b, False), known
     swept = overlap(a, b, True)
     return swept, search(a, b, from_a, from_b, swept.difference, known, limit_mm)
-
-
-@kernel
-def _is_enough(
-    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, enough: float
-) -> bool:
-    """Whether links between the contours prove that nothing is deeper than `enough`."""
-    if from_a and from_b:
-        # Of a link, no point is farther from its nearer end than half of it.
-        reach = 2.0 * enough
-        return (ba.most_mm <= reach and linked_within(a, b, ba.near, reach)) or (
-            ab.most_mm <= reach and linked_within(b, a, ab.near, reach)
-        )
-    if from_a:
-        return bool(ba.most_mm <= enough and linked_within(a, b, ba.near, enough))
-    return bool(ab.most_mm <= enough and linked_within(b, a, ab.near, enough))
 
 
 @kernel
@@ -128,14 +108,18 @@ def _reached(o: Outline, farthest: Directed, resolution_mm: float) -> Deepest:
     ahead = ux * (middle_x - farthest.x_mm) + uy * (middle_y - farthest.y_mm) > 0.0
     sign = towards if ahead else -towards
     x, y = farthest.x_mm + sign * ux, farthest.y_mm + sign * uy
-    left, right = windings(o, x - aside * uy, y + aside * ux, x + aside * uy, y - aside * ux)
+    rings = o.segments[: o.paths[o.rings]]
+    left, right = (
+        winding(rings, x - aside * uy, y + aside * ux),
+        winding(rings, x + aside * uy, y - aside * ux),
+    )
     return Deepest(farthest.most_mm, farthest.x_mm, farthest.y_mm) if (left > 0) != (right > 0) else nothing
 
 
 @kernel
 def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> Deepest:
     """Depth that is proved halfway from the point of `o` farthest from the other contours to the nearest one."""
-    if farthest.segment < 0 or not (encloses(o) and encloses(other)):
+    if farthest.segment < 0 or o.chains.steps.size == 0 or other.chains.steps.size == 0:
         return known
     i = nearest_segment(other.tree, farthest.x_mm, farthest.y_mm, -1)[1]
     ax, ay = other.segments[i, 0], other.segments[i, 1]
@@ -145,8 +129,10 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
     t = min(1.0, max(0.0, t))
     x, y = 0.5 * (farthest.x_mm + ax + t * ux), 0.5 * (farthest.y_mm + ay + t * uy)
     depth = math.sqrt(min(nearest_segment(o.tree, x, y, -1)[0], nearest_segment(other.tree, x, y, -1)[0]))
-    if depth > known.depth_mm and (winding(o, x, y) > 0) != (winding(other, x, y) > 0):
-        return Deepest(depth, x, y)
+    if depth > known.depth_mm:
+        in_o = winding(o.segments[: o.paths[o.rings]], x, y) > 0
+        if in_o != (winding(other.segments[: other.paths[other.rings]], x, y) > 0):
+            return Deepest(depth, x, y)
     return known
 
 
@@ -170,16 +156,14 @@ MOST_STEPS = 8
 def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
     """Whether links no longer than this draw all rings of `b` onto those of `a`.
 
-    Parameters
-    ----------
-    near
-        (M,) segment of `a` nearest to each sample of `b`.
-    reach_mm
-        Longest link; all samples of `b`, and the contours between them, are known to be as near as that.
+    `near` (M,) is the segment of `a` nearest to each sample of `b`; all samples of `b`, and the contours between them, are known to
+    be within the reach.
     """
     if a.rings != b.rings:
         return False
-    ring_of = _ring_of(a.paths, a.rings)
+    ring_of = np.empty(a.paths[a.rings], np.int64)
+    for r in range(a.rings):
+        ring_of[a.paths[r] : a.paths[r + 1]] = r
     taken = np.zeros(a.rings, np.bool_)
     places, lengths = b.samples.places, b.samples.lengths
     budget = MOST_STEPS * (len(ring_of) + len(places))
@@ -193,15 +177,6 @@ def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
             return False
         start = stop + 1
     return True
-
-
-@kernel
-def _ring_of(paths: Ints, rings: int) -> Ints:
-    """Ring of each segment of the closed rings."""
-    ring_of = np.empty(paths[rings], np.int64)
-    for r in range(rings):
-        ring_of[paths[r] : paths[r + 1]] = r
-    return ring_of
 
 
 @kernel

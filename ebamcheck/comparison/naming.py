@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -10,15 +12,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from ebamcheck.comparison import causes
-from ebamcheck.comparison.causes import MeshFlaws, Place, declared_doubt, likely_cause
-from ebamcheck.comparison.diagnosis import Cause, Differing, cause_of, diagnose
-from ebamcheck.comparison.diagnosis import cause as systematic
-from ebamcheck.comparison.diagnosis.sheets import Reader
-from ebamcheck.comparison.disagreement import EMPTY, OUTLIER, UNDECIDED, Disagreement
+from ebamcheck.comparison import place_causes as local
+from ebamcheck.comparison import whole_causes as systematic
+from ebamcheck.comparison.diagnosis import Differing, cause_of, diagnose
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
+from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
 from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.comparison.whole_causes import Cause, Reader
 from ebamcheck.mesh.part import Part
 from ebamcheck.numeric.rings import Floats
 
@@ -72,14 +73,8 @@ def named_findings(
 ) -> Iterator[Disagreement]:
     """Every disagreement on the layers on which not all slicers agree, in the order of layers.
 
-    Parameters
-    ----------
-    part, stacks, heights
-        The part, and its layers by each slicer.
-    tables
-        Figures of each pair of stacks, in the order of their combinations.
-    consensus, verdicts
-        Members of the consensus (indices into `stacks`) and verdict of each layer.
+    `tables` has the figures of each pair of stacks, in the order of their combinations; `consensus` the members of the
+    consensus of each layer, as indices of `stacks`.
     """
     flaws, names = MeshFlaws(part), list(stacks)
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
@@ -192,20 +187,20 @@ SETTINGS = "look at the settings of {backend} (slicing.settings.{backend})"
 MEND = "mend the mesh at this place, or slice by a method that does not need it whole"
 
 REMEDIES: Mapping[str, str] = {
-    causes.COPLANAR_FACE: "shift the layers a little (layers.layer_height_mm, layers.heights_mm), or turn the part (part.direction)",
-    causes.VERTEX: "shift the layers a little (layers.layer_height_mm, layers.heights_mm)",
-    causes.OPEN_EDGE: MEND,
-    causes.NON_MANIFOLD: MEND,
-    causes.ORIENTATION: "turn the facets (--fix-orientation), or mend the mesh",
-    causes.OVERLAP: "unite the bodies in the model, or leave out the one of both slicers with another inside rule (ebamcheck backends)",
-    causes.SELF_INTERSECTION: MEND,
-    causes.TOUCHING: "unite the bodies in the model, or move them apart",
-    causes.OPEN_PATH: MEND,
-    causes.OPEN_SURFACE: MEND,
-    causes.THIN: "make the wall thicker in the model, or sample more finely (slicing.settings.{backend})",
-    causes.THIN_GAP: "make the gap wider in the model, or sample more finely (slicing.settings.{backend})",
-    causes.SHALLOW: "shift the layers a little (layers.heights_mm), or turn the part (part.direction)",
-    causes.UNKNOWN_CAUSE: "look at the layer in the report, and slice with a third method that shows which of both is wrong",
+    local.COPLANAR_FACE: "shift the layers a little (layers.layer_height_mm, layers.heights_mm), or turn the part (part.direction)",
+    local.VERTEX: "shift the layers a little (layers.layer_height_mm, layers.heights_mm)",
+    local.OPEN_EDGE: MEND,
+    local.NON_MANIFOLD: MEND,
+    local.ORIENTATION: "turn the facets (--fix-orientation), or mend the mesh",
+    local.OVERLAP: "unite the bodies in the model, or leave out the one of both slicers with another inside rule (ebamcheck backends)",
+    local.SELF_INTERSECTION: MEND,
+    local.TOUCHING: "unite the bodies in the model, or move them apart",
+    local.OPEN_PATH: MEND,
+    local.OPEN_SURFACE: MEND,
+    local.THIN: "make the wall thicker in the model, or sample more finely (slicing.settings.{backend})",
+    local.THIN_GAP: "make the gap wider in the model, or sample more finely (slicing.settings.{backend})",
+    local.SHALLOW: "shift the layers a little (layers.heights_mm), or turn the part (part.direction)",
+    local.UNKNOWN_CAUSE: "look at the layer in the report, and slice with a third method that shows which of both is wrong",
     systematic.OFFSET: SETTINGS + " for a compensation of bead or pixel, else " + LEAVE_OUT,
     systematic.TRANSLATION: SETTINGS + " for an origin or a bed, else " + LEAVE_OUT,
     systematic.HEIGHT: SETTINGS + " for the height within a layer at which it cuts, else " + LEAVE_OUT,
@@ -239,3 +234,46 @@ def remedy(cause: str, backend: str, against: str) -> str:
     'mend the mesh at this place, or slice by a method that does not need it whole'
     """
     return REMEDIES.get(cause, DECLARED).format(backend=backend, against=against)
+
+
+AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
+"""Verdicts on a layer."""
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """One disagreement on one layer."""
+
+    layer: int
+    height_mm: float
+    backend: str
+    """The outlier; on an undecided layer, either of the two."""
+    against: str
+    """The backend it was compared with, or ``part`` for a layer that came out empty."""
+    metric: str
+    """``depth``, ``topology`` (numbers of outer rings and holes) or ``empty``."""
+    value: float
+    limit: float
+    x_mm: float
+    y_mm: float
+    cause: str
+    """Kind of the likely cause: ``translation``, ``open edge``, ``unknown``."""
+    cause_text: str = ""
+    """Description of the cause, with its size and the share of the difference that it explains, if known."""
+    cause_size: float | None = None
+    """Fitted size of the cause, in `cause_unit`; None if it has none."""
+    cause_unit: str = ""
+    cause_share: float | None = None
+    """Share of the difference between the two slicers that the cause explains, 0 .. 1."""
+    remedy: str = ""
+    """What to do about it, without a full stop."""
+
+    @property
+    def excess(self) -> float:
+        """Severity: the value over its limit; a finding without a limit is the most severe."""
+        return self.value / self.limit if self.limit > 0.0 else math.inf
+
+
+def worst_of(findings: Sequence[Disagreement]) -> Disagreement | None:
+    """The most severe finding: the largest excess, then the lowest layer; None if there is none."""
+    return max(findings, key=lambda f: (f.excess, -f.layer), default=None)

@@ -161,8 +161,20 @@ def distances(places: Floats, segments: Floats) -> Floats:
     for n in range(len(places)):
         x, y = places[n, 0], places[n, 1]
         _, guess = nearest_segment(tree, x, y, guess)
-        if guess >= 0:
-            result[n] = _geos_distance(segments, guess, x, y)
+        if guess < 0:
+            break
+        # In the steps of GEOS (``Distance::pointToSegment``), to the last bit.
+        x0, y0, x1, y1 = segments[guess, 0], segments[guess, 1], segments[guess, 2], segments[guess, 3]
+        dx, dy = x1 - x0, y1 - y0
+        square = dx * dx + dy * dy
+        along = ((x - x0) * dx + (y - y0) * dy) / square if square > 0.0 else 0.0
+        if along <= 0.0:
+            result[n] = math.sqrt((x - x0) * (x - x0) + (y - y0) * (y - y0))
+        elif along >= 1.0:
+            result[n] = math.sqrt((x - x1) * (x - x1) + (y - y1) * (y - y1))
+        else:
+            across = ((y0 - y) * dx - (x0 - x) * dy) / square
+            result[n] = abs(across) * math.sqrt(square)
     return result
 
 
@@ -175,7 +187,6 @@ def signed_distance(tree: SegmentTree, x: float, y: float, at: Nearest) -> float
     and Aanaes 2005).
     """
     segments, i = tree.segments, at.segment
-    ax, ay = _unit_normal(segments, i)
     qx = segments[i, 0] + at.t * (segments[i, 2] - segments[i, 0])
     qy = segments[i, 1] + at.t * (segments[i, 3] - segments[i, 1])
     other = i
@@ -183,8 +194,13 @@ def signed_distance(tree: SegmentTree, x: float, y: float, at: Nearest) -> float
         other = i - 1 if i > 0 else len(segments) - 1
     elif at.t >= 1.0:
         other = i + 1 if i + 1 < len(segments) else 0
-    bx, by = _unit_normal(segments, other)
-    side = (x - qx) * (ax + bx) + (y - qy) * (ay + by)
+    nx = ny = 0.0
+    for k in (i, other):
+        ux, uy = segments[k, 2] - segments[k, 0], segments[k, 3] - segments[k, 1]
+        length = math.hypot(ux, uy)
+        if length > 0.0:
+            nx, ny = nx + uy / length, ny - ux / length
+    side = (x - qx) * nx + (y - qy) * ny
     return float(at.distance if side >= 0.0 else -at.distance)
 
 
@@ -212,28 +228,3 @@ def _box_square(boxes: Floats, node: int, x: float, y: float) -> float:
     dx = max(boxes[node, 0] - x, x - boxes[node, 2], 0.0)
     dy = max(boxes[node, 1] - y, y - boxes[node, 3], 0.0)
     return float(dx * dx + dy * dy)
-
-
-@kernel
-def _geos_distance(segments: Floats, i: int, x: float, y: float) -> float:
-    """Distance of (x, y) from segment `i` in the steps of GEOS (``Distance::pointToSegment``), to the last bit."""
-    x0, y0, x1, y1 = segments[i, 0], segments[i, 1], segments[i, 2], segments[i, 3]
-    dx, dy = x1 - x0, y1 - y0
-    square = dx * dx + dy * dy
-    along = ((x - x0) * dx + (y - y0) * dy) / square if square > 0.0 else 0.0
-    if along <= 0.0:
-        return math.sqrt((x - x0) * (x - x0) + (y - y0) * (y - y0))
-    if along >= 1.0:
-        return math.sqrt((x - x1) * (x - x1) + (y - y1) * (y - y1))
-    across = ((y0 - y) * dx - (x0 - x) * dy) / square
-    return float(abs(across) * math.sqrt(square))
-
-
-@kernel
-def _unit_normal(segments: Floats, i: int) -> tuple[float, float]:
-    """Unit normal to the right of segment `i`; (0, 0) for one without length."""
-    ux, uy = segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1]
-    length = math.hypot(ux, uy)
-    if length == 0.0:
-        return 0.0, 0.0
-    return uy / length, -ux / length

@@ -37,39 +37,23 @@ MOST_PER_BEAD = 1000
 def covered_fraction(section: BaseGeometry, segments: Floats, bead_width_mm: float) -> float:
     """Share of the area of a section that lies within half a bead width of a segment; 1 for an empty one.
 
-    Parameters
-    ----------
-    section
-        Polygon or multi-polygon.
-    segments
-        (S, 4) x0, y0, x1, y1 of the centre lines of the beads, mm; beads end in half discs.
-    bead_width_mm
-        Width of the beads.
+    Segments (S, 4) ``x0, y0, x1, y1``, mm, are the centre lines of the beads, which end in half discs.
     """
     return bare_samples(section, segments, bead_width_mm).covered
 
 
 @dataclass(frozen=True, eq=False)
 class BareSamples:
-    """What beads leave of a section, on a grid.
-
-    Parameters
-    ----------
-    grid
-        (rows, columns) 1 where the section is bare; sample (r, c) stands for the square from
-        ``origin + step (c, r)`` to ``origin + step (c + 1, r + 1)``.
-    origin
-        (2,) lower left corner, mm.
-    step_mm
-        Distance of the samples.
-    covered
-        Share of the section's samples that are covered; 1 without any.
-    """
+    """What beads leave of a section, on a grid."""
 
     grid: NDArray[np.uint8]
+    """(rows, columns) 1 where the section is bare; sample (r, c) stands for the square from ``origin + step (c, r)`` to
+    ``origin + step (c + 1, r + 1)``."""
     origin: Floats
+    """(2,) lower left corner, mm."""
     step_mm: float
     covered: float
+    """Share of the section's samples that are covered; 1 without any."""
 
 
 def bare_samples(section: BaseGeometry, segments: Floats, bead_width_mm: float) -> BareSamples:
@@ -176,25 +160,19 @@ def _capsule_row(
     return left, right
 
 
-@kernel
 def cell_shares(points: Floats, ring_starts: Ints, rows: int, columns: int) -> Floats:
     """Share of every cell inside the rings (closed by a repeated point, solid to the left)."""
     gain = np.zeros((rows, columns + 1))
-    for ring in range(ring_starts.size - 1):
-        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-            add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], 0, 0)
-    return summed(gain)[:, :columns]
+    _add_rings(gain, points, ring_starts)
+    shares: Floats = np.clip(np.cumsum(gain, axis=1), 0.0, 1.0)
+    return shares[:, :columns]
 
 
 @kernel
-def summed(gain: Floats) -> Floats:
-    """Running sums along the rows, limited to what a share can be."""
-    for row in range(gain.shape[0]):
-        total = 0.0
-        for column in range(gain.shape[1]):
-            total += gain[row, column]
-            gain[row, column] = min(max(total, 0.0), 1.0)
-    return gain
+def _add_rings(gain: Floats, points: Floats, ring_starts: Ints) -> None:
+    for ring in range(ring_starts.size - 1):
+        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
+            add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], 0, 0)
 
 
 @kernel
@@ -275,10 +253,11 @@ def islands_in_cells(
         for ring in range(island_rings[k], island_rings[k + 1]):
             for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
                 add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], x0, y0)
-        summed(gain)
         for row in range(y1 - y0):
+            running = 0.0
             for column in range(x1 - x0):
+                running += gain[row, column]
                 owner[used], place[used] = k, (row + y0) * shape[1] + column + x0
-                share[used] = gain[row, column]
+                share[used] = min(max(running, 0.0), 1.0)
                 used += 1
     return owner, place, share

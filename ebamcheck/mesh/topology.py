@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.sorting import as_floats, put_in_order, stable_order
 
 Index = NDArray[np.int32]
+Ints = NDArray[np.int64]
 
 NO_TWIN = -1
 
@@ -28,21 +28,9 @@ class EdgeGroups(NamedTuple):
     """(E + 1,) index in `half_edges` of the first of each edge."""
 
 
-def edge_groups(faces: Index, vertex_count: int) -> EdgeGroups:
-    """Group the half-edges of all non-degenerate facets by edge; O(F), without sorting or hashing.
-
-    Examples
-    --------
-    >>> two = np.array([[0, 1, 2], [2, 1, 3]], np.int32)
-    >>> groups = edge_groups(two, 4)
-    >>> sorted(np.diff(groups.starts).tolist())
-    [1, 1, 1, 1, 2]
-    """
-    return EdgeGroups(*_group(faces, vertex_count))
-
-
 @kernel
-def _group(faces: Index, vertex_count: int) -> tuple[Index, Index]:
+def edge_groups(faces: Index, vertex_count: int) -> EdgeGroups:
+    """Group the half-edges of all non-degenerate facets by edge; O(F), without hashing."""
     count = faces.shape[0]
     # Bucket half-edges by their lesser vertex: there are six in a bucket on average.
     bucket = np.zeros(vertex_count + 1, np.int32)
@@ -75,24 +63,25 @@ def _group(faces: Index, vertex_count: int) -> tuple[Index, Index]:
     edges = 0
     for v in range(vertex_count):
         first, last = bucket[v], bucket[v + 1]
-        if last - first > 64:
-            order = stable_order(as_floats(other[first:last]))
-            put_in_order(half_edges[first:last], order)
-            put_in_order(other[first:last], order)
-        else:
-            for i in range(first + 1, last):
+        # By insertion, as they are few; where a crowd of facets meets by Shell's method. Half-edges of one edge keep their order.
+        gap = 1
+        while gap < (last - first) // 64:
+            gap = 3 * gap + 1
+        while gap > 0:
+            for i in range(first + gap, last):
                 key, value = other[i], half_edges[i]
-                j = i - 1
-                while j >= first and other[j] > key:
-                    other[j + 1], half_edges[j + 1] = other[j], half_edges[j]
-                    j -= 1
-                other[j + 1], half_edges[j + 1] = key, value
+                j = i - gap
+                while j >= first and (other[j] > key or (other[j] == key and half_edges[j] > value)):
+                    other[j + gap], half_edges[j + gap] = other[j], half_edges[j]
+                    j -= gap
+                other[j + gap], half_edges[j + gap] = key, value
+            gap //= 3
         for i in range(first, last):
             if i == first or other[i] != other[i - 1]:
                 starts[edges] = i
                 edges += 1
     starts[edges] = total
-    return half_edges, starts[: edges + 1].copy()
+    return EdgeGroups(half_edges, starts[: edges + 1].copy())
 
 
 @kernel
@@ -117,37 +106,16 @@ def twins(vertices: NDArray[np.float64], faces: Index, half_edges: Index, starts
 @kernel
 def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: Index) -> None:
     """Write the twins (3 F,) of the half-edges of one edge, where it has one or more than two; see :func:`twins`."""
+    n = fan.size
     for h in fan:
         result[h] = NO_TWIN
-    if fan.size > 1:
-        _pair_around(*_fan(vertices, faces, fan), fan, result)
-
-
-@kernel
-def _fan(
-    vertices: NDArray[np.float64], faces: Index, fan: Index
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Ends of the edge of some half-edges and the third corners of their facets, (2 + n, 3), and which run low to high."""
-    h = fan[0]
-    tail, head = faces[h // 3, h % 3], faces[h // 3, (h % 3 + 1) % 3]
+    if n < 2:
+        return
+    tail, head = faces[fan[0] // 3, fan[0] % 3], faces[fan[0] // 3, (fan[0] % 3 + 1) % 3]
     low, high = min(tail, head), max(tail, head)
-    corners, forward = np.empty((2 + fan.size, 3)), np.empty(fan.size, np.bool_)
-    for axis in range(3):
-        corners[0, axis], corners[1, axis] = vertices[low, axis], vertices[high, axis]
-        for i in range(fan.size):
-            corners[2 + i, axis] = vertices[faces[fan[i] // 3, (fan[i] % 3 + 2) % 3], axis]
-    for i in range(fan.size):
-        forward[i] = faces[fan[i] // 3, fan[i] % 3] == low
-    return corners, forward
-
-
-@kernel
-def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: Index, result: Index) -> None:
-    """Pair the half-edges of one edge by the angle of their facets around it; see :func:`_fan`."""
-    n = fan.size
     axis, u, w, angle = np.empty(3), np.zeros(3), np.empty(3), np.empty(n)
     for k in range(3):
-        axis[k] = corners[1, k] - corners[0, k]
+        axis[k] = vertices[high, k] - vertices[low, k]
     _normalise(axis)
     # Two directions across the edge span the plane in which angles are measured.
     least = 0
@@ -155,32 +123,36 @@ def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: 
         if abs(axis[k]) < abs(axis[least]):
             least = k
     u[least] = 1.0
-    along = _dot(u, axis)
+    along = u[0] * axis[0] + u[1] * axis[1] + u[2] * axis[2]
     for k in range(3):
         u[k] -= axis[k] * along
     _normalise(u)
     w[0] = axis[1] * u[2] - axis[2] * u[1]
     w[1] = axis[2] * u[0] - axis[0] * u[2]
     w[2] = axis[0] * u[1] - axis[1] * u[0]
-    across = np.empty(3)
-    for i in range(n):
-        for k in range(3):
-            across[k] = corners[2 + i, k] - corners[0, k]
-        angle[i] = np.arctan2(_dot(across, w), _dot(across, u))
     # Facets at one angle: those that close a solid come first, and copies nest as they stand in the mesh, so that each body
     # stays apart at all of its edges.
-    first = np.empty(n, np.int32)
-    closing = 0
-    for i in range(n - 1, -1, -1):
-        if forward[i]:
-            first[closing] = i
-            closing += 1
-    opening = closing
-    for i in range(n):
-        if not forward[i]:
-            first[opening] = i
-            opening += 1
-    order = first[stable_order(angle[first])]
+    order, placed = np.empty(n, np.int32), 0
+    forward = np.empty(n, np.bool_)
+    for turn in range(2 * n):
+        i = n - 1 - turn if turn < n else turn - n
+        h = fan[i]
+        forward[i] = faces[h // 3, h % 3] == low
+        if forward[i] != (turn < n):
+            continue
+        third = faces[h // 3, (h % 3 + 2) % 3]
+        x, y, z = (
+            vertices[third, 0] - vertices[low, 0],
+            vertices[third, 1] - vertices[low, 1],
+            vertices[third, 2] - vertices[low, 2],
+        )
+        angle[i] = np.arctan2(x * w[0] + y * w[1] + z * w[2], x * u[0] + y * u[1] + z * u[2])
+        k = placed
+        while k > 0 and angle[order[k - 1]] > angle[i]:
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = i
+        placed += 1
     # A facet that runs low -> high has the normal axis x across, towards growing angles: its solid lies before it,
     # that of a backward facet behind it. Backward opens and forward closes a solid wedge; wedges nest like brackets.
     stack = np.empty(2 * n, np.int32)
@@ -203,89 +175,66 @@ def _pair_around(corners: NDArray[np.float64], forward: NDArray[np.bool_], fan: 
 
 
 @kernel
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-@kernel
 def _normalise(vector: NDArray[np.float64]) -> None:
-    length = math.sqrt(_dot(vector, vector))
+    length = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
     for k in range(3):
         vector[k] = np.true_divide(vector[k], length)
 
 
-@kernel
 def split_corners(faces: Index, twin: Index) -> Index:
     """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` do.
 
     Bodies that touch along an edge or at a vertex come apart: each gets vertices of its own at the same places.
     Neighbours that run the same way along their edge are left apart.
     """
-    count = 3 * faces.shape[0]
-    root = np.arange(count)
-    for h in range(count):
-        g = twin[h]
-        if g < h or faces[h // 3, h % 3] == faces[g // 3, g % 3]:
-            continue
-        after_h, after_g = 3 * (h // 3) + (h % 3 + 1) % 3, 3 * (g // 3) + (g % 3 + 1) % 3
-        for side in range(2):
-            a, b = (h, after_g) if side == 0 else (after_h, g)
-            while root[a] != a:
-                root[a] = root[root[a]]
-                a = root[a]
-            while root[b] != b:
-                root[b] = root[root[b]]
-                b = root[b]
-            root[max(a, b)] = min(a, b)
-    label = np.full(count, -1, np.int32)
-    corners = 0
-    for c in range(count):
-        r = c
-        while root[r] != r:
-            r = root[r]
-        if label[r] < 0:
-            label[r] = corners
-            corners += 1
-        label[c] = label[r]
-    return label.reshape(-1, 3)
+    corners = faces.ravel()
+    h = np.flatnonzero(twin > np.arange(twin.size))
+    h = h[corners[h] != corners[twin[h]]]
+    g = twin[h].astype(np.int64)
+    after_h, after_g = (np.where(k % 3 == 2, k - 2, k + 1) for k in (h, g))
+    return _components(corners.size, np.concatenate([h, after_h]), np.concatenate([after_g, g])).reshape(
+        -1, 3
+    )
 
 
 def body_labels(faces: Index, groups: EdgeGroups) -> Index:
     """Body of each facet (F,): facets that share an edge are one body; -1 for degenerate facets."""
-    return _bodies(len(faces), groups.half_edges, groups.starts)
+    facets = groups.half_edges // 3
+    first = np.repeat(facets[groups.starts[:-1]], np.diff(groups.starts))
+    label = _components(len(faces), first.astype(np.int64), facets.astype(np.int64))
+    known = np.zeros(len(faces), np.bool_)
+    known[facets] = True
+    if known.all():
+        return label
+    label[~known] = -1
+    used = np.zeros(len(faces) + 1, np.int32)
+    used[label[known]] = 1
+    label[known] = (np.cumsum(used) - 1)[label[known]]
+    return label
 
 
 @kernel
-def _bodies(count: int, half_edges: Index, starts: Index) -> Index:
-    """Union-find over the facets of every edge; bodies are numbered by their first facet."""
-    root = np.full(count, -1, np.int32)
-    for h in half_edges:
-        root[h // 3] = h // 3
-    for e in range(starts.size - 1):
-        for i in range(starts[e] + 1, starts[e + 1]):
-            a, b = half_edges[starts[e]] // 3, half_edges[i] // 3
-            while root[a] != a:
-                root[a] = root[root[a]]
-                a = root[a]
-            while root[b] != b:
-                root[b] = root[root[b]]
-                b = root[b]
-            # The lesser facet stays the root, so that a body's root is its first facet.
-            if a < b:
-                root[b] = a
-            else:
-                root[a] = b
-    label = np.full(count, -1, np.int32)
-    bodies = 0
-    for f in range(count):
-        if root[f] < 0:
-            continue
-        if root[f] == f:
-            label[f] = bodies
-            bodies += 1
+def _components(count: int, a: Ints, b: Ints) -> Index:
+    """Component (count,) of each item where items `a` and `b` (N,) hang together; numbered by their first items."""
+    root = np.arange(count)
+    for n in range(a.size):
+        i, j = a[n], b[n]
+        while root[i] != i:
+            root[i] = root[root[i]]
+            i = root[i]
+        while root[j] != j:
+            root[j] = root[root[j]]
+            j = root[j]
+        root[max(i, j)] = min(i, j)
+    label = np.empty(count, np.int32)
+    found = 0
+    for i in range(count):
+        # Roots are lesser than their members, so the parent is labelled by now.
+        if root[i] == i:
+            label[i] = found
+            found += 1
         else:
-            # Roots are lesser than their members, so the parent is labelled by now.
-            label[f] = label[root[f]]
+            label[i] = label[root[i]]
     return label
 
 

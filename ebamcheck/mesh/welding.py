@@ -34,9 +34,10 @@ def weld(
     Returns vertices (V, 3), in order of first appearance, and faces (F, 3).
     """
     corners = np.ascontiguousarray(triangles).reshape(-1, 3)
-    index = _earliest(corners)
-    first = _number(index)
-    return corners[first].astype(np.float64) + 0.0, index.reshape(-1, 3)
+    earliest = _earliest(corners)
+    is_first = earliest == np.arange(len(earliest))
+    number = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
+    return corners[is_first].astype(np.float64) + 0.0, number[earliest].reshape(-1, 3)
 
 
 def _earliest(corners: Corners) -> Rows:
@@ -135,20 +136,3 @@ def _weld_shares(dealt: Keys, starts: NDArray[np.int64], earliest: Rows) -> None
                     break
                 slot = (slot + np.uint64(1)) & mask
             earliest[dealt[i, 3]] = dealt[k, 3]
-
-
-@kernel
-def _number(earliest: Rows) -> Rows:
-    """Number the vertices by first appearance, in place of the first equal row of each row; returns their rows (V,)."""
-    first = np.empty(earliest.size, np.int32)
-    count = 0
-    for i in range(earliest.size):
-        k = earliest[i]
-        if k == i:
-            first[count] = i
-            earliest[i] = count
-            count += 1
-        else:
-            # An earlier row, which has its number by now.
-            earliest[i] = earliest[k]
-    return first[:count].copy()

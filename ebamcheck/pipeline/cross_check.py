@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison, compare_all
-from ebamcheck.comparison.consensus import EVERY_AGREEMENT
-from ebamcheck.comparison.independence import EvidenceRule
+from ebamcheck.comparison.consensus import EVERY_AGREEMENT, EvidenceRule
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.layers.files import LayerFile, count_kept, kept_blocks

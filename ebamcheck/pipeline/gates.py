@@ -14,8 +14,8 @@ from ebamcheck.checks.mesh_checks import layer_borders
 from ebamcheck.checks.rules import of_gate
 from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.comparison import Comparison, Disagreement
-from ebamcheck.comparison.disagreement import worst_of
 from ebamcheck.comparison.doubt import doubted_layers
+from ebamcheck.comparison.naming import worst_of
 from ebamcheck.errors import ExitCode
 from ebamcheck.layers.layer_rule import section_areas
 from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of

@@ -54,7 +54,11 @@ def directed(a: Outline, b: Outline) -> Directed:
         return Directed(apart, np.nan, np.nan, -1, apart, np.empty(0, np.int64))
     places, lengths, owners = a.samples.places, a.samples.lengths, a.samples.segments
     segments = b.segments
-    distances, near = _sampled(places, b.tree)
+    distances, near = np.empty(len(places)), np.empty(len(places), np.int64)
+    found = -1
+    for k in range(len(places)):
+        square, found = nearest_segment(b.tree, places[k, 0], places[k, 1], found)
+        distances[k], near[k] = math.sqrt(square), found
     k = int(np.argmax(distances))
     most, x, y, segment = distances[k], places[k, 0], places[k, 1], owners[k]
     least, sampled = distances[-1], most
@@ -83,17 +87,6 @@ def directed(a: Outline, b: Outline) -> Directed:
             if higher > most:
                 most, x, y, segment = higher, hx, hy, owners[k]
     return Directed(most, x, y, segment, _percentile(distances, lengths, least, sampled), near)
-
-
-@kernel
-def _sampled(places: Floats, tree: SegmentTree) -> tuple[Floats, Ints]:
-    """Distance of each place from the segments, and the nearest one of them."""
-    distances, near = np.empty(len(places)), np.empty(len(places), np.int64)
-    found = -1
-    for k in range(len(places)):
-        square, found = nearest_segment(tree, places[k, 0], places[k, 1], found)
-        distances[k], near[k] = math.sqrt(square), found
-    return distances, near
 
 
 @kernel
@@ -180,9 +173,16 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
     one rate.
     """
     bottom, top = least, most
+    low, high, weight = np.empty(distances.size), np.empty(distances.size), np.empty(distances.size)
+    total, count = 0.0, 0
+    for k in range(distances.size - 1):
+        if lengths[k] >= 0.0:
+            low[count], high[count] = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
+            weight[count] = lengths[k]
+            total, count = total + lengths[k], count + 1
     # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
     # many there are and how much of them is below the middle.
-    low, high, weight, total, (below, rate, count, half) = _spans(distances, lengths, bottom, top)
+    below, rate, count, half = _within(low, high, weight, count, bottom, top)
     wanted = PERCENTILE * total
     # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
     doubt = 4.0 * EPSILON * distances.size * total
@@ -196,7 +196,11 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
         if abs(under + half - wanted) > doubt:
             under += half
         else:
-            under = _added(low, high, weight, count, middle, under)
+            for k in range(count):
+                if high[k] <= middle:
+                    under += weight[k]
+                elif low[k] < middle:
+                    under += weight[k] * (middle - low[k]) / (high[k] - low[k])
         if under >= wanted:
             top = middle
         else:
@@ -208,68 +212,27 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
 
 
 @kernel
-def _spans(
-    distances: Floats, lengths: Floats, bottom: float, top: float
-) -> tuple[Floats, Floats, Floats, float, tuple[float, float, int, float]]:
-    """Lesser and greater distance at the ends of each piece with an end inside a bracket, and its length.
-
-    Then the length of all pieces, and what :func:`_within` tells of them.
-    """
-    low, high, weight = np.empty(distances.size), np.empty(distances.size), np.empty(distances.size)
-    total, below, rate, kept, half = 0.0, 0.0, 0.0, 0, 0.0
-    for k in range(distances.size - 1):
-        if lengths[k] >= 0.0:
-            start, stop = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
-            low[kept], high[kept], weight[kept] = start, stop, lengths[k]
-            under, rise, part, stays = _place(start, stop, lengths[k], bottom, top)
-            total, below, rate, half = total + lengths[k], below + under, rate + rise, half + part
-            kept += stays
-    return low, high, weight, total, (below, rate, kept, half)
-
-
-@kernel
 def _within(
     low: Floats, high: Floats, weight: Floats, count: int, bottom: float, top: float
 ) -> tuple[float, float, int, float]:
     """Drop the pieces without an end inside a bracket: their length below it, its rise within, how many are left.
 
-    Then the length of those that are left below the middle of the bracket, up to rounding.
+    Then the length of those that are left below the middle of the bracket, up to rounding. Without a branch: where a piece lies
+    is as good as random.
     """
     below, rate, kept, half = 0.0, 0.0, 0, 0.0
+    middle = 0.5 * (bottom + top)
     for k in range(count):
         start, stop, length = low[k], high[k], weight[k]
         low[kept], high[kept], weight[kept] = start, stop, length
-        under, rise, part, stays = _place(start, stop, length, bottom, top)
-        below, rate, half = below + under, rate + rise, half + part
+        rise = np.divide(length, stop - start)
+        is_under, is_over = stop <= bottom, start >= top
+        across = (start <= bottom) & (stop >= top) & (not is_under)
+        stays = not (is_under | is_over | across)
+        under = rise * (bottom - start) if across else 0.0
+        part = length if stop <= middle else rise * (middle - start)
+        below += length if is_under else under
+        rate += rise if across else 0.0
+        half += part if stays & (start <= middle) else 0.0
         kept += stays
     return below, rate, kept, half
-
-
-@kernel
-def _place(
-    start: float, stop: float, length: float, bottom: float, top: float
-) -> tuple[float, float, float, bool]:
-    """Where a piece lies to a bracket: its length below, its rise within, its length below the middle, whether it stays.
-
-    The first two are told of a piece without an end inside, which is dropped; the third of one that stays. Without a
-    branch: where a piece lies is as good as random.
-    """
-    rise, middle = np.divide(length, stop - start), 0.5 * (bottom + top)
-    is_under, is_over = stop <= bottom, start >= top
-    across = (start <= bottom) & (stop >= top) & (not is_under)
-    stays = not (is_under | is_over | across)
-    below = rise * (bottom - start) if across else 0.0
-    below = length if is_under else below
-    part = length if stop <= middle else rise * (middle - start)
-    return below, rise if across else 0.0, part if stays & (start <= middle) else 0.0, stays
-
-
-@kernel
-def _added(low: Floats, high: Floats, weight: Floats, count: int, middle: float, under: float) -> float:
-    """Add to a length that of the first pieces below a distance, one after the other."""
-    for k in range(count):
-        if high[k] <= middle:
-            under += weight[k]
-        elif low[k] < middle:
-            under += weight[k] * (middle - low[k]) / (high[k] - low[k])
-    return under

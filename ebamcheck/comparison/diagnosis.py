@@ -1,28 +1,220 @@
-"""Causes in the plane that no fit by small steps finds: mirroring, quarter turns, a unit, a winding rule, a coarse grid."""
+"""Systematic causes of the difference between two slicers, each with its size and the share that it explains."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ebamcheck.comparison import depth as status
-from ebamcheck.comparison.causes import MeshFlaws
-from ebamcheck.comparison.diagnosis.cause import (
+from ebamcheck.comparison import sweep
+from ebamcheck.comparison.fit_causes import (
+    DZ,
+    TURN,
+    TX,
+    TY,
+    D,
+    E,
+    FieldFit,
+    Fitted,
+    centroid,
+    contours_of,
+    contours_over,
+    scaled_section,
+    share_of,
+    windings,
+)
+from ebamcheck.comparison.outline import outline
+from ebamcheck.comparison.place_causes import MeshFlaws
+from ebamcheck.comparison.sources import LayerSource
+from ebamcheck.comparison.whole_causes import (
+    HEIGHT,
     MIRROR,
+    OFFSET,
     QUANTISATION,
     ROTATION,
+    SCALE,
+    TRANSLATION,
     UNIT,
     WINDING_RULE,
     Cause,
+    Reader,
+    Sheet,
+    apart_mm2,
+    layer_causes,
+    moved_points,
+    ring_causes,
+    sample,
+    total_mm2,
 )
-from ebamcheck.comparison.diagnosis.fit import contours_of, contours_over, scaled_section, share_of, windings
-from ebamcheck.comparison.diagnosis.sheets import Sheet, apart_mm2, moved_points, total_mm2
-from ebamcheck.comparison.outline import Outline, outline
-from ebamcheck.comparison.overlap import overlap
 from ebamcheck.geometry.nearest import SegmentTree
 from ebamcheck.numeric.rings import Bools, Floats, Ints
+
+ENOUGH = 0.9
+"""Share of a difference from which a single cause is enough."""
+
+ALL = 0.98
+"""Share of a difference from which a cause leaves nothing to look for."""
+
+NAMED = 0.55
+"""Least share of a difference that the causes together must explain to be named: noise, too, fits some cause by chance, and
+a scale that explains 51 % fits a square that has lost a corner."""
+
+LEAST = 0.1
+"""Least share of a difference that one cause among several must explain."""
+
+AS_WELL = 0.01
+"""Causes whose shares differ by less than this cannot be told apart on these layers."""
+
+LARGE = 1.5
+"""Factor of size from which sections differ by their unit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Differing:
+    """Layers on which two slicers disagree, and the figures of all layers of both."""
+
+    layers: Ints
+    """(n,) layers on which they disagree, rising."""
+    heights: Floats
+    """(L,) mm."""
+    areas: Floats
+    """(2, L) mm2, the slicer that differs first."""
+    rings: Ints
+    """(2, L) numbers of closed rings."""
+
+
+def diagnose(
+    a: LayerSource, b: LayerSource, found: Differing, flaws: MeshFlaws, origin_mm: tuple[float, float]
+) -> tuple[Cause, ...]:
+    """Find what the differences of slicer `a`, in coordinates from the part's middle, from slicer `b` have in common.
+
+    The cause that explains most comes first; there is none if nothing explains enough of the difference. At most
+    :data:`~ebamcheck.comparison.whole_causes.MOST_SHEETS` layers are examined.
+    """
+    reader_a, reader_b = Reader(a), Reader(b)
+    solid = found.layers[found.rings[0, found.layers] > 0]
+    sheets = sample(solid, found.rings.sum(axis=0), found.heights, reader_a, reader_b, origin_mm)
+    unit = _unit(sheets, flaws)
+    if unit is not None:
+        return (unit,)
+    causes, left = layer_causes(sheets, found.layers, found.areas, found.rings, reader_b)
+    remains = max(1.0 - sum(cause.share for cause in causes), 0.0)
+    if left and remains > LEAST:
+        causes += [cause.scaled(remains) for cause in _in_sheets(left, flaws, _step(found.heights))]
+    causes = sorted((c for c in causes if c.share >= LEAST), key=lambda c: -c.share)
+    return tuple(causes) if sum(c.share for c in causes) >= NAMED else ()
+
+
+def cause_of(causes: Sequence[Cause], layer: int) -> Cause | None:
+    """The cause that explains most, of those that affect a layer; None if there is none."""
+    return next((cause for cause in causes if cause.layers is None or layer in cause.layers), None)
+
+
+def _step(heights: Floats) -> float:
+    return float(np.median(np.diff(heights))) if heights.size > 1 else 1.0
+
+
+def _unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
+    """A mistaken unit of the whole part, which also changes the section at each height."""
+    solid = [sheet for sheet in sheets if sheet.both_solid]
+    if not solid:
+        return None
+    ratios = [
+        float(np.abs(s.a.ring_areas).sum() / max(float(np.abs(s.b.ring_areas).sum()), 1e-300)) for s in solid
+    ]
+    if 1.0 / LARGE < math.sqrt(float(np.median(ratios))) < LARGE:
+        return None
+    unit = wrong_unit(solid, flaws)
+    return unit if unit is not None and unit.share >= ENOUGH else None
+
+
+def _in_sheets(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
+    """Causes in whole rings, and in the position and size of contours."""
+    rule = other_rule(sheets, flaws)
+    if rule is not None and rule.share >= ENOUGH:
+        return [rule]
+    before = total_mm2(sheets)
+    causes, mended = ring_causes(sheets, LEAST)
+    remains = total_mm2(mended) / before if before > 0.0 else 0.0
+    solid = [sheet for sheet in mended if sheet.both_solid]
+    if remains > LEAST and solid:
+        causes += [cause.scaled(remains) for cause in _lying(solid, flaws, step_mm)]
+    return causes
+
+
+def _lying(sheets: list[Sheet], flaws: MeshFlaws, step_mm: float) -> list[Cause]:
+    """Causes in position and size of matching contours: the simplest of those that explain about as much."""
+    grid = coarse_grid(sheets)
+    if grid is not None and grid.share >= ENOUGH:
+        return [grid]
+    fits = FieldFit(sheets, flaws, step_mm).best(ENOUGH)
+    best = fits[0].share if fits else 0.0
+    turned = turned_over(sheets) if best < ALL else None
+    others = [c for c in (grid, turned, other_rule(sheets, flaws) if best < ALL else None) if c is not None]
+    most = max(others, key=lambda c: c.share, default=None)
+    if most is not None and most.share > best + AS_WELL:
+        return [most]
+    if best < LEAST:
+        return []
+    near = [f for f in fits if f.share >= best - AS_WELL]
+    fewest = min(len(f.names) for f in near)
+    near = sorted((f for f in near if len(f.names) == fewest), key=lambda f: _plainness(f))
+    origin_mm = sheets[0].origin_mm
+    first = _named(near[0], fits, origin_mm)
+    if fewest == 1:
+        # Scale and rotation include a translation: if that alone is enough, they are not causes.
+        other = [] if near[0].names == ("translation",) else near[1:]
+        also = tuple(_named(f, fits, origin_mm)[0].text for f in other)
+        first = [replace(first[0], also=also)]
+    return first
+
+
+_PLAIN = ("translation", "offset", "height", "scale", "rotation")
+
+
+def _plainness(fitted: Fitted) -> int:
+    return sum(_PLAIN.index(name) for name in fitted.names)
+
+
+def _named(fitted: Fitted, fits: Sequence[Fitted], origin_mm: tuple[float, float]) -> list[Cause]:
+    """Name the causes of a fit; of two, the stronger gets the share that it explains alone, if that is over half of it."""
+    alone = {f.names[0]: f.share for f in fits if len(f.names) == 1}
+    names = sorted(fitted.names, key=lambda n: -alone.get(n, 0.0))
+    shares = [fitted.share]
+    if len(names) == 2:
+        first = min(alone.get(names[0], 0.0), fitted.share)
+        shares = [first, fitted.share - first] if first > 0.5 * fitted.share else [0.5 * fitted.share] * 2
+    return [_field_cause(name, fitted, share, origin_mm) for name, share in zip(names, shares, strict=True)]
+
+
+def _field_cause(name: str, fitted: Fitted, share: float, origin_mm: tuple[float, float]) -> Cause:
+    """Name one cause with its size."""
+    q = fitted.parameters
+    if name == "offset":
+        way = "outward" if q[D] > 0.0 else "inward"
+        return Cause(OFFSET, float(q[D]), "mm", f"constant offset of {abs(q[D]):.4g} mm {way}", share)
+    if name == "translation":
+        x, y = float(q[TX]), float(q[TY])
+        text = f"translation by ({x:.4g}, {y:.4g}) mm"
+        return Cause(TRANSLATION, math.hypot(x, y), "mm", text, share, vector_mm=(x, y))
+    if name == "height":
+        way = "high" if q[DZ] > 0.0 else "low"
+        return Cause(HEIGHT, float(q[DZ]), "mm", f"wrong height: cut {abs(q[DZ]):.4g} mm too {way}", share)
+    linear = math.exp(q[E]) * np.array(
+        [[math.cos(q[TURN]), -math.sin(q[TURN])], [math.sin(q[TURN]), math.cos(q[TURN])]]
+    )
+    centre = np.linalg.lstsq(np.eye(2) - linear, q[[TX, TY]], rcond=None)[0] + origin_mm
+    about = f"about ({centre[0]:.3f}, {centre[1]:.3f}) mm"
+    if name == "rotation":
+        degrees = math.degrees(q[TURN])
+        return Cause(ROTATION, degrees, "degrees", f"rotation by {degrees:.4g} degrees {about}", share)
+    factor = math.exp(q[E])
+    if words := unit_of(factor):
+        return unit_cause(words, factor, share)
+    return Cause(SCALE, factor, "", f"scale by {factor:.6g} {about}", share)
+
 
 UNITS: dict[str, float] = {
     "inches taken for millimetres": 1.0 / 25.4,
@@ -87,7 +279,7 @@ def turned_over(sheets: Sequence[Sheet]) -> Cause | None:
     if not before > 0.0:
         return None
     middle_a, middle_b = (
-        _middle([getattr(s, which) for s in sheets]) for which in ("outline_a", "outline_b")
+        centroid(contours_of(getattr(s, which)) for s in sheets)[0] for which in ("outline_a", "outline_b")
     )
     best: tuple[float, str, float, Floats] | None = None
     for kind, angle, turn in TURNS:
@@ -141,11 +333,11 @@ def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
     """Another rule for the winding numbers that are solid, found in the pieces in which the two slicers differ."""
     whole, explained, wrong = 0.0, dict.fromkeys(RULES, 0.0), dict.fromkeys(RULES, 0.0)
     for sheet in sheets:
-        pieces = overlap(sheet.outline_a, sheet.outline_b, True).difference
-        y = 0.5 * (pieces[:, status.Y0] + pieces[:, status.Y1])
-        left = 0.5 * (pieces[:, status.L0] + pieces[:, status.L1])
-        right = 0.5 * (pieces[:, status.R0] + pieces[:, status.R1])
-        area = np.abs(right - left) * (pieces[:, status.Y1] - pieces[:, status.Y0])
+        pieces = sweep.overlap(sheet.outline_a, sheet.outline_b, True).difference
+        y = 0.5 * (pieces[:, sweep.Y0] + pieces[:, sweep.Y1])
+        left = 0.5 * (pieces[:, sweep.L0] + pieces[:, sweep.L1])
+        right = 0.5 * (pieces[:, sweep.R0] + pieces[:, sweep.R1])
+        area = np.abs(right - left) * (pieces[:, sweep.Y1] - pieces[:, sweep.Y0])
         whole += float(area.sum())
         largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
         places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])
@@ -173,7 +365,7 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
     other = np.unique(np.concatenate([np.zeros((0, 2)), *(sheet.b.points for sheet in sheets)]))
     if not before > 0.0 or values.size < GRID_POINTS:
         return None
-    step = _step(values)
+    step = _grid_step(values)
     if step > 0.0:
         if other.size and _on_grid(other, step, values[0]):
             return None
@@ -219,7 +411,7 @@ def _count_elsewhere(sheet: Sheet, mesh: SegmentTree, wrong: dict[str, float]) -
 _WAYS: tuple[Callable[[Floats], Floats], ...] = (np.round, np.floor, np.ceil, np.trunc)
 
 
-def _step(values: Floats) -> float:
+def _grid_step(values: Floats) -> float:
     """Step of the grid on which ascending values lie; 0 if there is none."""
     gaps = np.diff(values)
     gaps = gaps[gaps > LEAST_GAP_MM]
@@ -265,19 +457,5 @@ def _single(points: Floats) -> Floats:
     return np.asarray(points.astype(np.float32).astype(np.float64))
 
 
-# -- areas -------------------------------------------------------------------------------------------
-
-
 def _solid(contours: SegmentTree, places: Floats) -> Bools:
     return np.asarray(windings(contours.segments, places) > 0)
-
-
-def _middle(outlines: Sequence[Outline]) -> Floats:
-    """Centroid of the solid area of all outlines, from the origin."""
-    total, moment = 0.0, np.zeros(2)
-    for one in outlines:
-        x0, y0, x1, y1 = contours_of(one).segments.T
-        cross = x0 * y1 - x1 * y0
-        total += 0.5 * float(cross.sum())
-        moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
-    return moment / total if total else moment

@@ -2,22 +2,21 @@
 
 The model: the contours of the slicer that differs are those of the other one, cut at another height, scaled and rotated
 about the middle of the part, translated, and then offset outward. The remaining distances between the two are minimised by
-iteratively reweighted least squares (Gauss-Newton), so that their sum counts and not the few largest.
+least squares with a soft L1 loss, so that their sum counts and not the few largest.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.causes import MeshFlaws
-from ebamcheck.comparison.diagnosis.sheets import Sheet
-from ebamcheck.comparison.outline import Outline
+from ebamcheck.comparison.outline import Outline, winding
+from ebamcheck.comparison.place_causes import MeshFlaws
+from ebamcheck.comparison.whole_causes import Sheet
 from ebamcheck.geometry.nearest import SegmentTree, nearest_segment, tree_over
 from ebamcheck.numeric.kernels import kernel
 from ebamcheck.numeric.rings import Bools, Floats, Ints
@@ -25,11 +24,11 @@ from ebamcheck.numeric.rings import Bools, Floats, Ints
 PLACES = 160
 """Places along the contours of each sheet."""
 
-STEPS = 10
+MOST_STEPS = 30
 """Most steps of the fit."""
 
-SETTLED = 1e-3
-"""Step, relative to the parameters, below which the fit has converged."""
+SOFT = 0.1
+"""Distance up to which its square counts, over the median at the start: beyond it distances count as they are."""
 
 FARTHEST = 0.5
 """Largest movement of a fit, over the size of the part; beyond it the fit is lost, as contours moved so far hardly overlap."""
@@ -80,7 +79,7 @@ class Seen:
         return contours_of(self.sheet.outline_b)
 
     @cached_property
-    def _moved(self) -> dict[float, tuple[SegmentTree, Floats]]:
+    def _moved(self) -> dict[float, SegmentTree]:
         return {}
 
     @cached_property
@@ -88,10 +87,10 @@ class Seen:
         """Places along `a` (N, 2) mm, and the length that each represents, mm."""
         return along(self.a, PLACES)
 
-    def reference(self, dz_mm: float, moving: bool) -> tuple[SegmentTree, Floats | None]:
-        """Contours that the model moves onto `a`: those of `b`, or the mesh's at another height, with their rates."""
+    def reference(self, dz_mm: float, moving: bool) -> SegmentTree:
+        """Contours that the model moves onto `a`: those of `b`, or the mesh's at another height."""
         if not moving:
-            return self.b, None
+            return self.b
         if dz_mm not in self._moved:
             self._moved[dz_mm] = mesh_contours(self.flaws, self.sheet.height_mm + dz_mm, self.sheet.origin_mm)
         return self._moved[dz_mm]
@@ -104,6 +103,7 @@ class FieldFit:
         self.seen = [Seen(sheet, flaws) for sheet in sheets]
         self.size_mm = max(float(np.hypot(*flaws.part.size[:2])), 1e-9)
         self.step_mm = step_mm
+        self.longest_mm = max([1e-300, *(one.places_a[1] for one in self.seen)])
         self.apart_mm2 = self._left(np.zeros(6), False)
 
     def best(self, enough: float) -> list[Fitted]:
@@ -155,79 +155,66 @@ class FieldFit:
             return
         if names == ("offset",):
             return
-        middle_a, area_a = self._middle("a")
-        middle_b, area_b = self._middle("b")
+        middle_a, area_a = centroid(one.a for one in self.seen)
+        middle_b, area_b = centroid(one.b for one in self.seen)
         start = np.zeros(6)
         if "scale" in names and area_a > 0.0 and area_b > 0.0:
             start[E] = 0.5 * math.log(area_a / area_b)
         start[[TX, TY]] = middle_a - math.exp(start[E]) * middle_b
         yield start
 
-    def _middle(self, which: str) -> tuple[Floats, float]:
-        """Centroid of all solid area, from the origin, and that area."""
-        total, moment = 0.0, np.zeros(2)
-        for one in self.seen:
-            x0, y0, x1, y1 = getattr(one, which).segments.T
-            cross = x0 * y1 - x1 * y0
-            total += 0.5 * float(cross.sum())
-            moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
-        return (moment / total if total else moment), total
-
     def _descended(self, start: Floats, free: list[int]) -> Floats:
-        """Parameters after the steps of the fit."""
-        q = start.copy()
-        scale = np.array([1.0, 1.0, 1.0, self.size_mm, self.size_mm, 1.0])[free]
-        for _ in range(STEPS):
-            rows, rest, weights = self._system(q, DZ in free)
-            if not rest.size:
-                return q
-            spread = max(float(np.median(np.abs(rest))), 1e-3 * float(np.abs(rest).mean()), 1e-12)
-            root = np.sqrt(weights / np.maximum(np.abs(rest), spread))
-            step, *_ = np.linalg.lstsq(rows[:, free] / scale * root[:, None], -rest * root, rcond=1e-9)
-            q[free] += step / scale
-            if np.abs((q - start)[free] * scale).max() > FARTHEST * self.size_mm:
-                return start
-            if np.abs(step).max() <= SETTLED * np.abs(q[free] * scale).max():
-                break
-        return q
+        """Parameters of the least sum of distances; the start where the fit is lost."""
+        from scipy.optimize import least_squares  # which loads when it is needed
 
-    def _system(self, q: Floats, moving: bool) -> tuple[Floats, Floats, Floats]:
-        """Derivatives (N, 6), residuals (N,) mm and lengths (N,) of the places along the contours that differ."""
-        rows, rests, weights = [], [], []
+        scale = np.array([1.0, 1.0, 1.0, self.size_mm, self.size_mm, 1.0])[free]
+
+        def moved(change_mm: Floats) -> Floats:
+            q = start.copy()
+            q[free] += change_mm / scale
+            return q
+
+        def distances(change_mm: Floats) -> Floats:
+            return self._distances(moved(change_mm), DZ in free)
+
+        first = np.abs(distances(np.zeros(len(free))))
+        loss_mm = SOFT * max(float(np.median(first)), 1e-3 * float(first.mean()), 1e-12)
+        most_mm = FARTHEST * self.size_mm
+        found = least_squares(
+            distances,
+            np.zeros(len(free)),
+            bounds=(-most_mm, most_mm),
+            loss="soft_l1",
+            f_scale=loss_mm,
+            max_nfev=MOST_STEPS,
+        )
+        lost = np.abs(found.x).max() >= 0.999 * most_mm
+        return start if lost else moved(found.x)
+
+    def _distances(self, q: Floats, moving: bool) -> Floats:
+        """Distances of the places along the contours that differ from the model's, mm, weighed by their lengths."""
+        found = []
         for one in self.seen:
             places, length = one.places_a
-            contours, rate = one.reference(float(q[DZ]), moving)
-            if not len(contours.segments) or not len(places):
-                continue
-            back = _moved_back(places, q)
-            near = beside(contours, back)
-            scale = math.exp(q[E])
-            row = np.zeros((len(places), 6))
-            n = near.normal
-            row[:, D] = -1.0
-            row[:, TX], row[:, TY] = -_turned(n, q[TURN]).T
-            row[:, E] = -scale * (n * back).sum(axis=1)
-            row[:, TURN] = -scale * (n[:, 1] * back[:, 0] - n[:, 0] * back[:, 1])
-            row[:, DZ] = 0.0 if rate is None else -scale * rate[near.segment]
-            rows.append(row)
-            rests.append(scale * near.distance_mm - q[D])
-            weights.append(np.full(len(places), length))
-        if not rows:
-            return np.zeros((0, 6)), np.zeros(0), np.zeros(0)
-        return np.concatenate(rows), np.concatenate(rests), np.concatenate(weights)
+            contours = one.reference(float(q[DZ]), moving)
+            if len(places):
+                rest = math.exp(q[E]) * beside(contours, _moved_back(places, q)) - q[D]
+                # Where the model has no contour, any is far.
+                found.append(length / self.longest_mm * np.clip(rest, -self.size_mm, self.size_mm))
+        return np.concatenate([np.zeros(1), *found])
 
     def _left(self, q: Floats, moving: bool) -> float:
         """Area between the contours and the model's, mm2: distances times lengths, measured from both."""
         total = 0.0
         for one in self.seen:
             places, length = one.places_a
-            contours, _ = one.reference(float(q[DZ]), moving)
+            contours = one.reference(float(q[DZ]), moving)
             there, there_length = along(contours, PLACES)
             if not len(places) or not len(there):
                 total += self.size_mm * (length * len(places) + there_length * len(there))
                 continue
-            rest = math.exp(q[E]) * beside(contours, _moved_back(places, q)).distance_mm - q[D]
-            again = beside(one.a, _moved(there, q)).distance_mm + q[D]
+            rest = math.exp(q[E]) * beside(contours, _moved_back(places, q)) - q[D]
+            again = beside(one.a, _moved(there, q)) + q[D]
             total += 0.5 * (length * float(np.abs(rest).sum()))
             total += 0.5 * (there_length * math.exp(q[E]) * float(np.abs(again).sum()))
         return total
@@ -237,7 +224,7 @@ def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], Segment
     """Sections of a part that was read in another unit: all of it larger by a factor from the file's origin."""
 
     def contours(sheet: Sheet) -> SegmentTree:
-        section, _ = mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
+        section = mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
         return contours_over(factor * section.segments - np.array([*sheet.origin_mm, *sheet.origin_mm]))
 
     return contours
@@ -260,7 +247,7 @@ def _gap(a: SegmentTree, b: SegmentTree) -> float:
     total = 0.0
     for one, other in ((a, b), (b, a)):
         places, length = along(one, PLACES)
-        total += 0.5 * length * float(np.abs(beside(other, places).distance_mm).sum()) if len(places) else 0.0
+        total += 0.5 * length * float(np.abs(beside(other, places)).sum()) if len(places) else 0.0
     return total
 
 
@@ -285,9 +272,6 @@ def _moved_back(points: Floats, q: Floats) -> Floats:
 # -- Signed distances from contours given as segments in any order, with the solid on their left ---------------
 
 
-STEEPEST = 1e4
-"""Largest movement of a contour per mm of height: at a level facet it would be infinite."""
-
 MOST_SEGMENTS = 4000
 """Most segments for which the winding number on both sides is computed, which takes quadratic time."""
 
@@ -295,15 +279,15 @@ ASIDE = 1e-6
 """Distance beside a segment, over its length, at which the winding number is computed."""
 
 
-class Near(NamedTuple):
-    """Distances of places from contours."""
-
-    distance_mm: Floats
-    """(N,) distance from the contours, negative inside the solid."""
-    normal: Floats
-    """(N, 2) outward direction, the gradient of the distance."""
-    segment: Ints
-    """(N,) nearest segment."""
+def centroid(contours: Iterable[SegmentTree]) -> tuple[Floats, float]:
+    """Centroid (2,) of all solid area, mm from the origin, and that area, mm2."""
+    total, moment = 0.0, np.zeros(2)
+    for one in contours:
+        x0, y0, x1, y1 = one.segments.T
+        cross = x0 * y1 - x1 * y0
+        total += 0.5 * float(cross.sum())
+        moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
+    return (moment / total if total else moment), total
 
 
 def contours_of(outline: Outline) -> SegmentTree:
@@ -318,21 +302,13 @@ def contours_over(segments: Floats) -> SegmentTree:
     return tree_over(np.ascontiguousarray(segments, np.float64).reshape(-1, 4))
 
 
-def mesh_contours(
-    flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]
-) -> tuple[SegmentTree, Floats]:
-    """Section of the mesh, and the outward movement of each segment per mm of height, (S,)."""
+def mesh_contours(flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]) -> SegmentTree:
+    """Section of the mesh, from an origin."""
     segments = np.ascontiguousarray(flaws.section(height_mm) - np.array([*origin_mm, *origin_mm]))
-    a, b, c = np.moveaxis(flaws.part.triangles[flaws.crossing(height_mm)], 1, 0)
-    normal = np.cross(b - a, c - a)
-    flat = np.hypot(normal[:, 0], normal[:, 1])
-    rate = -normal[:, 2] / np.maximum(flat, np.finfo(np.float64).tiny)
-    rate = np.clip(np.where(flat > 0.0, rate, 0.0), -STEEPEST, STEEPEST)
     if flaws.bodies > 1 and len(segments) <= MOST_SEGMENTS:
         # Where bodies overlap, segments inside the solid of another body are no contour.
-        shown = _between_solid_and_not(segments)
-        segments, rate = segments[shown], rate[shown]
-    return contours_over(segments), rate
+        segments = segments[_between_solid_and_not(segments)]
+    return contours_over(segments)
 
 
 def along(contours: SegmentTree, count: int) -> tuple[Floats, float]:
@@ -350,55 +326,19 @@ def along(contours: SegmentTree, count: int) -> tuple[Floats, float]:
     return segments[s, :2] + t[:, None] * ends[s], total / count
 
 
-def beside(contours: SegmentTree, places: Floats) -> Near:
-    """Distances of places (N, 2) from contours."""
-    distance, normal, segment = _beside(contours, np.ascontiguousarray(places))
-    return Near(distance, normal, segment)
+def beside(contours: SegmentTree, places: Floats) -> Floats:
+    """Distances (N,) mm of places (N, 2) from contours, negative inside the solid; infinite where there are none."""
+    return _beside(contours, np.ascontiguousarray(places))
 
 
 @kernel
-def _beside(contours: SegmentTree, places: Floats) -> tuple[Floats, Floats, Ints]:
-    """Distances, normals and nearest segments; see :class:`Near`."""
-    segments, count = contours.segments, len(places)
-    distance, normal, near = np.full(count, np.inf), np.zeros((count, 2)), np.full(count, -1)
-    if len(segments) == 0:
-        return distance, normal, near
-    guess = -1
-    for i in range(count):
+def _beside(contours: SegmentTree, places: Floats) -> Floats:
+    distances, guess = np.full(len(places), np.inf), -1
+    for i in range(len(places) if len(contours.segments) > 0 else 0):
         x, y = places[i, 0], places[i, 1]
         square, guess = nearest_segment(contours, x, y, guess)
-        away, near[i] = math.sqrt(square), guess
-        inside = winding_of(segments, x, y) > 0
-        distance[i] = -away if inside else away
-        ax, ay, bx, by = segments[guess, 0], segments[guess, 1], segments[guess, 2], segments[guess, 3]
-        ux, uy = bx - ax, by - ay
-        square = ux * ux + uy * uy
-        t = 0.0
-        if square > 0.0:
-            t = min(max(((x - ax) * ux + (y - ay) * uy) / square, 0.0), 1.0)
-        if 0.0 < t < 1.0 or away == 0.0:
-            long = np.sqrt(square) if square > 0.0 else 1.0
-            normal[i, 0], normal[i, 1] = uy / long, -ux / long
-        else:
-            sign = -1.0 if inside else 1.0
-            normal[i, 0] = sign * (x - ax - t * ux) / away
-            normal[i, 1] = sign * (y - ay - t * uy) / away
-    return distance, normal, near
-
-
-@kernel
-def winding_of(segments: Floats, x: float, y: float) -> int:
-    """Winding number of closed segments about (x, y), in whatever order they lie."""
-    total = 0
-    for i in range(len(segments)):
-        if (segments[i, 1] <= y) != (segments[i, 3] <= y):
-            rises = segments[i, 1] <= y
-            low, high = (0, 2) if rises else (2, 0)
-            across = (segments[i, high] - segments[i, low]) * (y - segments[i, low + 1])
-            across -= (x - segments[i, low]) * (segments[i, high + 1] - segments[i, low + 1])
-            if across < 0.0:
-                total += -1 if rises else 1
-    return total
+        distances[i] = -math.sqrt(square) if winding(contours.segments, x, y) > 0 else math.sqrt(square)
+    return distances
 
 
 @kernel
@@ -406,7 +346,7 @@ def windings(segments: Floats, places: Floats) -> Ints:
     """Winding number of closed segments about each of some places (N, 2)."""
     found = np.zeros(len(places), np.int64)
     for i in range(len(places)):
-        found[i] = winding_of(segments, places[i, 0], places[i, 1])
+        found[i] = winding(segments, places[i, 0], places[i, 1])
     return found
 
 
