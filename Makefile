@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0 $(PYTEST_OPTIONS)
 
-.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs kernel-list wheel container benchmark tables benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-scale benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -90,14 +90,9 @@ map: setup ## Make docs/map.md from the docstrings
 docs: setup ## Build the documentation into site/, with warnings as errors
 	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
-kernel-list: setup ## Write the list of kernels that `ebamcheck warm` compiles, from a main job with an empty cache
-	@$(BIN)/python -m ebamcheck.commands.kernel_record
-
-wheel: setup ## Build a wheel that brings its kernels compiled, for x86-64-v3 (on Arm: any) and the numba that is installed, into dist/
-	@mkdir -p build
+wheel: setup ## Build a wheel into dist/
 	@rm -rf dist
-	@$(BIN)/python -m ebamcheck.commands.ready_file build/ready.kernels
-	@EBAMCHECK_WHEEL_KERNELS=$(CURDIR)/build/ready.kernels $(BIN)/python -m build --wheel --no-isolation --outdir dist
+	@$(BIN)/python -m build --wheel --no-isolation --outdir dist
 
 container: ## Build a container that brings its kernels compiled, where podman or docker is there
 	@engine=$$(command -v podman || command -v docker) || { echo "neither podman nor docker is there" >&2; exit 2; }; \

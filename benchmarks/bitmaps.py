@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from benchmarks.timing import forget_peak, some_of, status_mb
 from benchmarks.worker import Begin
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.draw_once import DrawnOnce

@@ -13,8 +13,8 @@ from typing import Any, TypeAlias
 import manifold3d as m3
 import numpy as np
 
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.numeric.rings import Floats
 
 CIRCLE_SEGMENTS = 96
 

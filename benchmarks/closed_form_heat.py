@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.heat import DepthModes, HeatModel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 SERIES = 1e-4
 """Exponents under this are taken as power series, which is exact to the last digits there."""

@@ -17,8 +17,8 @@ from benchmarks.worker import Begin
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
-from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.plugins import registry
+from ebamcheck.threads import thread_count
 from ebamcheck_embree.scene import Scene
 
 JUDGED_LAYERS = 48

@@ -1,8 +1,7 @@
 """``python -m benchmarks.first_use``: what a new install waits for: its kernels, its first slice, its first run, the demo.
 
-Each command works in a copy of the sources without a compiled kernel, and once more when they are compiled. ``demo`` is
-``make demo`` in a copy of the checkout's files, with all its set-up; ``wheel`` is a run of the demo part from a new
-install of the wheel that ``make wheel`` builds.
+Each command works with an empty cache of kernels, and once more when they are compiled. ``demo`` is ``make demo`` in a copy
+of the checkout's files, with all its set-up.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from benchmarks.parts import DEMO_REFERENCE_MM, DEMO_TOLERANCE_MM, model_file
 from benchmarks.watch import ROOT, children_s, user_environment
 
 SOURCES = ("ebamcheck", "backends", "reference_models", "reports")
-COMPILED = ("*.nbi", "*.nbc")
 
 
 class Took(NamedTuple):
@@ -31,11 +29,11 @@ class Took(NamedTuple):
 
     wall_s: float
     processor_s: float
-    """Of it and of all processes that it waited for; what compiles beside it is ended, not waited for."""
+    """Of it and of all processes that it waited for."""
 
 
-COMMANDS = "warm", "slice", "run", "demo", "wheel"
-SHOWN = {"demo": "`make demo`", "wheel": "`ebamcheck run` from the wheel"}
+COMMANDS = "warm", "slice", "run", "demo"
+SHOWN = {"demo": "`make demo`"}
 """What a row is called that is not the command of its name."""
 
 
@@ -66,45 +64,24 @@ def first_use(name: str) -> tuple[Took, Took]:
             _copy_checkout(copy)
             make = ["make", "demo"]
             # Set up from nothing, as in a new clone: nothing of this interpreter's environment.
-            env = user_environment("VIRTUAL_ENV", "PYTHONPATH")
+            env = {**user_environment("VIRTUAL_ENV", "PYTHONPATH"), "NUMBA_CACHE_DIR": f"{folder}/kernels"}
             return _timed(copy, make, env), _timed(copy, make, env)
         part, fine = (model_file("blade", tolerance) for tolerance in (DEMO_TOLERANCE_MM, DEMO_REFERENCE_MM))
-        {"wheel": _install_wheel}.get(name, _copy_sources)(copy)
-        run = ["run", str(part), "--reference", str(fine), "--force", "-o", f"{folder}/run"]
+        for source in SOURCES:
+            shutil.copytree(ROOT / source, copy / source)
         arguments = {
             "warm": ["warm"],
             "slice": ["slice", str(part), "--layer-height", "5", "-o", f"{folder}/out.parquet"],
-            "run": run,
-            "wheel": run,
+            "run": ["run", str(part), "--reference", str(fine), "--force", "-o", f"{folder}/run"],
         }[name]
         command = [sys.executable, "-m", "ebamcheck", *arguments]
         paths = [str(copy), *(str(copy / source) for source in SOURCES[1:])]
-        env = {**user_environment(), "PYTHONPATH": os.pathsep.join(paths)}
+        env = {
+            **user_environment(),
+            "PYTHONPATH": os.pathsep.join(paths),
+            "NUMBA_CACHE_DIR": f"{folder}/kernels",
+        }
         return _timed(copy, command, env), _timed(copy, command, env)
-
-
-def _copy_sources(to: Path) -> None:
-    """Copy the packages, with their bytecode and without a compiled kernel."""
-    for source in SOURCES:
-        shutil.copytree(ROOT / source, to / source, ignore=shutil.ignore_patterns(*COMPILED))
-
-
-def _install_wheel(to: Path) -> None:
-    """Build the wheel that brings its kernels compiled, and install it beside the libraries of this interpreter."""
-    subprocess.run(["make", "wheel"], cwd=ROOT, capture_output=True, check=True)
-    (wheel,) = (ROOT / "dist").glob("*.whl")
-    install = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--no-deps",
-        "--target",
-        str(to),
-        str(wheel),
-    ]
-    subprocess.run(install, capture_output=True, check=True)
 
 
 def _copy_checkout(to: Path) -> None:

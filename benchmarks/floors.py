@@ -17,7 +17,7 @@ import numpy as np
 from benchmarks import methods
 from benchmarks.figures import cell_times, find, layers_cut, total_s
 from benchmarks.targets import SLICE, Figures
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.threads import run_blocks
 
 COPY_BYTES, COPIES = 1 << 28, 5
 """Size of the array that is copied, far over any cache, and how often: the fastest copy counts."""

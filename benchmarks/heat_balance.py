@@ -37,8 +37,8 @@ from ebamcheck.checks.text_heat import (
 )
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.plugins.model import models
 from ebamcheck.program import read_program

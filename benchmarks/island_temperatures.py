@@ -25,7 +25,7 @@ from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import depth_modes
 from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
 from ebamcheck.heat.island_heat import IslandHeat
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.order.entries import clocked
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
 from ebamcheck.scan.order.simulation import entered

@@ -17,9 +17,9 @@ import psutil
 from benchmarks.floors import copy_bandwidth, first_touch
 from benchmarks.watch import ROOT
 from ebamcheck import __version__
-from ebamcheck.numeric.kernels import thread_count
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.plugins import registry
+from ebamcheck.threads import thread_count
 
 PACKAGES = (
     *("numpy", "numba", "llvmlite", "scipy", "shapely", "pyarrow", "pandas", "pydantic"),

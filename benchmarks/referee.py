@@ -19,8 +19,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.raster import islands_in_cells, oriented_rings
 from ebamcheck.heat.medium import BEAM_SHARE, STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, enthalpy_tables
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import OrderResult
 from ebamcheck.scan.plan.laying import LaidLayer

@@ -19,8 +19,8 @@ import shapely
 from benchmarks.machine import machine
 from benchmarks.scan_orders import DEFAULT_OUTPUT, MODELS, markdown
 from ebamcheck.geometry.regions import layer_section
+from ebamcheck.kernels import Ints
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.numeric.rings import Ints
 from ebamcheck.plugins.model import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
 from ebamcheck.scan.order.orders import chosen_options, scan_order

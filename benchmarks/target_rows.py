@@ -224,10 +224,6 @@ JOB = (
     Target("warm", "`ebamcheck warm` of a new install", 60.0, "s", lambda f: f.told("warm", _wall_s), "warm"),
     Target("first-slice", "first `ebamcheck slice` of a new install", 15.0, "s", lambda f: f.told("slice", _wall_s), "slice"),
     Target("first-run", "first `ebamcheck run` of a new install, demo part, nothing compiled", None, "s", lambda f: f.told("run", _wall_s), "run"),
-    Target(
-        "wheel", "first `ebamcheck run` from the wheel of `make wheel`, demo part, over the second", 1.0, "s",
-        lambda f: f.told("wheel", lambda a: max(0.0, a["wall_s"] - a["again_s"])), "wheel",
-    ),
     Target("make-demo", "`make demo` in a new clone, with all its set-up", 120.0, "s", lambda f: f.told("demo", _wall_s), "demo"),
 )  # fmt: skip
 

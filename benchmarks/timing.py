@@ -14,11 +14,11 @@ import numpy as np
 from benchmarks import yardsticks
 from benchmarks.methods import Method
 from benchmarks.worker import Begin
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 
 WARM_MODEL, WARM_TOLERANCE_MM, WARM_LAYER_MM = "cone", 0.2, 0.2

@@ -9,7 +9,7 @@ import numpy as np
 
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.medium import HOTTEST_K, EnthalpyTables
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config
 
 

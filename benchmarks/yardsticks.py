@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.errors import BackendFailed
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 
 STAGE_BEGINS = "slice_mesh to polygons"
 STAGE_ENDS = "Slicing volumes - removing top empty layers"

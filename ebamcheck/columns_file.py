@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ebamcheck.atomic_file import COMPRESSION, replacing
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
-from ebamcheck.numeric.rings import Ints
+from ebamcheck.kernels import Ints
 from ebamcheck.regular_file import regular_file
 
 if TYPE_CHECKING:

@@ -41,8 +41,8 @@ from ebamcheck.curves.exact.sections import on_both, on_one
 from ebamcheck.curves.gate import Slack, gated
 from ebamcheck.curves.lifting import Lifting
 from ebamcheck.curves.vertex_normals import surface_of
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 

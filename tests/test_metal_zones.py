@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from prism_program import CONFIG, Made
 
 from ebamcheck.checks.metal import NO_ZONES, ZONES, deposit, zone_figures, zone_limit, zone_off
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.metal import Surface, levelled, reachable, target_of
-from ebamcheck.numeric.rings import Floats
 
 BLOCK = shapely.box(0, 0, 150, 130)
 NOTCH = shapely.box(132, 112, 150, 130)

@@ -32,22 +32,6 @@ except SystemExit as end:
 print("loaded:", *sys.modules)
 """
 
-CHAIN = """
-from ebamcheck.numeric.kernels import kernel
-
-@kernel
-def inner(x: float) -> float:
-    return 3.0 * x
-
-@kernel
-def outer(x: float) -> float:
-    return 2.0 * inner(x)
-
-@kernel
-def spread(into, taken):
-    into[1:] = taken
-"""
-
 
 @pytest.fixture(scope="module")
 def part(tmp_path_factory):
@@ -138,46 +122,6 @@ def test_time_here_is_limited_as_well(tmp_path):
     with pytest.raises(BackendFailed, match=r"'planecut' timed out: took over 1e-09 s"):
         slice_to_file(CUBE.tessellate(0.1), [1.0], tmp_path / "cube.parquet", limits=Limits(time_s=1e-9))
     assert list(tmp_path.iterdir()) == []
-
-
-# -- kernels -------------------------------------------------------------------------------------------
-
-
-def asked(folder, code):
-    """What a new process prints that has the kernels of CHAIN."""
-    (folder / "chain.py").write_text(CHAIN)
-    environment = {**os.environ, "PYTHONPATH": f"{folder}:{os.environ.get('PYTHONPATH', '')}"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
-    return done.stdout.split()
-
-
-def test_kernels_that_are_compiled_set_up_no_compiler(tmp_path):
-    code = "import sys, chain; print(chain.outer(1.0), 'numba.cpython.setobj' in sys.modules)"
-    assert asked(tmp_path, code) == ["6.0", "True"]
-    assert asked(tmp_path, code) == ["6.0", "False"]
-
-
-def test_a_kernel_is_compiled_with_one_that_was_loaded(tmp_path):
-    assert asked(tmp_path, "import chain; print(chain.inner(1.0))") == ["3.0"]
-    code = "import chain as c; print(c.inner(1.0), c.outer(1.0), *(sum(f.stats.cache_hits.values()) for f in (c.inner, c.outer)))"
-    assert asked(tmp_path, code) == ["3.0", "6.0", "1", "0"]
-
-
-@pytest.mark.parametrize("round_", ["compiled", "loaded"])
-def test_an_array_of_another_shape_is_told_in_one_line(tmp_path, round_):
-    code = (
-        "import numpy as np, chain\n"
-        "a = np.zeros(4); chain.spread(a, np.ones(3)); print(a.sum())\n"
-        "try:\n    chain.spread(a, np.ones(2))\nexcept ValueError as error:\n    print(*str(error).split())"
-    )
-    if round_ == "loaded":
-        asked(tmp_path, code)
-    assert asked(tmp_path, code) == [
-        "3.0",
-        *["cannot", "assign", "an", "array", "to", "a", "slice", "of", "another", "shape"],
-    ]
 
 
 OTHERS = "import sys; from ebamcheck.plugins import registry; registry.default_backend(); print(sorted(sys.modules))"

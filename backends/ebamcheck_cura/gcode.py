@@ -11,7 +11,7 @@ import re
 import numpy as np
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 END_WORD = b";End of Gcode"
 

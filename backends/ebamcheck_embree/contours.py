@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck_embree.grid import Lattice
 from ebamcheck_embree.scene import Facets, Mesh
 

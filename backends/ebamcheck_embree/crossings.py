@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck_embree.scene import Facets, Mesh, Singles, UnderWay
 
 _LEAST_STEP = np.finfo(np.float32).tiny  # past a facet at coordinate 0, mm

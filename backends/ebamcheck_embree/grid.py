@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 
 Lattice = tuple[float, float, float, int, int]
 """First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""

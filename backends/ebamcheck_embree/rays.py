@@ -12,10 +12,10 @@ import numpy as np
 
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical, stacked
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import run_in_order, thread_count
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.threads import run_in_order, thread_count
 from ebamcheck_embree.contours import RayColumns, rings_of_layer
 from ebamcheck_embree.crossings import (
     Borders,

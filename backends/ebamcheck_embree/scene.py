@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 Singles = NDArray[np.float32]
 Facets = NDArray[np.int32]

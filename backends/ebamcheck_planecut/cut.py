@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import run_blocks, run_each
+from ebamcheck.threads import run_blocks, run_each
 from ebamcheck_planecut import PlaneCut
 from ebamcheck_planecut.overlaps import CLEAN, TOUCHING
 from ebamcheck_planecut.sorted_mesh import SortedMesh, crossed_mesh, sorted_mesh, turned_mesh, vertices_under

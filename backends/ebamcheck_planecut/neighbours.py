@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.mesh.topology import NO_TWIN, pair_fan
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.threads import run_blocks
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int32]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints, signed_area
+from ebamcheck.geometry.rings import signed_area
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
@@ -293,7 +293,7 @@ def _encloses(
 ) -> bool:
     """Whether (x, y) lies inside ring `r`, whose leaves begin at node `leaf`; on its boundary it does not.
 
-    As :func:`ebamcheck.numeric.rings.locate`, but for the leaves beside which the point does not lie.
+    As :func:`ebamcheck.geometry.rings.locate`, but for the leaves beside which the point does not lie.
     """
     inside = False
     for i in range(ring_starts[r], ring_starts[r + 1], SEGMENTS_A_LEAF):

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_blocks, thread_count
+from ebamcheck.threads import run_blocks, thread_count
 from ebamcheck_planecut.neighbours import Neighbours, neighbours
 
 Floats = NDArray[np.float64]

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.layers.canonical_form import DROPPED, next_distinct, ring_form
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
 from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh, facets_across, raise_plane
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _IMAGE = re.compile(r"\D*(\d+)\.png")

@@ -15,11 +15,10 @@ import numpy as np
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed, SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.stl import write_triangles
-from ebamcheck.numeric.kernels import thread_count
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.outside.lattices import (
     Lattice,
@@ -31,6 +30,7 @@ from ebamcheck.slicers.outside.lattices import (
     scale_to,
 )
 from ebamcheck.slicers.outside.programs import Program, ProgramSettings
+from ebamcheck.threads import thread_count
 
 PROGRAM = Program(
     name="Slic3r",

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.kernels import kernel
 from ebamcheck_stencil.crossings import Crossings
 from ebamcheck_stencil.field_of_view import WORD_BITS, FieldOfView
 

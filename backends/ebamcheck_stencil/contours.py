@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import FieldOfView
 
 LEAST_PIXEL = 2.0**-40

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS
 
 SMALLEST_BLOCK = 65536

@@ -18,7 +18,7 @@ from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import block_edges, run_blocks, run_in_order
+from ebamcheck.threads import block_edges, run_blocks, run_in_order
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.contours import Rings, layers_of
 from ebamcheck_stencil.crossings import Crossings, crossings_of_fragments, join

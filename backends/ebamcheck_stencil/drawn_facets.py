@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView
 
 BANDS = 256

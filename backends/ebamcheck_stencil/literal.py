@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ebamcheck.backend import Progress
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import run_blocks
+from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.bitmaps import as_image, empty_bitmap
 from ebamcheck_stencil.contours import Rings, layers_of
 from ebamcheck_stencil.drawn_facets import drawn_facets

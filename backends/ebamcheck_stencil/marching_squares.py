@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.kernels import kernel
 from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
 SPARE_POINTS = 2**22

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe, Progress
 from ebamcheck.errors import BackendFailed
+from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import EPSILON, Floats
 
 MERGE = 1e-8
 """Distance within which trimesh merges vertices, and takes a vertex as on the plane (``tol.merge``), in working units."""

@@ -28,9 +28,9 @@ from ebamcheck.controls import thesis
 from ebamcheck.curves import Curves
 from ebamcheck.errors import NothingCompared, SettingsError
 from ebamcheck.heat.island_heat import island_heat
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import CurveColumns, deposition_heights
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scratch import scratch_folder

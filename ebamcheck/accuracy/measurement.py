@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from ebamcheck.comparison import GENERIC, layer_classes
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM, Figures
 from ebamcheck.comparison.pairwise import Pair, measure_stacks, shared_origin
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model
 from ebamcheck.slicers.isolation import Outcome

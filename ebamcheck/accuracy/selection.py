@@ -20,9 +20,9 @@ from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import SettingsError
 from ebamcheck.json_values import plain
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import Model

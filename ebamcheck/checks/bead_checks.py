@@ -20,11 +20,11 @@ from ebamcheck.checks.matching import APART_MM
 from ebamcheck.checks.subject import Subject
 from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
 from ebamcheck.geometry.regions import ground, inset, valid_polygons
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
 from ebamcheck.nc.roles import nearest_layer
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
+from ebamcheck.threads import run_each
 
 CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
 # Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.

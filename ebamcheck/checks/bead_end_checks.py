@@ -18,14 +18,14 @@ from ebamcheck.checks.checks import PLACE_MM, VALUE_SHARE, count_check, limit_ch
 from ebamcheck.checks.metal import STEP_SHARE, wanted_region
 from ebamcheck.checks.state_checks import retract_check
 from ebamcheck.checks.value_checks import own_shares
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
+from ebamcheck.threads import run_each
 
 # Length by which a ramp is shorter or longer, since it ends with a block that is near.
 ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM

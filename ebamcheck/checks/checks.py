@@ -10,11 +10,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import NCProgram, SourceFile
-from ebamcheck.numeric.kernels import run_in_order
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
+from ebamcheck.threads import run_in_order
 
 PLACE_MM = 1e-3  # Places and heights nearer than this are one: three decimals are the fewest of a program
 TWO_PLACES_MM = 2.0 * PLACE_MM  # Distance of two places of which each is rounded to the decimals of a program

@@ -12,11 +12,10 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import PLACE_MM
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, Beads, NCProgram
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut

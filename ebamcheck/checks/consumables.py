@@ -17,12 +17,12 @@ import shapely
 
 from ebamcheck.checks.text_heat import motion_seconds
 from ebamcheck.json_values import plain
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import PAUSE
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 

@@ -15,12 +15,12 @@ import shapely
 from shapely.ops import substring
 
 from ebamcheck.checks.checks import TWO_PLACES_MM, count_check
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
+from ebamcheck.threads import run_each
 
 LINES, CROSSINGS = "hatch lines", "crossings"  # Names of the checks
 CHORD_MM = 0.5  # Chords of curved beads

@@ -19,8 +19,7 @@ import shapely
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
 RADIATION_W_MM2K4 = 5.670374e-14  # Stefan-Boltzmann constant (CODATA 2018), by square millimetre

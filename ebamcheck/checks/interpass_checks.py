@@ -16,11 +16,11 @@ from ebamcheck.checks.text_heat import TextBeads, sections_of_text, text_beads, 
 from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.melting import scheduled_share
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import Interpass
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 

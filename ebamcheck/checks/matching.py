@@ -16,11 +16,10 @@ from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import PATH_TOLERANCE_MM, TWO_PLACES_MM, count_check, worst_check
 from ebamcheck.geometry.nearest import nearest, segments_along, square_between, tree_over
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import Beads, NCProgram
 from ebamcheck.nc.roles import nearest_layer
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 
 # Distance of layers in the space in which ends are compared: no bead is like one of another layer.

@@ -21,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.checks.checks import PLACE_MM, SAME_AREA, limit_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.bodies import volumes_between
@@ -28,7 +29,6 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.mesh.topology import edge_groups
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted

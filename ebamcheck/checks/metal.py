@@ -33,16 +33,16 @@ from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.heat.melting import width_limits_mm
 from ebamcheck.json_values import parsed_json
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.metal import Surface, Target, bead_centres, levelled, target_of
 from ebamcheck.metal.surface import FILM, HALF
 from ebamcheck.metal.target import border_distance
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import nearest_layer
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
+from ebamcheck.threads import run_each
 
 STEP_SHARE = 1.0 / 12.0  # Distance of the places at which metal is laid, over the bead width: half a cell
 # Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds.

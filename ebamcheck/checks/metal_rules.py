@@ -27,14 +27,14 @@ from ebamcheck.checks.metal import (
 )
 from ebamcheck.checks.narrow_features import narrow_bead
 from ebamcheck.geometry.regions import eroded
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
+from ebamcheck.threads import run_each
 
 # Name of the check of openings and walls of the part that are narrower than a least that is set.
 NARROW = "narrow features"

@@ -28,10 +28,10 @@ from ebamcheck.geometry.regions import (
     valid_polygons,
 )
 from ebamcheck.heat.melting import least_power_share
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s
+from ebamcheck.threads import run_each
 
 # Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none.
 FACING = math.cos(math.radians(40.0))
@@ -198,10 +198,11 @@ def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: f
     rings = np.asarray([ring for part in parts for ring in (part.exterior, *part.interiors)], object)
     # Opening of the section by a disc of the least width for walls, else its closing.
     whole, radius = shapely.MultiPolygon(list(parts)), 0.5 * least_mm
-    if walls:
-        filled = shapely.buffer(inset(whole, radius), radius, quad_segs=ARC_SEGMENTS)
-    else:
-        filled = inset(shapely.buffer(whole, radius, quad_segs=ARC_SEGMENTS), radius)
+    filled: BaseGeometry = (
+        shapely.buffer(inset(whole, radius), radius, quad_segs=ARC_SEGMENTS)
+        if walls
+        else inset(shapely.buffer(whole, radius, quad_segs=ARC_SEGMENTS), radius)
+    )
     lost = _lost(parts, filled, walls)
     sides = _sides_of_rings(rings, max(least_mm / STEPS, shallow_mm))
     depth = distances(np.ascontiguousarray(sides.at), segments_of(filled.boundary))
@@ -239,8 +240,8 @@ def _sides_of_rings(rings: np.ndarray, step_mm: float) -> _Sides:
     along = along[side]
     out = np.column_stack([along[:, 1], -along[:, 0]]) / length[side, None]
     at = points[side, None] + ON_SIDE[:, None] * along[:, None]
-    out, ring = (np.repeat(each, len(ON_SIDE), axis=0) for each in (out, ring[side].astype(np.int64)))
-    return _Sides(at.reshape(-1, 2), out, ring)
+    owner = np.repeat(ring[side].astype(np.int64), len(ON_SIDE))
+    return _Sides(at.reshape(-1, 2), np.repeat(out, len(ON_SIDE), axis=0), owner)
 
 
 class _Across(NamedTuple):

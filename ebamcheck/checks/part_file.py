@@ -21,10 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.checks.checks import SAME_SIZE, limit_check
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.files import read_facets
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.result import Check
 from ebamcheck.settings.base import known_as
 from ebamcheck.settings.config import Config

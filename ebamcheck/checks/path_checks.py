@@ -12,13 +12,13 @@ import numpy as np
 from ebamcheck.checks.checks import PATH_TOLERANCE_MM, PLACE_MM, count_check, row_faults, worst_check
 from ebamcheck.checks.matching import shape_distance
 from ebamcheck.checks.subject import Subject
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc import motions
 from ebamcheck.nc.inputs import ARC, LINE, SPLINE, CurveColumns
 from ebamcheck.nc.motions import POLYNOMIAL, SPLINE_SPAN, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
+from ebamcheck.threads import run_blocks
 
 SAMPLES = 9  # Places on each span where programmed and fitted curve are compared at the same parameter
 # Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit.

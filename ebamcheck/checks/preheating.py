@@ -37,12 +37,12 @@ from ebamcheck.checks.text_heat import (
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.preheating import BeamWay, SurfaceK, spot_peak_k
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.nc.codes import BEAM_VALUES, FOCUS
 from ebamcheck.nc.conventions import increments_of, safe_end_mm
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S

@@ -13,9 +13,9 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import DIRECTION_ROUNDING_DEG, limit_check, worst_check
 from ebamcheck.geometry.nearest import distances, segments_of
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.control import control
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 

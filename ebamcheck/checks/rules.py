@@ -28,9 +28,9 @@ from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.table import tilt_checks
 from ebamcheck.checks.text_checks import text_checks, words_check
 from ebamcheck.checks.value_checks import increment_check, value_check, window_check, wire_check
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 from ebamcheck.result import Check, Place
 

@@ -21,12 +21,12 @@ from ebamcheck.checks.subject import Subject
 from ebamcheck.curves import LIFTED
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import layer_section, valid_polygons
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import depth_lines, nearest_layer
-from ebamcheck.numeric.kernels import run_each
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.result import Check
+from ebamcheck.threads import run_each
 
 STEP_MM = 0.5  # Distance of the places compared along the path
 CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of the part

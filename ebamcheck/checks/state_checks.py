@@ -23,6 +23,7 @@ from ebamcheck.checks.checks import (
     row_faults,
     worst_check,
 )
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.nc.codes import BEAM_VALUES, DWELL, SWITCHES, templates_of
 from ebamcheck.nc.control import Group, control
 from ebamcheck.nc.conventions import safe_end_mm
@@ -30,7 +31,6 @@ from ebamcheck.nc.motions import ARC, RAPID, NCProgram
 from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.timeline import Kind
 from ebamcheck.nc.words import group_of, wanted_words
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
@@ -200,8 +200,8 @@ def _broken_groups(nc: NCProgram, config: Config) -> tuple[Faults, Faults]:
             for other, word in wanted.items():
                 where = places.get(other, where)
                 if other not in places:
-                    group = group_of(nc.dialect, word) or Group(other, (word,))
-                    faults[group.path].append((where, f"{word} is not set by the program's own first blocks"))
+                    unset = group_of(nc.dialect, word) or Group(other, (word,))
+                    faults[unset.path].append((where, f"{word} is not set by the program's own first blocks"))
         group = group_of(nc.dialect, name)
         if group is None or group.name == FLOW:
             continue

@@ -16,6 +16,7 @@ from ebamcheck.checks.matching import Matching
 from ebamcheck.checks.metal import Deposit, deposit
 from ebamcheck.checks.text_heat import known_sections
 from ebamcheck.heat.balance import HeatColumn
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import (
@@ -28,7 +29,6 @@ from ebamcheck.nc.inputs import (
 )
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height, by_section
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.config import Config
 
 # Of the bead's width: a bead that runs this near to the inset of the section is a contour.

@@ -16,10 +16,10 @@ from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.heat.preheating import BeamWay, SurfaceHeat, bare_plate
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import RAPID, NCProgram
 from ebamcheck.nc.timeline import PAUSE, Kind
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 LONGEST_WAIT_S = 4.0 * 3600.0  # Longest wait that is looked for

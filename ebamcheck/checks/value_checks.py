@@ -21,11 +21,11 @@ from ebamcheck.checks.checks import (
 from ebamcheck.checks.heat_again import melting_power_w
 from ebamcheck.checks.metal import bead_height_mm, bead_sections_mm2, wire_section_mm2
 from ebamcheck.heat.melting import width_limits_mm
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.conventions import increments_of, power_slack_w
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.timeline import Kind
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import along_window

@@ -19,6 +19,7 @@ from typing import Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from ebamcheck.commands.warm import tell_if_cold, warm_kernels
 from ebamcheck.errors import EbamcheckError, ExitCode, behind, interruptible
 from ebamcheck.installed import entry_points, is_house, sorted_out
 from ebamcheck.printable import printable
@@ -27,6 +28,15 @@ COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin pac
 
 
 RESUMABLE = ("run", "check")  # commands that go on with what an interrupted one left behind
+
+
+MOST_KERNELS = frozenset(
+    ["verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper"]
+)
+"""Commands that begin with all kernels compiled, beside those that show their progress."""
+
+FEW_KERNELS = frozenset(["slice_command", "inspect", "compare", "polar", "preflight_command"])
+"""Commands that compile the few kernels that they need as they go."""
 
 
 class CommandGroup(TyperGroup):
@@ -106,21 +116,12 @@ def _loaded(point: EntryPoint) -> Callable[..., Any]:
     return cast(Callable[..., Any], registry.load(point))
 
 
-def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..., None]:
-    """Turn what a command raises into one line, and what it returns into the exit code of the process.
-
-    Kernels are announced where they are compiled: in commands that say so, and in those that have loaded numba already.
-    """
+def guarded(function: Callable[..., Any]) -> Callable[..., None]:
+    """Turn what a command raises into one line, and what it returns into the exit code of the process."""
 
     @functools.wraps(function)
     def run(*args: Any, **kwargs: Any) -> None:
-        if not compiles and "numba" not in sys.modules:
-            raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
-        from ebamcheck.commands.progress import announced
-
-        with announced():
-            code = int(_run_guarded(function, *args, **kwargs))
-        raise typer.Exit(code)
+        raise typer.Exit(int(_run_guarded(function, *args, **kwargs)))
 
     return run
 
@@ -128,6 +129,10 @@ def guarded(function: Callable[..., Any], compiles: bool = False) -> Callable[..
 def _run_guarded(function: Callable[..., Any], *args: Any, **kwargs: Any) -> ExitCode:
     try:
         with interruptible():
+            if function.__name__ in MOST_KERNELS:
+                warm_kernels()
+            elif function.__name__ in FEW_KERNELS:
+                tell_if_cold()
             code = ExitCode(function(*args, **kwargs) or ExitCode.PASS)
         sys.stdout.flush()
     except KeyboardInterrupt as interrupt:

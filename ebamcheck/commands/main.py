@@ -21,7 +21,7 @@ from ebamcheck.commands.command_group import CommandGroup, ended_by, guarded, te
 from ebamcheck.commands.config import backends, config_command
 from ebamcheck.commands.run import check, run, verify
 from ebamcheck.commands.slice import compare, inspect, slice_command
-from ebamcheck.commands.warm_command import warm_command
+from ebamcheck.commands.warm import warm_command
 from ebamcheck.errors import ExitCode
 from ebamcheck.printable import PrintableStream, printable
 
@@ -77,21 +77,21 @@ def _global(
     warnings.formatwarning = lambda message, *_args, **_kwargs: str(message)
 
 
-COMMANDS: tuple[tuple[str, Callable[..., Any], bool, str], ...] = (
-    ("run", run, False, "Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl"),
-    ("check", check, False, "Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run"),
-    ("inspect", inspect, True, "Example: ebamcheck inspect part.stl --regions --picture regions.svg"),
-    ("slice", slice_command, False, "Example: ebamcheck slice part.stl --backend planecut --layer-height 0.2 -o part.parquet"),
-    ("compare", compare, True, "Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01"),
-    ("backends", backends, False, "Example: ebamcheck backends --json"),
-    ("warm", warm_command, True, "Example: ebamcheck warm"),
-    ("verify", verify, True, "Examples: ebamcheck verify blade.run --trusted keys/; ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl"),
-    ("config", config_command, False, "Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml"),
+COMMANDS: tuple[tuple[str, Callable[..., Any], str], ...] = (
+    ("run", run, "Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl"),
+    ("check", check, "Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run"),
+    ("inspect", inspect, "Example: ebamcheck inspect part.stl --regions --picture regions.svg"),
+    ("slice", slice_command, "Example: ebamcheck slice part.stl --backend planecut --layer-height 0.2 -o part.parquet"),
+    ("compare", compare, "Example: ebamcheck compare a.parquet b.parquet --tolerance 0.01"),
+    ("backends", backends, "Example: ebamcheck backends --json"),
+    ("warm", warm_command, "Example: ebamcheck warm"),
+    ("verify", verify, "Examples: ebamcheck verify blade.run --trusted keys/; ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl"),
+    ("config", config_command, "Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml"),
 )  # fmt: skip
-"""Name and function of each command, whether it tells of kernels that are compiled, and its example."""
+"""Name and function of each command, and its example."""
 
-for _name, _function, _compiles, _example in COMMANDS:
-    app.command(_name, epilog=_example)(guarded(_function, _compiles))
+for _name, _function, _example in COMMANDS:
+    app.command(_name, epilog=_example)(guarded(_function))
 
 
 def main() -> None:

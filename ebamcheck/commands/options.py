@@ -15,8 +15,8 @@ from ebamcheck.printable import printable
 
 if TYPE_CHECKING:
     from ebamcheck.curves import Curves
+    from ebamcheck.kernels import Floats
     from ebamcheck.mesh.part import Part
-    from ebamcheck.numeric.rings import Floats
     from ebamcheck.preflight.report import Ready
     from ebamcheck.scan import ScanPlan
     from ebamcheck.settings.config import Config

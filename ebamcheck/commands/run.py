@@ -48,28 +48,25 @@ def run(
         config_file, units, direction, layer_height, backends, witnesses, fix_orientation
     )
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
-    from ebamcheck.numeric.compiling_beside import ROOMS, compiled_beside
+    part_ready = options.begun(source, config, "run", yes)
+    with _first_slicers(config) as workers:
+        from ebamcheck.commands.progress import watched
+        from ebamcheck.pipeline import run_job
 
-    with compiled_beside(modules=ROOMS):
-        part_ready = options.begun(source, config, "run", yes)
-        with _first_slicers(config) as workers:
-            from ebamcheck.commands.progress import watched
-            from ebamcheck.pipeline import run_job
-
-            with watched() as observer:
-                result = run_job(
-                    source,
-                    output or Path(f"{source.stem}.run"),
-                    config,
-                    reference,
-                    resume,
-                    observer,
-                    part_ready,
-                    force=force,
-                    from_layer=from_layer,
-                    live=live,
-                    workers=workers,
-                )
+        with watched() as observer:
+            result = run_job(
+                source,
+                output or Path(f"{source.stem}.run"),
+                config,
+                reference,
+                resume,
+                observer,
+                part_ready,
+                force=force,
+                from_layer=from_layer,
+                live=live,
+                workers=workers,
+            )
     return _told(result, as_json)
 
 
@@ -105,10 +102,9 @@ def check(
     )
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     config = config if slabs is None else config.changed(slicing={"slabs": slabs})
-    from ebamcheck.numeric.compiling_beside import CHECKING, compiled_beside
     from ebamcheck.preflight.workload import wanted_slabs
 
-    with compiled_beside(modules=CHECKING), ExitStack() as opened:
+    with ExitStack() as opened:
         part_ready = workers = None
         # A part that is checked in slabs is never read whole.
         if wanted_slabs(source, config) == 1:

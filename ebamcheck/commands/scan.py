@@ -25,11 +25,11 @@ from ebamcheck.errors import ExitCode, SettingsError, interruptible
 from ebamcheck.heat import ContourModes
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.json_values import plain
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights, heights_within
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import simulators
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import write_program
 from ebamcheck.scan.order.simulation import entered, island_history

@@ -59,10 +59,7 @@ def slice_command(
     name = backend or config.slicing.primary or registry.default_backend()
     values = {**config.slicing.settings.get(name, {}), **options.assignments(setting or [])}
     registry.slicer_settings(name, values)
-    from ebamcheck.numeric.compiling_beside import SLICING, compiled_beside
-
-    own = registry.points(registry.BACKENDS)[name].module
-    with compiled_beside(modules=(*SLICING, own)), ExitStack() as opened:
+    with ExitStack() as opened:
         from ebamcheck.slicers.cutting import may_run_here
 
         pool = None
@@ -71,22 +68,20 @@ def slice_command(
 
             # The worker's interpreter comes up while the part is read.
             pool = opened.enter_context(WorkerPool([name]))
-        from ebamcheck.commands.progress import announced
         from ebamcheck.layers.heights import heights_within, layer_heights
         from ebamcheck.slicers.outcome import Limits
         from ebamcheck.slicers.slicing import slice_to_file
 
-        with announced():
-            placed = options.loaded(part, config)
-            wanted = (
-                heights_within(placed, options.numbers(heights, "--heights"), "--heights")
-                if heights
-                else layer_heights(placed, config.layer_height_mm)
-            )
-            options.within_work(placed, wanted, config, yes)
-            limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
-            points = config.slicing.block_points
-            made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
+        placed = options.loaded(part, config)
+        wanted = (
+            heights_within(placed, options.numbers(heights, "--heights"), "--heights")
+            if heights
+            else layer_heights(placed, config.layer_height_mm)
+        )
+        options.within_work(placed, wanted, config, yes)
+        limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
+        points = config.slicing.block_points
+        made = slice_to_file(placed, wanted, output, name, limits, points, pool, **values)
     if made.open_paths or not made.rings:
         what = "has open paths" if made.open_paths else "has no contour on any layer"
         _log.warning("%s %s: `ebamcheck inspect` tells whether its mesh is open or inside out", part, what)

@@ -17,8 +17,7 @@ import numpy as np
 from ebamcheck.comparison.outline import Outline, rising_order
 from ebamcheck.comparison.sweep import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
 from ebamcheck.geometry.nearest import distance_to_segment, nearest_segment
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 FINEST_DEPTH_MM = 1e-6
 FINE_SHARE = 0.01

@@ -49,7 +49,7 @@ from ebamcheck.comparison.whole_causes import (
     total_mm2,
 )
 from ebamcheck.geometry.nearest import SegmentTree
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 
 ENOUGH = 0.9
 """Share of a difference from which a single cause is enough."""

@@ -16,8 +16,8 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.comparison.pairwise import Pair, compare
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.whole_causes import Reader
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
-from ebamcheck.numeric.rings import Floats
 
 DOUBT = "doubt_mm"
 """Column of a pair's table: how much declared doubt added to the limit of a layer that agrees only by it; else 0."""

@@ -18,8 +18,7 @@ from ebamcheck.comparison.outline import Outline, winding
 from ebamcheck.comparison.place_causes import MeshFlaws
 from ebamcheck.comparison.whole_causes import Sheet
 from ebamcheck.geometry.nearest import SegmentTree, nearest_segment, tree_over
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 PLACES = 160
 """Places along the contours of each sheet."""

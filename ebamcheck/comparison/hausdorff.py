@@ -13,8 +13,8 @@ import numpy as np
 
 from ebamcheck.comparison.outline import Outline
 from ebamcheck.geometry.nearest import SegmentTree, distance_to_segment, nearest_segment, square_between
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import EPSILON, Floats, Ints
+from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.kernels import Floats, Ints, kernel
 
 RESOLUTION_MM = 1e-7
 """Resolution of Hausdorff distances: ten thousand times finer than the default tolerance."""

@@ -13,8 +13,7 @@ from ebamcheck.comparison.hausdorff import Directed, directed
 from ebamcheck.comparison.outline import Outline, winding
 from ebamcheck.comparison.sweep import Overlap, overlap
 from ebamcheck.geometry.nearest import nearest_segment, square_between
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 
 class Figures(NamedTuple):

@@ -20,8 +20,8 @@ from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.whole_causes import Cause, Reader
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 
 Columns = Mapping[str, NDArray[Any]]
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.geometry.nearest import SegmentTree, tree_over
+from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints, ShortInts
 
 ROUNDING = 4.0 * EPSILON
 """Deviation, relative to the largest coordinate, below which a point on a straight run is dropped."""

@@ -16,10 +16,11 @@ from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import eroded
+from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import EPSILON, Floats
+from ebamcheck.threads import run_blocks
 
 SAME_HEIGHT_MM = 1e-6
 """Heights closer than this are the same: finer than any slice file writes them."""

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import body_labels, edge_groups
-from ebamcheck.numeric.rings import Floats, Ints
 
 COPLANAR_FACE = "coplanar face"
 VERTEX = "vertex on plane"

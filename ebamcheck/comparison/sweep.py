@@ -37,8 +37,7 @@ from ebamcheck.comparison.outline import (
     Outline,
     set_edge,
 )  # fmt: skip
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 MOST_CROSSINGS = 2_000_000
 """Most crossings in one sweep; beyond it the caller uses shapely instead."""

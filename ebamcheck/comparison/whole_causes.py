@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from ebamcheck.comparison.outline import Outline, outline
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.comparison.sweep import overlap
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 OFFSET = "constant offset"
 TRANSLATION = "translation"

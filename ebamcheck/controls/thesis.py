@@ -19,11 +19,11 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.medium import BEAM_SHARE
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.control import control as control_named
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, write_files
 from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import power_shares

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry import rings
 from ebamcheck.geometry.nearest import nearest, segments_along, signed_distance, tree_over
+from ebamcheck.geometry.sorting import stable_order
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric import rings
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.numeric.sorting import stable_order
+from ebamcheck.threads import run_blocks
 
 RAYS = 3600
 """Rays per ring: one every tenth of a degree."""

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Gauss-Legendre rule for arc lengths; exact to rounding on the spans of a smooth fit."""

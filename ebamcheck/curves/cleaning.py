@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.threads import run_blocks
 
 RINGS_A_BLOCK = 64
 """Fewest rings worth a thread."""

@@ -44,12 +44,12 @@ from ebamcheck.curves import bezier
 from ebamcheck.curves.bezier import BezierSpans, arcs_through
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers import stack as layer_columns
 from ebamcheck.layers.stack import UP, Layers
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns
+from ebamcheck.threads import run_blocks
 
 MOST_SAMPLES = 2**31
 """Most points of a sampling: more come from a mistyped step."""

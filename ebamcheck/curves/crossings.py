@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.columns import Curves
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.threads import run_blocks
 
 SMALLEST_MM = 1e-6
 """Hulls that are smaller than this and still not separate count as touching."""

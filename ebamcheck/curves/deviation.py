@@ -13,10 +13,10 @@ from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.nearest import nearest, segments_along, tree_over
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.threads import run_blocks
 
 CHORDS_A_SPAN = 8
 """Chords of a span at whose ends its distance is taken."""

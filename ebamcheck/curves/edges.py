@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import Index
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.threads import run_blocks
 
 LEAST_SHARE = 0.5
 """Share of a stack's points that must lie on edges of the part: with fewer, the contours were traced from a raster."""

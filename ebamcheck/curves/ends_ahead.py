@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.threads import run_blocks
 
 MOST_STEPS = 24
 """Most facets crossed beyond an end of an edge; coplanar ones make one chord, however many they are."""

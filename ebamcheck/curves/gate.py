@@ -19,11 +19,11 @@ from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.deviation import deviation_of
 from ebamcheck.curves.lifting import Limits
 from ebamcheck.curves.splitting import LINE
+from ebamcheck.geometry import rings
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric import rings
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
 """Names of the causes for which a ring is not accepted, by number; "" for an accepted one."""

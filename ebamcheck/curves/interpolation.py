@@ -24,7 +24,7 @@ from scipy.linalg import solve_banded
 
 from ebamcheck.curves.bezier import span_points
 from ebamcheck.curves.splitting import LINE, Runs
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 
 CENTRIPETAL, CHORD_LENGTH = 0.5, 1.0
 """Power of the chord length in the parameter step: centripetal (paper, equation 6; Lee 1989), and the one that keeps the

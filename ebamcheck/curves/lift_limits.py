@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ebamcheck.curves.ends_ahead import EndsAhead, Ground, ends_ahead
 from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
 from ebamcheck.curves.vertex_normals import PartSurface
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.topology import NO_TWIN
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 LIMITS = ("plane", "sagitta of the mesh", "sagittas near", "scattered points", "turns ahead")
 """What limits the lift of an edge, by number."""

@@ -20,8 +20,8 @@ from ebamcheck.curves.lift_limits import LiftLimits, lift_limits, plausible_shar
 from ebamcheck.curves.regions import PLANE, STRIP
 from ebamcheck.curves.sides import NO_PLANE, Sides, as_they_are
 from ebamcheck.curves.vertex_normals import PartSurface
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 MOST_STEPS = 60
 """Most steps towards the place of a layer on a curved edge; as many halvings reach rounding."""

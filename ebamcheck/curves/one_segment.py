@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.segments import set_cubic
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats, kernel
 
 ARC_SHARE = 0.5
 """Share of the tolerance within which an arc must stay: then the path is a circle, and not merely near one."""

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.threads import run_blocks
 
 RINGS_A_BLOCK = 16
 

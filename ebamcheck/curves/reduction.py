@@ -24,8 +24,8 @@ from ebamcheck.curves.one_segment import (
 from ebamcheck.curves.oriented_contours import OrientedContours
 from ebamcheck.curves.segments import Segments, set_cubic
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.threads import run_blocks
 
 SHARE_OF_BULGE = 0.1
 """Share of the greatest bulge of a ring's smooth curve that the reduction may give away. The tolerance is the lesser of this and

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 DEGREE = 3
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.mesh.topology import Index
-from ebamcheck.numeric.rings import Bools, Floats
 
 NO_PLANE = -1
 """Number of the plane of a segment that is in none."""

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
-from ebamcheck.numeric.sorting import rotate_to
+from ebamcheck.geometry.sorting import rotate_to
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.threads import run_blocks
 
 LINE, SPLINE, ARC = 0, 1, 2
 """Kinds of piece: the polyline of its control points, a cubic B-spline, a circular arc through three points."""

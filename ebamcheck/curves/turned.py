@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ebamcheck.curves.columns import Curves
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 
 
 def turned_over(curves: Curves, rings: Bools) -> Curves:

@@ -17,9 +17,9 @@ from ebamcheck.curves.per_part import once_a_part
 from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
 from ebamcheck.curves.regions.normals import region_normals
 from ebamcheck.curves.regions.offsets import Offsets, vertex_offsets
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.settings.stages import CurveSettings
 
 LEAST_SAGITTA_MM = 1e-6

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 if TYPE_CHECKING:
     # Loaded only where there are geometries; most commands make none.

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import mean_width_mm, ring_columns, valid_polygons
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 SAMPLES_PER_BEAD = 24
 """Samples across a bead: the tip that a round bead leaves of a square corner then has thirty of them."""

@@ -17,7 +17,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.nearest import distances, segments_of
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 
 ARC_SEGMENTS = 16
 """Chords in a quarter turn around an inward corner. Arcs, not mitres: they keep the distance exactly, the

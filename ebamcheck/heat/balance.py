@@ -29,8 +29,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat.marching import FEW_STEPS, SHORT_S, STEPS, BeadTimes, ColumnFields, cooled, driven, march
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, enthalpy_tables
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
 LARGEST_CELL_MM = 2.5

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.heat.model import HeatModel
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 
 LEAST_DECAY = 1e-5
 """Decays under which what a place leaves is the first terms of its series: a difference from 1 would lose more."""

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ebamcheck.heat.field import falling
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.near_field import FAR, OPTIONS, NearField, at_root, young_mean
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.kernels import Bools, Floats, kernel
+from ebamcheck.threads import run_blocks
 
 NODES = 96
 """Times of the table; :data:`~ebamcheck.heat.influence.YOUNG_NODES` of them until the horizon of young heat. Node m after

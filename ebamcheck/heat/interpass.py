@@ -20,7 +20,7 @@ import numpy as np
 from ebamcheck.heat.balance import LayerShape
 from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.heat.part_heat import AgedColumns, Beads, Before, PartHeat
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_window_share
 

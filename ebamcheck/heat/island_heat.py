@@ -12,8 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
 from ebamcheck.heat.near_field import OPTIONS, NearField, entry_rise, near_field, young_mean
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
 SIMULATION_WAVE = 2.0 / 3.0

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats, kernel
 
 STEPS, FEW_STEPS, SHORT_S = 8, 4, 15.0
 """Time steps of a layer or a wait, growing from short ones because a heated surface follows a square root law of time; and the

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.heat.medium import enthalpy_tables
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import MOST_SPACINGS, along_window, wire_speed_mm_s
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ebamcheck.heat.medium import Medium
 from ebamcheck.heat.modes import ContourModes
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 
 class PlaneModes(Protocol):

@@ -25,7 +25,7 @@ from threadpoolctl import OpenBLASController, ThreadpoolController, threadpool_l
 from ebamcheck.errors import GeometryError
 from ebamcheck.geometry.raster import cell_shares, face_shares, islands_in_cells, oriented_rings
 from ebamcheck.geometry.regions import valid_polygons
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 
 CELLS_PER_WAVE = 6.0
 """Cells per shortest wavelength. Uncorrected, the decay rate of that wave would be up to 9 % low ((k h)^2 / 12)."""

@@ -30,8 +30,8 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat.field import falling
 from ebamcheck.heat.medium import BEAM_SHARE
 from ebamcheck.heat.model import DepthModes, HeatModel, depth_modes
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.threads import run_blocks
 
 OPTIONS = 4
 """Entry options of an island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`."""

@@ -16,7 +16,7 @@ import numpy as np
 from ebamcheck.heat import HeatModel, carried
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.field import Field
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.balance import LARGEST_CELL_MM, HeatColumn
 from ebamcheck.heat.field import Field
 from ebamcheck.heat.modes import one_blas_thread
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import JOINED_SPACINGS, LEAST_LINE_MM
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.kinematics.path import DrivenPath
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
 

@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program import NCProgram
 from ebamcheck.settings.config import Config
 

@@ -9,12 +9,11 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.kinematics.limits import Cells, cells_of
 from ebamcheck.kinematics.path import DrivenPath, polyline_path, program_path
 from ebamcheck.kinematics.ramps import look_ahead, ramp_time, speeds_along, time_to
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.program import NCProgram
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import PARABOLA

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.kernels import Bools, Floats, kernel
 
 HALVINGS = 60
 """Bisections of a speed: beyond the precision of its bits."""

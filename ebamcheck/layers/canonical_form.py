@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
+from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 DROPPED = -1  # first row of a ring that is left out of the canonical form
 

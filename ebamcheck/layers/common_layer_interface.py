@@ -29,10 +29,11 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.geometry.rings import signed_areas
 from ebamcheck.json_values import parsed_json
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.reading import is_number
-from ebamcheck.numeric.rings import Floats, Ints, signed_areas
 from ebamcheck.regular_file import regular_file
 
 VERSIONS = (100, 101, 200)

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats, Ints
 
 TYPES = {
     "layer": pa.int64(),

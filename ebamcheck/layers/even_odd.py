@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
+from ebamcheck.kernels import Ints
 from ebamcheck.layers.stack import Layers, canonical
-from ebamcheck.numeric.rings import Ints
 
 INSIDE_RULE = "odd"  # inside rule that such a slicer declares
 

@@ -50,11 +50,11 @@ from ebamcheck.columns_file import (
     starts_of,
 )
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.kernels import Ints
 from ebamcheck.layers import contour_files, slices_3mf, svg
 from ebamcheck.layers.common_layer_interface import read_cli, write_cli
 from ebamcheck.layers.stack import Layers, concatenate
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Ints
+from ebamcheck.threads import run_blocks
 
 VERSION = "1"  # version of the table; a reader refuses any other
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 
 LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped layer height

@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 

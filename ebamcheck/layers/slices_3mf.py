@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_rings
-from ebamcheck.numeric.rings import Floats
 
 MM_A_UNIT = {0: 0.001, 1: 1.0, 2: 10.0, 3: 25.4, 4: 304.8, 5: 1000.0}
 """Millimetres of the units of a 3MF model, as lib3mf numbers them: micrometre to metre."""

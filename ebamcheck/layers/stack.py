@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.geometry import rings
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.canonical_form import ring_forms, ring_order, rows_in_form
-from ebamcheck.numeric import rings
-from ebamcheck.numeric.columns import joined
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns, outline_svg
+from ebamcheck.threads import joined, run_blocks
 
 if TYPE_CHECKING:
     import shapely

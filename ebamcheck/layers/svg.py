@@ -17,8 +17,8 @@ import numpy as np
 
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_rings
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.columns import index_of
 from ebamcheck.showing.markup import NAMESPACE, Markup, element, svg_file, text

@@ -23,9 +23,9 @@ import pandas as pd
 from scipy import ndimage
 
 from ebamcheck.errors import InputError
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal import Surface
 from ebamcheck.metal.surface import HALF, SPOT_BEADS
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.config import Config

@@ -21,8 +21,8 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.melting import least_power_share, melted_mm3_s
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, speed_window, wire_area_mm2
 from ebamcheck.writing.wire import MOST_MENDED

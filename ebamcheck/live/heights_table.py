@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.atomic_file import replacing
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 TABLE, PLOT = "heights.csv", "heights.svg"
 

@@ -20,6 +20,7 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.part_heat import PartHeat
 from ebamcheck.json_values import json_text
+from ebamcheck.kernels import Floats
 from ebamcheck.live import publishing
 from ebamcheck.live.before import Before, Ground
 from ebamcheck.live.height_map import MapCells, Reading, Refused, check_height
@@ -30,7 +31,6 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.nc.templates import checked_tilt
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.plan.columns import PlanOfLayers
 from ebamcheck.scan.plan.preheated import preheated

@@ -23,6 +23,7 @@ from ebamcheck.checks.mesh_checks import layer_check
 from ebamcheck.checks.text_heat import sections_of_text, text_beads
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.live.publishing import (
@@ -43,7 +44,6 @@ from ebamcheck.live.publishing import (
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.roles import by_height, by_shape
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import witness_backend
 from ebamcheck.program.verification import read_checked
 from ebamcheck.record.certificate_checks import part_hash

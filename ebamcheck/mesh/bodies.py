@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import Floats, kernel
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
 
 if TYPE_CHECKING:
     from manifold3d import Manifold

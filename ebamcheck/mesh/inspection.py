@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import kernel
 from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
-from ebamcheck.numeric.kernels import kernel
 from ebamcheck.showing import short_text
 
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat", "overlapping"]

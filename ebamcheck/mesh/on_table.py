@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ebamcheck.errors import InputError
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.machine import OnTable
 
 RIGID_MM = 1e-6

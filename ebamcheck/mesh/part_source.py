@@ -29,9 +29,9 @@ from pydantic import BeforeValidator, Field
 
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import FROM_PARTS, Part, Vector
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.base import Angle, Between, Place, Section, known_as
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.stages import Component, PartSettings

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+from ebamcheck.kernels import kernel
 from ebamcheck.mesh.reading import decimal_comma, how_to_read, is_number
-from ebamcheck.numeric.kernels import kernel
 
 HEADER_BYTES = 84
 FACET_BYTES = 50

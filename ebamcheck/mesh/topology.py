@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
+from ebamcheck.kernels import kernel
 
 Index = NDArray[np.int32]
 Ints = NDArray[np.int64]

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel, run_blocks
+from ebamcheck.kernels import kernel
+from ebamcheck.threads import run_blocks
 
 SHARE = 4096
 """Approximate number of corners of a share: with their hash table they fit in the second-level cache of a core."""

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.metal.footprints import Footprints
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
 
 LEAST_RIM, MOST_RIM = 1.0 / 1.15, 1.4
 """Factors by which all widths of a layer are changed at most so that the sum of the metal is right. Walls that are a little wider

@@ -12,8 +12,8 @@ import copy
 import numpy as np
 from scipy import ndimage
 
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal.target import REACHED, Target, border_distance, cell_mm, moved_to_neighbours
-from ebamcheck.numeric.rings import Bools, Floats
 
 LEVELLED_BEADS = 0.5
 """Standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius."""

@@ -10,8 +10,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.raster import cell_shares, oriented_rings
 from ebamcheck.geometry.regions import valid_polygons
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 CELLS_PER_BEAD = 6
 """Cells across a bead: a third of the half bead that a height field has to resolve."""

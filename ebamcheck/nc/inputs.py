@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 
 # Kinds of pieces: a polyline through its control points, a clamped cubic B-spline, a circular arc of under half a circle from its first

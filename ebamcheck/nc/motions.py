@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.even_odd import oriented_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.nc.timeline import Events
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
 

@@ -11,6 +11,7 @@ from string import Formatter
 import numpy as np
 
 from ebamcheck.errors import InputError
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.codes import AUXILIARY, BEAM_VALUES, DWELL, SWITCHES, Action
 from ebamcheck.nc.motions import ARC, RAPID, NCProgram, SourceFile
 from ebamcheck.nc.roles import by_shape, with_travel, without_preheating
@@ -18,7 +19,6 @@ from ebamcheck.nc.table import TableState, starts_in_frames
 from ebamcheck.nc.templates import Programmed
 from ebamcheck.nc.timeline import Events
 from ebamcheck.nc.words import NUMBER
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.regular_file import regular_file
 
 NAN = float("nan")

@@ -14,13 +14,13 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.nearest import distances, segments_of
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.codes import FOCUS
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import RAPID, STRAIGHT, Beads, NCProgram
 from ebamcheck.nc.timeline import PAUSE
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.threads import run_blocks
 
 # A bead that comes this near to its start has come back: the decimals of a program, at their coarsest.
 CLOSED_MM = 1e-3

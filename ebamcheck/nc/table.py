@@ -17,10 +17,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram, TableColumns
 from ebamcheck.nc.roles import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import RotaryAxis
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.codes import (
     AUXILIARY,
     BEAM_TEMPLATES,
@@ -35,7 +36,6 @@ from ebamcheck.nc.codes import (
 )
 from ebamcheck.nc.control import control
 from ebamcheck.nc.conventions import increments_of, plain, to_increment
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import KeepOut

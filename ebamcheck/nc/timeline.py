@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.codes import DWELL, VALUES
 from ebamcheck.nc.words import SKIPPED
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing import short_text
 
 PAUSE = "layer_pause_s"  # Event of a wait of the build, named by its placeholder; that of a template is DWELL

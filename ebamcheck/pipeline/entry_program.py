@@ -20,10 +20,10 @@ from ebamcheck.checks.entry_check import entry_check
 from ebamcheck.checks.header_checks import marked_validated
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.control import control
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import read_program
 from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.result import Check, check_record

@@ -24,11 +24,11 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.curves.gate import CAUSES
 from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.fit import REMEDY, WHY, FitVerdict
 from ebamcheck.preflight.report import Ready
 from ebamcheck.preflight.room import of_bodies, suspicions

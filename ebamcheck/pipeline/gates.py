@@ -17,12 +17,12 @@ from ebamcheck.comparison import Comparison, Disagreement
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.comparison.naming import worst_of
 from ebamcheck.errors import ExitCode
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.layer_rule import section_areas
 from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import not_counted, resting
 from ebamcheck.pipeline.fit import FitVerdict, gate_text
 from ebamcheck.result import Check, Place

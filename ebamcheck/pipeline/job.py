@@ -13,15 +13,14 @@ from typing import Any, Protocol
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.json_values import sha256_of_json
+from ebamcheck.kernels import Floats
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric import compiling
-from ebamcheck.numeric.kernels import worker_threads
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.record.run_folder import RunFolder, RunInProgress, finished_run, start_run
 from ebamcheck.result import Check, gate_of_record
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.threads import worker_threads
 from ebamcheck.version import __version__
 
 
@@ -63,7 +62,6 @@ class Job:
     heights: Floats
     folder: RunInProgress = field(init=False)
     fingerprint: str = field(init=False)  # hash of part, settings and version: of what this is a run
-    compile_s: float = 0.0  # time in which this process compiled kernels; it is in none of the stages
     timings: dict[str, float] = field(default_factory=dict)
     from_layer: int = 1
     """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
@@ -82,17 +80,15 @@ class Job:
     def stage(self, name: str, total: int) -> Iterator[None]:
         """Time a stage and tell the observer of it."""
         self.observer.stage(name, total)
-        compiled = compiling.seconds()
         with self.beside(name):
             yield
-        self.compile_s += compiling.seconds() - compiled
 
     @contextmanager
     def beside(self, name: str) -> Iterator[None]:
-        """Time what goes on beside a stage; kernels that are compiled meanwhile count for the stage alone."""
-        start, compiled = time.perf_counter(), compiling.seconds()
+        """Time what goes on beside a stage."""
+        start = time.perf_counter()
         yield
-        self.timings[name] = time.perf_counter() - start - (compiling.seconds() - compiled)
+        self.timings[name] = time.perf_counter() - start
 
 
 @contextmanager

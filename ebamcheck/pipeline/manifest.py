@@ -107,13 +107,12 @@ def manifest(
 
 def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
     """What differs from one run to the next: dates, machine, folders, seconds, megabytes."""
-    figures = ("prepare_s", "slice_s", "compile_s", "peak_mb")
+    figures = ("prepare_s", "slice_s", "peak_mb")
     return {
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "machine": platform.machine(),
         "part_path": str(Path(job.part.source).resolve()),
         "stages_s": job.timings,
-        "compile_s": job.compile_s,
         "backends": {
             name: {figure: getattr(outcome, figure) for figure in figures}
             for name, outcome in outcomes.items()

@@ -23,11 +23,11 @@ from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.consensus import joined, shifted
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import cut_heights, layer_blocks
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slabs import Division, FacetFile, Slab, SlabInspection, divided, facet_count, read_once
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.pipeline.cross_check import CrossCheck, chosen_backends, compared_layers
 from ebamcheck.pipeline.finishing import SlabRecord, finish
 from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
@@ -246,7 +246,7 @@ def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) 
 
 
 def _added(before: Outcome, after: Outcome) -> Outcome:
-    sums = ("rings", "open_paths", "points", "prepare_s", "slice_s", "compile_s")
+    sums = ("rings", "open_paths", "points", "prepare_s", "slice_s")
     greatest = ("error_bound_mm", "height_bound_mm", "peak_mb")
     return replace(
         after,

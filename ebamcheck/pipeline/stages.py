@@ -16,11 +16,11 @@ from ebamcheck.backend import Progress
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.curves.turned import turned_over
 from ebamcheck.heat.part_heat import BeadPower
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
 from ebamcheck.nc.control import control
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.pipeline import gates
 from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.program import ProgramFiles

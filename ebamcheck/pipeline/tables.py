@@ -14,12 +14,12 @@ from ebamcheck.atomic_file import COMPRESSION
 from ebamcheck.checks.metal import FIELD_FILE, Deposit, field_table, write_field
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves import Curves
+from ebamcheck.kernels import Floats
 from ebamcheck.kinematics import side_by_side
 from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.files import write_parquet
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.program import program_summary
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config

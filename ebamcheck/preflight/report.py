@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.layer_rule import nearest_fitting, share_off
 from ebamcheck.mesh.inspection import Inspection, inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.preflight.room import of_bodies, room_checks, sense_checks, sizes, suspicions
 from ebamcheck.preflight.workload import RUN, Workload, work_checks, workload
 from ebamcheck.result import Check, preflight_record

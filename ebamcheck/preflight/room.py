@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Bools, Floats
 from ebamcheck.preflight.workload import RUN
 from ebamcheck.result import Check
 from ebamcheck.settings.base import UNITS_MM

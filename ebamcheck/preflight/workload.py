@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import facet_count, is_binary_stl
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.result import Check, Severity
 from ebamcheck.settings.config import Config
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.showing import short_text
 from ebamcheck.showing.markup import NAMESPACE, Markup, element
 

@@ -15,7 +15,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.showing.colours import SCALE, VIRIDIS, palette_image, png_address, ramp
 from ebamcheck.showing.markup import Markup, element, escaped, join, svg_file, text
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import EbamcheckError, ExitCode, SettingsError
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 ORDER_COLOURS = "viridis"  # from first to last
 MOST_FACETS = 200_000  # facets that matplotlib turns around in a bearable time

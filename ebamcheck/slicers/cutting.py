@@ -22,7 +22,6 @@ from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.files import KeptBlocks
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric import compiling
 from ebamcheck.plugins import registry
 from ebamcheck.slicers.outcome import Limits, Outcome, bounds_fault, form_fault
 
@@ -46,10 +45,10 @@ def cut(
     Heights (L,) strictly increase; `borders` are those of the blocks in which they are cut. `tell` takes the events of
     :mod:`ebamcheck.slicers.outcome` as keywords; `kept` are blocks that an earlier process has left.
     """
-    start = slicer_time()
+    start = time.perf_counter()
     try:
         with slicer.prepare(part, settings) as prepared:
-            tell(prepare_s=slicer_time() - start)
+            tell(prepare_s=time.perf_counter() - start)
             _write(_blocks(prepared, part, heights, borders, tell, kept), file, tell)
     except NotLayers as error:
         tell(failure="crashed", why=str(error))
@@ -87,12 +86,12 @@ def _blocks(
         if layers is not None:
             tell(done=past - first)
         else:
-            start = slicer_time()
+            start = time.perf_counter()
             try:
                 layers = prepared.slice(heights[first:past], lambda done: tell(done=done))
             except (EbamcheckError, OSError) as error:
                 raise BackendFailed(str(error)) from error
-            took = slicer_time() - start
+            took = time.perf_counter() - start
             seconds += took
             if fault := form_fault(layers, part, heights[first:past]):
                 raise NotLayers(fault)
@@ -104,11 +103,6 @@ def _blocks(
         tell(slice_s=seconds, rings=rings, open_paths=open_paths, points=points)
         yield layers
         del layers  # so that there are never two blocks in memory
-
-
-def slicer_time() -> float:
-    """Seconds of a clock that stands still while this process compiles kernels."""
-    return time.perf_counter() - compiling.seconds()
 
 
 FACET_BYTES, POINT_BYTES = 400.0, 160.0  # memory of a facet and of a point in a block, at most
@@ -144,12 +138,12 @@ def cut_here(
     Time is looked at whenever layers are done.
     """
     told: dict[str, Any] = {}
-    start = slicer_time()
+    start = time.perf_counter()
 
     def tell(**event: Any) -> None:
         if "done" not in event:
             told.update(event)
-        elif slicer_time() - start > limits.time_s:
+        elif time.perf_counter() - start > limits.time_s:
             raise _OutOfTime
 
     slicer = registry.available_slicer(name)

@@ -24,8 +24,6 @@ from ebamcheck.backend import BackendSettings, Progress
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric import compiling
-from ebamcheck.numeric.kernels import thread_count
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words, has_ended, last_words, size_of
 from ebamcheck.scratch import scratch_folder
@@ -46,6 +44,7 @@ from ebamcheck.slicers.outcome import Limits as Limits
 from ebamcheck.slicers.outcome import Outcome as Outcome
 from ebamcheck.slicers.worker import write_part
 from ebamcheck.slicers.worker_pool import Worker, WorkerPool, longest_first
+from ebamcheck.threads import thread_count
 
 DEFAULT_LIMITS = Limits()
 
@@ -213,9 +212,6 @@ def _take_in(worker: Worker, progress: Callable[[str, int], None] | None) -> boo
 
 def _take(worker: Worker, event: dict[str, Any], progress: Callable[[str, int], None] | None) -> None:
     """Take one event in; progress beyond the work that there is counts for nothing."""
-    if "compiling" in event:
-        compiling.begun(event["compiling"], event["missing"])
-        return
     if "done" not in event:
         worker.told.update(event)
         return
@@ -231,11 +227,9 @@ def _enforce(worker: Worker, limits: Limits) -> None:
     except psutil.Error:
         return
     worker.peak_mb = max(worker.peak_mb, resident)
-    # What a stranger says of its compiling counts for nothing.
-    compiled_s = 0.0 if worker.stranger else float(worker.told.get("compile_s", 0.0))
     if resident > limits.memory_mb:
         worker.lose("out of memory", _over_memory(resident, limits))
-    elif time.monotonic() - worker.started - compiled_s > limits.time_s:
+    elif time.monotonic() - worker.started > limits.time_s:
         worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
     elif size_of(worker.errors) > LARGEST_SAID_BYTES:
         worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
@@ -271,7 +265,7 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: L
         error_bound_mm=_finite(told.get("error_bound_mm", 0.0)),
         height_bound_mm=_finite(told.get("height_bound_mm", 0.0)),
         **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
-        **{name: told.get(name, 0.0) for name in ("prepare_s", "slice_s", "compile_s")},
+        **{name: told.get(name, 0.0) for name in ("prepare_s", "slice_s")},
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
     )
     failure, why = _failure(worker, part, heights)

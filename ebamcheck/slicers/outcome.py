@@ -53,7 +53,6 @@ class Outcome:
     points: int = 0
     prepare_s: float = 0.0
     slice_s: float = 0.0
-    compile_s: float = 0.0  # time in which kernels were compiled; it is in none of the others
     peak_mb: float = 0.0
 
     def made(self) -> Path:
@@ -80,7 +79,6 @@ FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
 LONGEST_TEXT = 4000
 
 _Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
-_Name = Annotated[str, Field(max_length=200)]
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 _Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
@@ -110,9 +108,6 @@ class _Event(_Told):
     height_bound_mm: float = 0.0
     prepare_s: _Amount = 0.0
     slice_s: _Amount = 0.0
-    compile_s: _Amount = 0.0
-    compiling: _Name = ""  # a kernel that is compiled, and with the first one those that are missing
-    missing: Annotated[list[_Name], Field(max_length=2000)] = []
     peak_mb: _Amount = 0.0
     rings: _Count = 0
     open_paths: _Count = 0
@@ -142,8 +137,6 @@ def event_of(line: bytes) -> dict[str, Any]:
     for word in ("why", "unwritable"):
         if word in event:
             event[word] = one_line(event[word], LONGEST_TEXT)
-    if "compiling" in event:
-        event.setdefault("missing", [])
     if "failure" in event and "why" not in event:
         event["why"] = "it did not say why"
     return event

@@ -21,8 +21,6 @@ import numpy as np
 
 from ebamcheck.layers.files import KeptBlocks
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric import compiling
-from ebamcheck.numeric.kernels import bring_up
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.processes import die_with
 from ebamcheck.plugins.trial import probed
@@ -124,29 +122,14 @@ def _teller(pipe: int) -> Iterator[Callable[..., None]]:
         yield tell
 
 
-@contextlib.contextmanager
-def _compiling_told(tell: Callable[..., None]) -> Iterator[None]:
-    """Tell of every kernel that is compiled here, and of the time that it took."""
-    compiling.when_ended(lambda seconds: tell(compile_s=seconds))
-
-    def begun(number: int, _most: int, name: str) -> None:
-        tell(compiling=name, missing=compiling.missing() if number == 1 else [])
-
-    with compiling.heard_by(begun):
-        yield
-
-
 def main(arguments: Sequence[str]) -> int:
     """Entry point: a label, descriptor of the event pipe, the parent's id; one order comes on standard input."""
     _, pipe, parent = arguments
     die_with(int(parent))
-    compiling.watch()
-    # Whoever starts this process ahead is still reading the part.
-    bring_up()
     line = sys.stdin.readline()
     # A worker whose parent is gone, or has no order for it, gets no answer any more and must not run on.
     if line:
-        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError), _compiling_told(tell):
+        with _teller(int(pipe)) as tell, contextlib.suppress(BrokenPipeError):
             _work(json.loads(line), tell)
     return 0
 

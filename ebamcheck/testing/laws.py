@@ -11,9 +11,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.testing.solids import house_rule, joined, mapped, named, sections, simple, turn
 from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, differences, generic_heights, truth
 

@@ -15,9 +15,9 @@ from ebamcheck.backend import BackendSettings, Slicer
 from ebamcheck.comparison import compare
 from ebamcheck.comparison.measure import FINEST_DEPTH_MM
 from ebamcheck.errors import BackendFailed
+from ebamcheck.geometry.rings import EPSILON
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import EPSILON
 from ebamcheck.plugins.model import Model
 from ebamcheck.testing.solids import HOUSE_RULE, house_rule, sections, winding_rule
 

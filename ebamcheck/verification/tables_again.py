@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 
 from ebamcheck.curves import Curves
 from ebamcheck.curves.columns import table_of
+from ebamcheck.kernels import Floats
 from ebamcheck.layer_numbers import numbered
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.reports import reports_again
 from ebamcheck.pipeline.tables import INDEXED, Table
 from ebamcheck.program import Check

@@ -16,6 +16,7 @@ from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_json
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.inspection import inspect
@@ -23,7 +24,6 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart, read_part
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.cross_check import witness_backend
 from ebamcheck.pipeline.entry_program import begins_later, entry_of_whole
 from ebamcheck.pipeline.stages import smooth_sections

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, CurveColumns, ScanColumns
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings

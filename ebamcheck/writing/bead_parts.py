@@ -8,8 +8,8 @@ import numpy as np
 
 from ebamcheck.heat.melting import own_power_shares
 from ebamcheck.heat.part_heat import BeadPower
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, Interpass
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.cuts import segment_parts
 from ebamcheck.writing.segments import CIRCULAR, CUBIC

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.codes import BEAM_VALUES
 from ebamcheck.nc.conventions import safe_end_mm
 from ebamcheck.nc.templates import ProcessValues
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.segments import Circles
 from ebamcheck.writing.tracks import rounded

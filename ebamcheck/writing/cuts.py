@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import run_blocks
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
+from ebamcheck.threads import run_blocks
 from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, circles
 
 HALVINGS = 52  # Bisections of the parameter of a cubic at a length: the bits of a number

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.inputs import Interpass, ScanColumns, interpass_of
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.islands.clipping import GAP, THIN_WALL
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import wire_area_mm2, wire_speed_mm_s

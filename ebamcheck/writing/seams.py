@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 
 STEP_MM = 1.0  # Places along a contour at which it may start
 # Places, each one shift further along, of which the first that lies apart is taken, or the farthest.

@@ -11,8 +11,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import ARC, DEGREE, LINE, SPLINE, CurveColumns
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 STRAIGHT, CUBIC, CIRCULAR = range(3)  # Kinds of segments
 # What splines become: cubics, exactly, or arcs or chords within a tolerance. Arcs stay arcs, but for "all chords".

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.conventions import comment
 from ebamcheck.nc.templates import carried_corners
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import RotaryAxis
 from ebamcheck.writing.blocks import BlockFormat

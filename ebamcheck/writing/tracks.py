@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import (
     CurveColumns,
     ScanColumns,
@@ -21,7 +22,6 @@ from ebamcheck.nc.inputs import (
     hatch_columns,
     layer_thickness,
 )
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.cuts import segment_lengths

@@ -17,15 +17,15 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import ARC_SEGMENTS
 from ebamcheck.heat.melting import width_limits_mm
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.footprints import pooled
 from ebamcheck.metal.surface import HALF
 from ebamcheck.metal.target import border_distance
 from ebamcheck.nc.inputs import ScanColumns, interpass_of
-from ebamcheck.numeric.kernels import kernel, run_each
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
+from ebamcheck.threads import run_each
 from ebamcheck.writing.bead_parts import ROUNDING_MM, Parts, Stretches, Tracks, cut, parts_of, snapped
 from ebamcheck.writing.cuts import segment_places
 from ebamcheck.writing.tracks import Toolpath
@@ -247,6 +247,8 @@ def _layer_beads(
 
 def joined(layers: Sequence[Stretches]) -> Stretches:
     """Stretches of all layers, one behind the other."""
-    columns = (np.concatenate([getattr(s, name) for s in layers]) for name in ("track", "low", "high", "lap"))
+    track, low, high, lap = (
+        np.concatenate([getattr(s, name) for s in layers]) for name in ("track", "low", "high", "lap")
+    )
     width = np.concatenate([s.width for s in layers if s.width is not None])
-    return Stretches(*columns, width=width)
+    return Stretches(track, low, high, lap, width=width)

@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats
 from ebamcheck_reports.markup import Markup, element
 
 Box = tuple[float, float, float, float]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports.markup import Markup, element, join, legend
 

@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 
 from ebamcheck.curves import Curves
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats
 from ebamcheck_reports.canvas import Box, Canvas, around, outline
 from ebamcheck_reports.markup import DOTS, Markup, join, legend
 

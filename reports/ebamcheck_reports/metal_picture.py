@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.metal import LayerField
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 from ebamcheck.showing.colours import palette_image, png_address
 from ebamcheck.showing.markup import Markup, element, svg_file, text
 from ebamcheck.showing.pictures import ring_path

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import shapely
 
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck_reports.markup import Markup, element
 
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 420.0, 380.0, 8.0

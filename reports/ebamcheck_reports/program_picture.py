@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, NCProgram
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.showing.colours import ramp
 from ebamcheck_reports.canvas import Canvas
 from ebamcheck_reports.markup import Markup, legend

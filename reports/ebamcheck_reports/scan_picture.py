@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.scan import ScanPlan
 from ebamcheck.showing.colours import ramp
 from ebamcheck_reports.canvas import Box, Canvas, outline

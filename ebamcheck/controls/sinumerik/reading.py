@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ebamcheck.controls.sinumerik.control import NAME
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.files import layer_of_preheat
 from ebamcheck.nc.motions import ARC, POLYNOMIAL, RAPID, SPLINE_SPAN, STRAIGHT, NCProgram, SourceFile
 from ebamcheck.nc.reader import ARCS, AXES, Reader
@@ -17,7 +18,6 @@ from ebamcheck.nc.recorder import NAN
 from ebamcheck.nc.table import NONE, frame_after, on_part
 from ebamcheck.nc.timeline import AXIS_EVENT
 from ebamcheck.nc.words import NUMBER, Block, Dialect, WordError
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.settings.config import Config
 
 DEEPEST_CALL = 8  # Levels of subprograms; deeper ones are taken for a program that calls itself

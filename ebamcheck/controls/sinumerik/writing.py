@@ -15,11 +15,11 @@ import numpy as np
 
 from ebamcheck.controls.sinumerik.control import AS_WRITTEN, CONTROL
 from ebamcheck.errors import SettingsError
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.conventions import plain
 from ebamcheck.nc.files import NOT_VALIDATED, VALIDATED, ProgramFiles, legal_name, preheat_name, write_files
 from ebamcheck.nc.inputs import DEGREE, SPLINE, CurveColumns, ScanColumns
 from ebamcheck.nc.templates import process_values
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.blocks import BlockFormat, numbered, off_blocks

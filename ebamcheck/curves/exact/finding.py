@@ -17,9 +17,9 @@ from ebamcheck.curves.exact.fitting import told_forms
 from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distances
 from ebamcheck.curves.exact.growing import Ground, grown
 from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 
 FIT = 3.0
 """Tolerance of a fitted surface, over that of a plane: errors of the fitted position and size add to those of the vertices."""

@@ -25,7 +25,7 @@ from ebamcheck.curves.exact.forms import (
     TORUS,
     distances,
 )
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats
 
 MOST_POINTS = 400
 """Most vertices used for a fit, evenly spread; all are then checked against it."""

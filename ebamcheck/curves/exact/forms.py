@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats, kernel
 
 SPHERE, CYLINDER, CONE, TORUS, QUADRIC, FLAT = range(6)
 

@@ -7,9 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.curves.exact.forms import SIDE, signed_distance
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats
 
 FACES_ALONG = 0.7
 """Least cosine between the normals of a facet and of its surface: some 45 degrees, about the crease angle."""

@@ -12,10 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.geometry.elimination import eliminated
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import Index
-from ebamcheck.numeric.elimination import eliminated
-from ebamcheck.numeric.kernels import kernel, run_blocks
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.threads import run_blocks
 
 CUBIC, QUADRIC = 9, 5
 """Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these."""

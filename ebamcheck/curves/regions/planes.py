@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.kernels import Floats, kernel
 from ebamcheck.mesh.part import (
     Part,
     rotation_to_z,
 )
 from ebamcheck.mesh.topology import NO_TWIN, Index
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.settings.base import UNITS_MM
 
 MOST_REACH = 10.0

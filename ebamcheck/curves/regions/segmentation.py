@@ -18,11 +18,10 @@ from ebamcheck.curves.regions.borders import (
     part_bends,
 )
 from ebamcheck.curves.regions.planes import PlanarGroups, planar_groups, plane_tolerance_mm
+from ebamcheck.geometry.sorting import stable_order
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats
-from ebamcheck.numeric.sorting import stable_order
 from ebamcheck.settings.stages import CurveSettings
 
 FREEFORM, PLANE, STRIP = 0, 1, 2

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.nearest import segments_of
 from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
 from ebamcheck.geometry.regions import valid_polygons
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.scan.filling.hatch import SHORTEST_LINE, Vectors, hatch, joined
 from ebamcheck.scan.filling.walls import wall_lines
 from ebamcheck.scan.islands import clipping as cells

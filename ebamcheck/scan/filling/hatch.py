@@ -15,8 +15,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.scan.islands.lattice import minimum_rectangle
 
 WIDEST_PITCH = 0.9

@@ -22,7 +22,7 @@ from scipy.spatial import QhullError, Voronoi
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import NO_WIDTH_MM, mean_width_mm
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 
 SAMPLES_ACROSS = 9.0
 """Border points per wall width. Where those of its two sides are out of step the centre line goes to and fro by a fraction of a

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns, valid_polygons
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.islands.lattice import SQRT3, Lattice, minimum_rectangle
 
 WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"

@@ -19,7 +19,7 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import GeometryError, SettingsError
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.settings.config import Config
 
 SQRT3 = math.sqrt(3.0)

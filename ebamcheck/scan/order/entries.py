@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entries
 from ebamcheck.heat.near_field import OPTIONS
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, island_ends
 
 NEAREST = -1

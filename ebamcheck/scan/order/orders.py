@@ -32,7 +32,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.island_heat import IslandHeat, island_heat, with_fresh_heat
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import IslandSchedule

@@ -18,8 +18,7 @@ from ebamcheck.heat.field import Modes, Timetable, late_heat, read_surface
 from ebamcheck.heat.influence import MOST_ISLANDS, Influence, influence, table_place, work_out
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.near_field import NearField, entry_rise, young_mean
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule
 from ebamcheck.scan.order.entries import (
     EntryOptions,
@@ -333,8 +332,9 @@ class Log(NamedTuple):
 
 def new_log(count: int) -> Log:
     """Room for the log of an order."""
-    floats, ints = (lambda: np.zeros(count)), (lambda: np.zeros(count, np.int64))
-    return Log(floats(), ints(), floats(), ints(), floats(), np.zeros(count, np.int32), floats())
+    ints = np.zeros((2, count), np.int64)
+    floats = np.zeros((4, count))
+    return Log(floats[0], ints[0], floats[1], ints[1], floats[2], np.zeros(count, np.int32), floats[3])
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 
 from ebamcheck.heat.field import Field
 from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entries
-from ebamcheck.numeric.rings import Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.filling.schedule import IslandSchedule
 from ebamcheck.scan.order.entries import nearest_options
 

@@ -51,8 +51,8 @@ from ebamcheck.columns_file import (
 )
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.metal import Surface
-from ebamcheck.numeric.rings import Floats, Ints
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns

@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat.island_heat import IslandHeat, island_heat
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.plugins import registry
 from ebamcheck.scan.order.entries import modes_at_entries, nearest_options, rises_at_entries
 from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order

@@ -13,7 +13,7 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.heat import HeatModel
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.part_heat import Beads, uneven
-from ebamcheck.numeric.rings import Bools, Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.scan.filling.fill import fill_layer
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import follows, island_schedule, turns_and_jumps_mm

@@ -19,7 +19,7 @@ from ebamcheck.heat.preheating import (
     plate_of,
     plate_region,
 )
-from ebamcheck.numeric.rings import Bools, Floats
+from ebamcheck.kernels import Bools, Floats
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, LEAST_REST_S
 

@@ -15,8 +15,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.geometry.regions import layer_section
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Bools, Floats, Ints
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.scan.islands import clipping as cells
 from ebamcheck.scan.order.entries import jumps_mm

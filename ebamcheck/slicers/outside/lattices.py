@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
+from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups
-from ebamcheck.numeric.kernels import worker_threads
-from ebamcheck.numeric.rings import EPSILON, Bools, Floats, Ints
+from ebamcheck.threads import worker_threads
 
 SAME_PLANE_MM = 1e-9  # heights ``bottom + (k + 0.5) * step`` are rounded
 LEAST_RUN = 3  # heights of equal step that make a lattice: any two heights have one step

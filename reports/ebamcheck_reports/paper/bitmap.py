@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.comparison import compare
 from ebamcheck.errors import BackendFailed, EbamcheckError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 from ebamcheck.showing.colours import binary_image, png_address
 from ebamcheck_reports.canvas import Canvas, around, outline

@@ -10,8 +10,8 @@ import pandas as pd
 import shapely
 
 from ebamcheck.curves import Curves, contour_error, error_reduction, fit, polar_radius
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ebamcheck.errors import EbamcheckError
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.model import models
 from ebamcheck_reports.paper import published

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.curves import ARC, LINE, SPLINE, Curves, polar_radius
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.numeric.rings import Floats
 from ebamcheck.pipeline.fit import largest_move_mm
 from ebamcheck_reports import curve_picture
 from ebamcheck_reports.charts import Series, line_chart

@@ -6,14 +6,8 @@ A *ring* is a run of rows of a ``(N, 2)`` point array; it closes implicitly (no 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ebamcheck.numeric.kernels import kernel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-ShortInts = NDArray[np.int32]
-Bools = NDArray[np.bool_]
+from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 EPSILON = 2.0**-52
 """Spacing of float64 at 1."""

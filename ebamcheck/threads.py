@@ -1,8 +1,4 @@
-"""The one way in which this project compiles its numeric kernels.
-
-Kernels are plain functions on numpy columns, compiled by numba, cached on disk and free of the
-interpreter lock, so that :func:`run_blocks` spreads them over threads.
-"""
+"""Work on all threads: blocks of rows by kernels that do without the interpreter lock, and items one by one."""
 
 from __future__ import annotations
 
@@ -11,43 +7,20 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, TypeVar, cast
+from itertools import pairwise
+from typing import Any, TypeVar
 
-import numba
+import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.numeric.kernel_cache import ENTRY, kernel_cache
-from ebamcheck.numeric.kernel_compiling import number_functions
-from ebamcheck.numeric.kernel_entries import KernelEntries
 
-number_functions()
-
-_Function = TypeVar("_Function", bound=Callable[..., Any])
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+_Scalar = TypeVar("_Scalar", bound="np.generic[Any]")
 
-
-def kernel(function: _Function) -> _Function:
-    """Compile `function` with numba: cached on disk, without the interpreter lock, IEEE arithmetic."""
-    compiled = _dispatcher(function, "")
-    KernelEntries(compiled, lambda: _dispatcher(function, ENTRY))
-    return cast(_Function, compiled)
-
-
-def _dispatcher(function: Callable[..., Any], kind: str) -> Any:
-    compiled: Any = numba.njit(nogil=True, fastmath=False)(function)
-    compiled._cache = kernel_cache(function, kind)
-    return compiled
-
-
-@kernel
-def _nothing() -> None:
-    """Do nothing; the first kernel of a process has numba set itself up."""
-
-
-def bring_up() -> None:
-    """Have numba set itself up now: it takes a quarter of a second, which else the first kernel waits for."""
-    _nothing()
+ROWS_A_BLOCK = 2**18
+"""Fewest rows worth a thread."""
 
 
 def thread_count() -> int:
@@ -120,3 +93,24 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+def joined(columns: Sequence[NDArray[_Scalar]]) -> NDArray[_Scalar]:
+    """Join columns (n, ...) of one kind end to end, as ``np.concatenate`` does, on all threads.
+
+    Examples
+    --------
+    >>> joined([np.array([1, 2]), np.array([3])])
+    array([1, 2, 3])
+    """
+    starts = np.cumsum([0, *(len(column) for column in columns)])
+    out = np.empty((int(starts[-1]), *columns[0].shape[1:]), columns[0].dtype)
+
+    def copy(start: int, stop: int) -> None:
+        for column, (first, past) in zip(columns, pairwise(starts.tolist()), strict=True):
+            low, high = max(start, first), min(stop, past)
+            if low < high:
+                out[low:high] = column[low - first : high - first]
+
+    run_blocks(copy, len(out), ROWS_A_BLOCK)
+    return out

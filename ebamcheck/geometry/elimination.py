@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ebamcheck.numeric.kernels import kernel
-from ebamcheck.numeric.rings import Floats
+from ebamcheck.kernels import Floats, kernel
 
 
 @kernel
