@@ -15,6 +15,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -59,7 +60,7 @@ def cache_folder(package: str) -> Path | None:
 
 def _stamp(package: str) -> str:
     """Hash of all modules with kernels of this project and of `package`, of those they import from, and of what compiles them."""
-    made = hashlib.sha256(f"{numba.__version__} {np.__version__} {sys.version}".encode())
+    made = hashlib.sha256(f"{version('numba')} {version('numpy')} {sys.version}".encode())
     modules = {**_modules(_HOUSE), **_modules(package)}
     with_kernels = {name for name, source in modules.items() if b"@kernel" in source}
     imported = {found.decode() for name in with_kernels for found in _IMPORTED.findall(modules[name])}

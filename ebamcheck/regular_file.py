@@ -18,21 +18,9 @@ KINDS = {
 
 
 def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> Path:
-    """Return a path unless something else than a regular file, or a link to one, stands there.
+    """Return a path, without opening it, unless something else than a regular file, or a link to one, stands there: else raise `error`.
 
     What is missing, or must not be looked at, is told by whoever opens it.
-
-    Parameters
-    ----------
-    path
-        The file; it is not opened.
-    error
-        What is raised.
-
-    Raises
-    ------
-    EbamcheckError
-        If a folder, a pipe, a device or a socket stands there, or the name is none that a file can have.
 
     Examples
     --------

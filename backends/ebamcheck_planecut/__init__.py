@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -31,9 +32,7 @@ class PlaneCut:
 
     def probe(self) -> Probe:
         """Tell that it runs wherever numba does."""
-        import numba
-
-        return Probe(True, versions={"numba": numba.__version__, "numpy": np.__version__})
+        return Probe(True, versions={name: version(name) for name in ("numba", "numpy")})
 
     def error_bound_mm(self, part: Part, settings: BackendSettings) -> float:
         """Return the rounding of one interpolation: four units in the last place of the largest coordinate."""

@@ -119,42 +119,15 @@ def compare_all(
     borders: NDArray[np.int64] | None = None,
     evidence: EvidenceRule = EVERY_AGREEMENT,
 ) -> Comparison:
-    """Compare all stacks pairwise and find, on each layer, who agrees with whom.
+    """Compare all stacks, of the same part at the same heights, pairwise and find on each layer who agrees with whom.
 
-    Parameters
-    ----------
-    stacks
-        Layers of the same part at the same heights, by backend, in memory or in files.
-    part
-        The part, for layer classes, empty layers and causes.
-    bounds
-        Error bound and height bound of each backend, mm.
-    exact
-        Whether each backend's contours are those of the mesh to rounding.
-    rules
-        Coplanar rule of each backend; layers that are not generic are gated only between ``half-open`` ones.
-    settings
-        Tolerance and plane margin; the default margin is the larger height bound of a pair.
-    progress
-        Called with the number of layers measured since the last call.
-    borders
-        Blocks of layers (:func:`~ebamcheck.layers.heights.layer_blocks`), two of which are in memory at a time; None: all
-        layers at once. The result does not depend on it.
-    evidence
-        Which agreements count. A disagreement always counts.
+    By backend: `bounds` are its error and height bounds, mm; `exact` whether its contours are those of the mesh to rounding;
+    `rules` its coplanar rule (layers that are not generic are gated only between ``half-open`` ones). `borders` are blocks of
+    layers, two of which are in memory at a time, and `evidence` says which agreements count; a disagreement always does.
 
-    Returns
-    -------
-    Comparison
-        The consensus of a layer is the largest set of backends in which every gated pair agrees and each
-        backend has a gated agreement with another one that is evidence. Backends outside it are outliers. With two such
-        sets of the same size, or none, the layer is undecided. A layer that is empty in all stacks although facets cross its
-        plane is ``empty``; one on which no gated pair is evidence is ``not-compared``.
-
-    Raises
-    ------
-    SettingsError
-        If the stacks differ in heights or part.
+    The consensus of a layer is the largest set of backends in which every gated pair agrees and each has a gated agreement that
+    is evidence; the others are outliers. With two such sets of one size, or none, the layer is undecided. A layer that is empty
+    in all stacks although facets cross its plane is ``empty``; one without a gated pair that is evidence is ``not-compared``.
     """
     settings = settings or ComparisonSettings()
     names = list(stacks)

@@ -287,23 +287,10 @@ UNKNOWN = "unknown"
 
 
 def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[np.str_]:
-    """Class of each layer, (L,).
+    """Class of each layer (L,) at absolute heights (L,).
 
-    Parameters
-    ----------
-    part
-        The part as placed.
-    heights
-        (L,) absolute heights, mm.
-    margin_mm
-        Distance from the plane within which a vertex counts as on it.
-
-    Returns
-    -------
-    numpy.ndarray
-        ``face-on-plane`` where a whole facet lies within the margin of the plane (a level facet, or one too
-        small to be told from it), else ``vertex-on-plane`` where a vertex does, else ``generic``. Vertices
-        that no facet uses do not count.
+    ``face-on-plane`` where a whole facet lies within the margin of the plane (a level facet, or one too small to be told from it),
+    else ``vertex-on-plane`` where a vertex of a facet does, else ``generic``.
     """
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     classes = np.full(planes.shape, GENERIC, dtype=f"<U{len(VERTEX_ON_PLANE)}")

@@ -116,23 +116,12 @@ def contour_error(
 
 
 def error_reduction(before: pd.DataFrame, after: pd.DataFrame) -> pd.Series:
-    """How much smaller the error of a whole stack became, as fractions of 1.
+    """How much smaller the error of a whole stack became, as fractions of 1, from two tables of :func:`contour_error`.
 
-    Parameters
-    ----------
-    before, after
-        Results of :func:`contour_error` against the same reference, by layer or both by ring.
-
-    Returns
-    -------
-    Series ``polar_range`` (greatest less least error), ``polar_max`` (greatest magnitude), ``polar_rms``,
-    ``polar_mean_abs``, and the same of ``normal``. The polar figures are over the rows where both are
-    defined. NaN where there is nothing to compare, or where the error before was only rounding.
-
-    Notes
-    -----
-    The paper gives ranges (-0.2125, 0.1137) and (-0.0810, 0.0955) mm and calls the reduction 34.2 %
-    without saying of what: the range shrinks by 45.9 % and the greatest magnitude by 55.1 %.
+    ``polar_range`` (greatest less least error), ``polar_max`` (greatest magnitude), ``polar_rms``, ``polar_mean_abs``, and the same
+    of ``normal``; polar figures are over the rows where both are defined. NaN where there is nothing to compare, or where the
+    error before was only rounding. The paper calls its reduction 34.2 % without saying of what: its range shrinks by 45.9 %, its
+    greatest magnitude by 55.1 %.
     """
     if len(before) != len(after):
         raise SettingsError(f"errors of {len(before)} and {len(after)} rows: compare the same layers")
@@ -412,20 +401,9 @@ class Rays(NamedTuple):
 
 
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
-    """Distance from `centre` at which a ray in each direction meets a closed ring.
+    """Distance (m,), mm, from `centre` at which a ray in each direction (m,), counter-clockwise from +x, meets a closed ring (n, 2).
 
-    Parameters
-    ----------
-    ring
-        (n, 2) points, mm, at least 3, without a repeated end point.
-    centre
-        (2,) mm.
-    theta_rad
-        (m,) directions, counter-clockwise from +x.
-
-    Returns
-    -------
-    (m,) mm; NaN where the radius is undefined, because a ray meets the ring never or more than once.
+    NaN where a ray meets the ring never or more than once.
     """
     points = np.asarray(ring, dtype=np.float64).reshape(-1, 2)
     middle = np.asarray(centre, dtype=np.float64).reshape(-1)

@@ -21,21 +21,10 @@ LARGEST_SPAN_RAD = math.radians(5.0)
 
 @dataclass(frozen=True, eq=False)
 class BezierSpans:
-    """Every knot span of every spline, every segment of every line, and arcs in short spans, in the order of travel.
+    """Every knot span of every spline, every segment of every line, and arcs in short spans (n,), in the order of travel."""
 
-    Parameters
-    ----------
-    points
-        (n, 4, 2) Bezier control points, mm. Consecutive spans of a ring share their end point bit for
-        bit; a line's inner points lie at its thirds.
-    interval_mm
-        (n,) knot interval of the span; the length of a line. A POLY block's PL, before rescaling.
-    kind, piece, ring, layer
-        (n,) kind, piece, ring and layer of each span.
-    """
-
-    points: Floats
-    interval_mm: Floats
+    points: Floats  # (n, 4, 2) control points, mm; neighbours share their end bit for bit, a line's inner points lie at its thirds
+    interval_mm: Floats  # knot interval; the length of a line. A POLY block's PL, before rescaling
     kind: NDArray[np.uint8]
     piece: Ints
     ring: Ints

@@ -27,20 +27,13 @@ class CleanRings(NamedTuple):
 def clean(
     points: Floats, ring_starts: Ints, closed: Bools, near_point_mm: float, collinear_mm: float
 ) -> CleanRings:
-    """Remove the points of rings that carry no shape.
+    """Remove the points of rings, as columns of :class:`~ebamcheck.layers.stack.Layers`, that carry no shape.
 
     A point goes if it repeats or lies nearer than `near_point_mm` to the last one kept. Of a run of
     points, the inner ones go if every one of them lies within `collinear_mm` of the chord that takes
     their place, so that the error does not grow along the run; points of a path that turns back on
     itself stay. Closed rings are swept from the point farthest from their middle, which cannot lie
-    inside a straight run; open paths keep both ends.
-
-    Parameters
-    ----------
-    points, ring_starts, closed
-        Columns of :class:`~ebamcheck.layers.stack.Layers`: (N, 2) mm, (R + 1,), (R,).
-    near_point_mm, collinear_mm
-        Tolerances; 0 removes only points that repeat or are collinear to rounding.
+    inside a straight run; open paths keep both ends. A tolerance of 0 counts rounding alone.
     """
     count = ring_starts.size - 1
     sweep = np.empty(len(points), dtype=np.int64)

@@ -104,35 +104,18 @@ class SampledRings(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Evidence for the rings of curves, and the method to which each ring without it fell back.
+    """Evidence for the rings (R,) of curves, and the method to which each ring without it fell back."""
 
-    Parameters
-    ----------
-    cause
-        (R,) why the ring by the requested method was not accepted, of :data:`~ebamcheck.curves.gate.CAUSES`.
-    method
-        (R,) 0 the requested method, 1 the polyline of the contour.
-    accepted
-        (R,) whether the ring by the method that it has now is accepted.
-    value_mm, limit_mm
-        (R,) distance and limit, by the requested method, at the place where the distance exceeds its limit most or, where
-        none does, comes nearest to it, mm.
-    at
-        (R, 2) that place, mm; NaN where there is none.
-    mean_limit_mm
-        (R,) mean limit along the ring, mm.
-    known
-        Whether the part was known. If not, the settings alone limit how far curves may leave their contours.
-    """
-
-    cause: NDArray[np.uint8]
-    method: NDArray[np.uint8]
-    accepted: Bools
-    value_mm: Floats
-    limit_mm: Floats
-    at: Floats
-    mean_limit_mm: Floats
-    known: bool = True
+    cause: NDArray[np.uint8]  # why the ring by the requested method was not accepted, of gate.CAUSES
+    method: NDArray[np.uint8]  # 0 the requested method, 1 the polyline of the contour
+    accepted: Bools  # whether the ring by the method that it has now is accepted
+    value_mm: (
+        Floats  # distance, by the requested method, where it exceeds its limit most or comes nearest to it
+    )
+    limit_mm: Floats  # the limit there
+    at: Floats  # (R, 2) that place, mm; NaN where there is none
+    mean_limit_mm: Floats  # mean limit along the ring
+    known: bool = True  # whether the part was; if not, the settings alone limit the curves
 
     def of_rings(self, which: slice | Bools) -> Evidence:
         """Evidence of some of the rings."""

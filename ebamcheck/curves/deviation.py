@@ -132,19 +132,11 @@ def _distance(B: Floats, t: float, x: float, y: float) -> float:
 
 
 def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:
-    """Distance between curves and their contours, one row a layer.
+    """Distance between curves and the contours that they were fitted to, one row a layer.
 
-    Returns
-    -------
-    DataFrame with the columns ``layer``, ``height_mm``, ``kept_points_mm`` (greatest distance of a point
-    that the cleaning kept from the curve: rounding, for a fit that interpolates), ``points_mm`` (of any
-    point of the contour; the curve leaves the inner points of a chord as far as it bulges), ``bulge_mm`` (greatest distance of the curve
-    from the contour's segments) and ``blocks`` (NC blocks). A layer without contours has zeros.
-
-    Raises
-    ------
-    SettingsError
-        If the curves were not fitted to these layers: other heights or rings.
+    ``kept_points_mm`` is the greatest distance of a point that the cleaning kept from the curve (rounding, for a fit that
+    interpolates), ``points_mm`` of any point of the contour, ``bulge_mm`` of the curve from the contour's segments; ``blocks`` counts
+    NC blocks. Raises :class:`SettingsError` if the layers have other heights or rings.
     """
     same = np.array_equal(curves.heights, layers.heights) and np.array_equal(
         curves.layer_starts, layers.layer_starts

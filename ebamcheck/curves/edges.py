@@ -24,14 +24,7 @@ LEAST_SHARE = 0.5
 def with_edges(layers: Layers, part: Part, tolerance_mm: float) -> Layers | None:
     """Layers with the mesh edge of each point; None if they are not contours of the part.
 
-    Parameters
-    ----------
-    layers
-        Contours; those that already have their edges are returned as they are.
-    part
-        The mesh that was cut.
-    tolerance_mm
-        How far a point may be from the place where the layer cuts its edge. Points farther off get no edge.
+    A point farther than `tolerance_mm` from the place where the layer cuts its edge gets none.
     """
     if layers.edge is not None:
         return layers

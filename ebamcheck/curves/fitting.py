@@ -134,16 +134,9 @@ def fit_for_program(
     error_bound_mm: float = 0.0,
     progress: Progress | None = None,
 ) -> Curves:
-    """Fit contours for a program: no curve leaves its contour by more than the program's path may.
+    """Fit contours as :func:`fit` does, for a program: no curve leaves its contour by more than the program's path may.
 
-    Parameters
-    ----------
-    method
-        One of :data:`METHODS`; empty: that of the settings.
-    error_bound_mm
-        The slicer's own error, a staircase of pixels say: what it makes of a contour is no shape.
-    layers, settings, part, progress
-        As for :func:`fit`, which tells the rest.
+    `error_bound_mm` is the slicer's own error, such as a staircase of pixels: what it makes of a contour is no shape.
     """
     settings = settings.model_copy(update={"collinear_mm": max(settings.collinear_mm, error_bound_mm)})
     name, largest_mm = method or settings.method, settings.section_tolerance_mm

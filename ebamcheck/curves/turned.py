@@ -11,12 +11,7 @@ from ebamcheck.kernels import Bools, Floats, Ints
 
 
 def turned_over(curves: Curves, rings: Bools) -> Curves:
-    """Turn the direction of rings; each starts where it did, and every curve stays the same.
-
-    Parameters
-    ----------
-    rings
-        (R,) rings to turn over.
+    """Turn the direction of some rings (R,); each starts where it did, and every curve stays the same.
 
     Examples
     --------

@@ -9,21 +9,10 @@ from ebamcheck.kernels import Floats, kernel
 
 @kernel
 def eliminated(equations: Floats, count: int, least_pivot: float) -> bool:
-    """Solve symmetric positive equations in place.
+    """Solve `count` symmetric positive equations (n, n + 1) in place; false where they do not determine all unknowns.
 
-    Parameters
-    ----------
-    equations
-        (n, n + 1) at least, with the right side in column `count`; the unknowns take its place.
-    count
-        Unknowns n.
-    least_pivot
-        Share of a diagonal element that has to be left of it, or the equations do not tell all unknowns.
-
-    Returns
-    -------
-    bool
-        Whether all unknowns are told.
+    The right side stands in column `count`, where the unknowns take its place. Of each diagonal element at least the share
+    `least_pivot` has to be left.
     """
     diagonal = np.empty(count)
     for i in range(count):

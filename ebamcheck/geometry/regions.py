@@ -137,21 +137,9 @@ def inset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
 
 
 def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> BaseGeometry:
-    """Points of a region deeper than a distance: outward corners stay corners, inward ones become arcs.
+    """Points of a valid region deeper than a distance: outward corners stay corners, inward ones become arcs.
 
-    Parameters
-    ----------
-    region
-        Polygon or multi-polygon, valid.
-    distance_mm
-        From the border, 0 or more.
-    quad_segs
-        Chords of a quarter turn.
-
-    Raises
-    ------
-    GeometryError
-        If both ways give something that is not the inset.
+    Raises :class:`GeometryError` if both ways to make it give something that is not the inset.
 
     Examples
     --------

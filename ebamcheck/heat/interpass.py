@@ -36,40 +36,19 @@ PERCENT = 100
 
 @dataclass(frozen=True, eq=False)
 class SimulatedLayer:
-    """One layer as it is simulated.
-
-    Parameters
-    ----------
-    power_share
-        Share of the beam's power.
-    wait_s, ring_wait_s
-        Wait before the layer, and before each further contour.
-    bead_wait_s
-        (B,) waits before the beads, those of the contours included but for the first; further beads of one island
-        share one, the longest that one of them asks for.
-    bed_k, mean_k
-        (B,) what each bead finds at its place when it is entered, and the mean over the section then, absolute, K.
-    body_k
-        Mean temperature rise of the part under the layer when it is begun, K.
-    enter_k, leave_k
-        Mean temperature of the surface when the layer is begun, and when it is done, absolute, K.
-    time_s
-        Time of the layer, moves and waits within it included.
-    after
-        The part's heat when it is done.
-    """
+    """One layer as it is simulated, with a share of the beam's power. Temperatures are absolute, but for the rise `body_k`."""
 
     power_share: float
-    wait_s: float
-    ring_wait_s: float
-    bead_wait_s: Floats
-    bed_k: Floats
-    mean_k: Floats
-    body_k: float
-    enter_k: float
-    leave_k: float
-    time_s: float
-    after: PartHeat
+    wait_s: float  # before the layer
+    ring_wait_s: float  # before each further contour
+    bead_wait_s: Floats  # (B,) before each bead but the first; further beads of one island share the longest that one of them asks for
+    bed_k: Floats  # (B,) what each bead finds at its place when it is entered
+    mean_k: Floats  # (B,) mean over the section then
+    body_k: float  # mean rise of the part under the layer when it is begun
+    enter_k: float  # mean of the surface when the layer is begun
+    leave_k: float  # the same when it is done
+    time_s: float  # moves and waits within the layer included
+    after: PartHeat  # the part's heat when the layer is done
 
 
 @dataclass(frozen=True, eq=False)

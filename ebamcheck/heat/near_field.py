@@ -70,44 +70,19 @@ FEWEST_PAIRS, FEWEST_POINTS = 16, 64
 
 
 class NearField(NamedTuple):
-    """Fresh heat between islands that are near each other.
+    """Fresh heat between islands that are near each other. Tables have a column for each of Q + 1 ages, horizon (n / Q)^2."""
 
-    Tables have a column for each of Q + 1 ages, horizon (n / Q)^2.
-
-    Parameters
-    ----------
-    horizon_s
-        Age of heat from which on the modes have it.
-    spread_mm2_s
-        Growth of the variance of a Gaussian along one axis, 2 alpha.
-    beam_mm2
-        Variance of the beam and of its reading at an entry.
-    first, other, pair
-        (I + 1,), (P,), (P,) islands near each island, itself among them, and the rows of both in the next tables.
-    exact
-        (U, Q + 1) rise of the mean temperature of an island by heat of up to an age in the other one, over K mm^3/s
-        of heating.
-    depth
-        (2 Q + 1,) mean of the layer's temperature by heat in it at ages horizon (n / 2 Q)^2, 1/mm.
-    inside
-        (I, 4, Q + 1) share of the heat around each entry that is in the section.
-    pieces
-        Lines in pieces.
-    entry
-        (I, 4, 2) points of entry, mm.
-    """
-
-    horizon_s: float
-    spread_mm2_s: float
-    beam_mm2: float
-    first: Ints
-    other: Ints
-    pair: Ints
-    exact: Floats
-    depth: Floats
-    inside: Floats
+    horizon_s: float  # age of heat from which on the modes have it
+    spread_mm2_s: float  # growth of the variance of a Gaussian along one axis, 2 alpha
+    beam_mm2: float  # variance of the beam and of its reading at an entry
+    first: Ints  # (I + 1,) first row of the islands near each island
+    other: Ints  # (P,) islands near each island, itself among them
+    pair: Ints  # (P,) rows of both in the next tables
+    exact: Floats  # (U, Q + 1) rise of an island's mean by heat of up to an age in the other, over K mm^3/s
+    depth: Floats  # (2 Q + 1,) mean of the layer by heat in it at ages horizon (n / 2 Q)^2, 1/mm
+    inside: Floats  # (I, 4, Q + 1) share of the heat around each entry that is in the section
     pieces: Pieces
-    entry: Floats
+    entry: Floats  # (I, 4, 2) points of entry, mm
 
 
 def near_field(

@@ -40,39 +40,18 @@ class BeadPower:
 
 @dataclass(frozen=True, eq=False)
 class Beads:
-    """Beads of one layer in the sequence in which they are laid: contours first, then those of islands.
+    """Beads (B,) of one layer in the sequence in which they are laid: contours first, then those of islands."""
 
-    Parameters
-    ----------
-    pieces
-        (K, P) means of the modes over their pieces, less those over the section; none where the layer has no islands,
-        and so no modes.
-    first
-        (B + 1,) first piece of each bead.
-    move_s, rise_s
-        (B,) time with the beam off before each, and what a wait there adds to it: the beam waits at the safe height.
-    time_s, on
-        (P,) time of each piece, and the mean power in it over the full one.
-    rings
-        Contours among them.
-    islands
-        (B - rings,) island of each of the others.
-    inner
-        (B,) whether each is a further bead of the island before.
-    power
-        Power along them; None: that of the layer, less their ramps.
-    """
-
-    pieces: Floats
-    first: Ints
-    move_s: Floats
-    rise_s: Floats
-    time_s: Floats
-    on: Floats
-    rings: int
-    islands: Ints
-    inner: Bools
-    power: BeadPower | None = None
+    pieces: Floats  # (K, P) means of the modes over pieces of beads, less those over the section; none without islands
+    first: Ints  # (B + 1,) first piece of each bead
+    move_s: Floats  # time with the beam off before each
+    rise_s: Floats  # what a wait there adds to it: the beam waits at the safe height
+    time_s: Floats  # (P,) time of each piece
+    on: Floats  # (P,) mean power in each piece over the full one
+    rings: int  # contours among the beads
+    islands: Ints  # (B - rings,) island of each of the others
+    inner: Bools  # whether each is a further bead of the island before
+    power: BeadPower | None = None  # along the beads; None: that of the layer, less their ramps
 
     def at_share(self, share: float) -> Beads:
         """The same beads where the layer has a share of the power: `on` is the mean power over the full one."""

@@ -26,44 +26,20 @@ INWARDS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DrivenPath:
-    """Motions (B,) of positive length in their order, with what the feed profile needs of each.
+    """Motions (B,) of positive length in their order, with what the feed profile needs of each."""
 
-    Parameters
-    ----------
-    row
-        (B,) row of the program, or number of the segment of a polyline.
-    run
-        (B,) number of the unbroken run; the axes stand still between runs.
-    layer, ring
-        (B,) layer and contour ring; -1 for none.
-    deposit
-        (B,) beam and feed are on.
-    start, end
-        (B, 3) mm.
-    coefficients
-        (B, 2, 4) powers of t in X and Y over 0 <= t <= 1.
-    radius_mm
-        (B,) radius of an arc; infinite for others.
-    centre
-        (B, 2) of an arc, and (B,) its signed `sweep_rad`; NaN for others.
-    feed_mm_s
-        (B,) speed programmed.
-    length_mm
-        (B,)
-    """
-
-    row: Ints
-    run: Ints
-    layer: Ints
-    ring: Ints
-    deposit: Bools
-    start: Floats
-    end: Floats
-    coefficients: Floats
-    radius_mm: Floats
-    centre: Floats
-    sweep_rad: Floats
-    feed_mm_s: Floats
+    row: Ints  # row of the program, or number of the segment of a polyline
+    run: Ints  # number of the unbroken run; the axes stand still between runs
+    layer: Ints  # -1 for none
+    ring: Ints  # contour ring; -1 for none
+    deposit: Bools  # beam and feed are on
+    start: Floats  # (B, 3) mm
+    end: Floats  # (B, 3) mm
+    coefficients: Floats  # (B, 2, 4) powers of t in X and Y over 0 <= t <= 1
+    radius_mm: Floats  # of an arc; infinite for others
+    centre: Floats  # (B, 2) of an arc; NaN for others
+    sweep_rad: Floats  # signed, of an arc; NaN for others
+    feed_mm_s: Floats  # speed programmed
     length_mm: Floats
 
     def __len__(self) -> int:

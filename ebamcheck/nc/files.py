@@ -27,27 +27,13 @@ SCRIPT = "#!"
 
 @dataclass(frozen=True)
 class ProgramFiles:
-    """A program on disk.
-
-    Parameters
-    ----------
-    folder
-        Folder that holds nothing but this program.
-    names
-        File names in the order in which the control meets them: the main program first.
-    sha256
-        Hash of the bytes of each file, by name.
-    blocks
-        Lines of each file that are no comment and no header, by name.
-    validated
-        Whether the files carry ``; VALIDATED``.
-    """
+    """A program on disk, in a folder that holds nothing else."""
 
     folder: Path
-    names: tuple[str, ...]
-    sha256: Mapping[str, str]
-    blocks: Mapping[str, int]
-    validated: bool
+    names: tuple[str, ...]  # in the order in which the control meets them: the main program first
+    sha256: Mapping[str, str]  # by name
+    blocks: Mapping[str, int]  # lines of each file that are no comment and no header, by name
+    validated: bool  # whether the files carry "; VALIDATED"
 
     def __repr__(self) -> str:
         said = "VALIDATED" if self.validated else "NOT VALIDATED"

@@ -47,47 +47,14 @@ def verify_program(
     sha256: Mapping[str, str] | None = None,
     truth: Truth | None = None,
 ) -> list[Check]:
-    """Check a program that was read; every check is made that its inputs allow.
+    """Check a program that was read; every check is made that its inputs allow, in a fixed order.
 
-    Parameters
-    ----------
-    config
-        Machine and process: limits, modes, power, templates.
-    curves, plan
-        What the program was made from: path, islands, vectors are compared with them.
-    match
-        Which bead follows which track of both, where that is known already; `nc` then has the roles of the plan.
-    part
-        The part as placed: where the metal is checked, its layers are held against the mesh, too, and that against its file.
-    layers
-        Sections by a slicer, best by one that did not make the program; compared with the contour path.
-    smooth
-        The same sections with the curves that their chords stand for: the path has to lie near them where the
-        chords alone leave it room.
-    beads
-        Check the beads themselves, too, by the text and the `layers` alone: spacing, lines laid twice, the form of the hatch,
-        coverage, gaps, wire.
-    metal
-        Lay the metal of the program over the `layers`, and check its mass and where it lies.
-    laid
-        Gives that metal, where it is laid elsewhere; with what its places ask for, where `beads` are checked.
-    heat
-        Work out a balance of the part's heat from the times, waits and power of the text, and check each bead's entry.
-    before
-        Heat of what stands when the program begins; None: the cold plate.
-    under
-        Section of what stands when the program begins, where that is preheated; None: the plate, or not known.
-    heights
-        (L,) heights of the cuts; None: those of `curves`, `plan` or `layers`.
-    sha256
-        Recorded hash of each file by name, as :class:`ProgramFiles` gives it.
-    truth
-        What is known of the program from elsewhere, against which its header is held.
-
-    Returns
-    -------
-    list of Check
-        In a fixed order; one that fails names the file and line of the first or worst place.
+    `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections
+    by a slicer, best by one that did not make the program, and `smooth` the same with the curves that their chords stand for.
+    `beads` judges the beads themselves; `metal` lays the metal over the `layers`, or takes it from `laid`, and `part` has them held
+    against its mesh and file; `heat` works out a balance, from the heat `before` and the section `under` the program. `heights`
+    (L,) are those of the cuts, `sha256` the recorded hash of each file, `truth` what its header is held against. A check that
+    fails names the file and line of the first or worst place.
     """
     if match is None and curves is not None and plan is not None:
         nc, match = matched(nc, planned_path(curves, plan, config))

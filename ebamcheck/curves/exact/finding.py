@@ -58,18 +58,8 @@ def exact_surfaces(
 ) -> ExactSurfaces:
     """Find the exact surfaces of a mesh, and the planes beside them.
 
-    Parameters
-    ----------
-    part
-        The mesh.
-    twin
-        (3 F,) half-edge across each; -1 at creases.
-    across
-        (3 F,) the same, at creases too.
-    regions
-        Regions of the mesh.
-    typical_mm
-        Median sagitta of the mesh, from its dihedral angles.
+    `twin` (3 F,) is the half-edge across each, -1 at creases; `across` the same at creases, too; `typical_mm` the median sagitta of
+    the mesh, from its dihedral angles.
     """
     return _Search(part, twin, across, regions, typical_mm).run()
 
@@ -249,18 +239,9 @@ STRAIGHT_COSINE = 0.99
 
 
 def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:
-    """Corners of facets (F, 3) whose vertices lie on the surface.
+    """Corners of facets (F, 3) whose vertices lie on the surface: `label` (F,) is each facet's planar group, `sectors` (F, 3) each corner's fan.
 
-    Parameters
-    ----------
-    vertices, faces
-        The mesh.
-    label
-        (F,) planar group of each facet.
-    sectors
-        (F, 3) smooth fan of each corner.
-    tolerance_mm
-        How far a vertex may lie from the line of two neighbours, and be on it.
+    A vertex within `tolerance_mm` of the line of two neighbours is on it.
     """
     count = int(sectors.max(initial=-1)) + 1
     flat, groups = sectors.reshape(-1), np.repeat(label, 3)

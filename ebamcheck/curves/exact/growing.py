@@ -45,29 +45,10 @@ def grown(
     largest: float,
     sagittas: Floats,
 ) -> int:
-    """Groups on a surface that are reached from seed groups over groups on it.
+    """Count the groups on the surface `row` that are reached from seed groups over groups on it.
 
-    Parameters
-    ----------
-    ground
-        The mesh.
-    seeds
-        Groups to begin with.
-    taken
-        (G,) groups that belong to other surfaces.
-    row
-        The surface.
-    tolerance
-        How far told corners may lie off it, mm.
-    largest
-        How far facets may stand off it, mm.
-    sagittas
-        (G,) takes how far each group that is found stands off, mm; -1 for others.
-
-    Returns
-    -------
-    int
-        How many were found.
+    Groups that are `taken` (G,) belong to other surfaces. Told corners may lie off the surface by `tolerance`, and facets stand
+    off it by `largest`, mm; `sagittas` (G,) takes how far each group that is found stands off, -1 for others.
     """
     sagittas[:] = -1.0
     stack = np.empty(len(taken), np.int32)

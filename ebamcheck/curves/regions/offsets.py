@@ -87,16 +87,7 @@ NOTHING_TOLD = Offsets(0, 0.0, 0, 0.0, np.inf)
 def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, free: Bools) -> Offsets:
     """Find whether the vertices of a mesh lie on the surface that it approximates.
 
-    Parameters
-    ----------
-    vertices, faces
-        The mesh.
-    smooth
-        (3 F,) half-edges across which the surface goes on without a crease.
-    fans
-        (F, 3) smooth fan of each corner.
-    free
-        (F,) facets that are freely curved.
+    `smooth` (3 F,) half-edges are no creases, `fans` (F, 3) are the smooth fans of corners, and `free` (F,) facets are freely curved.
     """
     flat = fans.reshape(-1)
     count = int(flat.max(initial=-1)) + 1

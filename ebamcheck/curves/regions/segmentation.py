@@ -56,18 +56,10 @@ class Regions(NamedTuple):
 def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
     """Find the regions of a part; sets `twin` (3 F,) to -1 at the half-edges at which the surface is sharp.
 
-    Parameters
-    ----------
-    part
-        The mesh.
-    twin
-        Half-edge across each half-edge.
-    settings
-        Edges whose planes differ by at least the crease angle are sharp. So is any edge between two planes from which no
-        third strip continues the turn. Strips that turn by more than the polygon angle and leave a cylinder by more than the
-        polygon sagitta are sides of a polygon, as two rims of vertices do not show which is meant. Evidence for the cylinder
-        is a flat side tangent to the row of strips, or an equally coarse mesh of certain roundings, or of freely curved
-        surfaces if these are much of the part.
+    Edges whose planes differ by at least the crease angle are sharp, and any edge between two planes from which no third strip
+    continues the turn. Strips that turn by more than the polygon angle and leave a cylinder by more than the polygon sagitta are
+    sides of a polygon, as two rims of vertices do not show which is meant. Evidence for the cylinder is a flat side tangent to
+    the row of strips, or an equally coarse mesh of certain roundings, or of freely curved surfaces if these are much of the part.
     """
     tolerance_mm = plane_tolerance_mm(part)
     vertices, faces = part.vertices, part.faces

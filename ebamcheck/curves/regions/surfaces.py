@@ -26,28 +26,13 @@ KINDS = ("plane", "cylinder", "cone", "sphere", "torus", "quadric", "ruled", "fr
 
 @dataclass(frozen=True)
 class Surface:
-    """One surface of a part.
+    """One surface of a part."""
 
-    Parameters
-    ----------
-    kind
-        One of :data:`KINDS`; ``"quadric"`` is one without a name of its own here, such as an ellipsoid.
-    facets
-        (n,) indices of its facets.
-    area_mm2
-        Area of the facets.
-    size_mm
-        Extents of its bounding box.
-    figure
-        Its dimensions, such as ``"radius 5 mm"``. Of a freeform patch its noise: the residual of a cubic through the vertices
-        about each, which is partly the surface's own shape. Empty if there is none.
-    """
-
-    kind: str
-    facets: Ints
+    kind: str  # of KINDS; a quadric is one without a name of its own here, such as an ellipsoid
+    facets: Ints  # (n,) indices
     area_mm2: float
-    size_mm: tuple[float, float, float]
-    figure: str = ""
+    size_mm: tuple[float, float, float]  # extents of its bounding box
+    figure: str = ""  # its dimensions, such as "radius 5 mm"; of a freeform patch the residual of a cubic through the vertices about each
 
     def as_dict(self) -> dict[str, Any]:
         """Everything but the list of facets, for JSON."""

@@ -51,33 +51,17 @@ FIGURES = {
 
 @dataclass(frozen=True, eq=False)
 class OrderResult:
-    """One order simulated on a layer.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    rank, start_s, end_s
-        (I,) place in the order and times by island.
-    entry_k, point_k
-        (I,) temperature rises when the beam enters: of the whole island, and under the beam.
-    excess
-        (I,) excess uniformity.
-    touching
-        (I,) whether it touches the one before it, though another was left that does not.
-    travel_mm
-        Jumps between islands.
-    """
+    """One order simulated on a layer of I islands."""
 
     plan: ScanPlan
-    rank: Ints
+    rank: Ints  # (I,) place in the order
     start_s: Floats
     end_s: Floats
-    entry_k: Floats
-    point_k: Floats
-    excess: Floats
-    touching: Bools
-    travel_mm: float
+    entry_k: Floats  # (I,) rise of the whole island when the beam enters
+    point_k: Floats  # (I,) the same under the beam
+    excess: Floats  # (I,) excess uniformity
+    touching: Bools  # (I,) whether it touches the one before, though another was left that does not
+    travel_mm: float  # jumps between islands
 
     def figures(self) -> dict[str, float]:
         """Figures as :data:`FIGURES` names them."""

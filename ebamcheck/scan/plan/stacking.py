@@ -205,23 +205,12 @@ def plan_stack(
     seed: int | None = None,
     power_of: PowerOf | None = None,
 ) -> ScanPlan:
-    """Plan a stack of layers, each as :func:`plan_scan` does, on all threads.
+    """Plan a stack of layers, each as :func:`plan_scan` does, on all threads; open paths bound no region and are not filled.
 
     An order that asks the heat model begins each layer with the heat that those under it have left, unless
     `scan.carry_heat` is off. Whatever the order, each layer is simulated with that heat for its power and waits, unless
-    `process.interpass` is off.
-
-    Parameters
-    ----------
-    layers
-        Contours; open paths bound no region and are not filled.
-    progress
-        Called with the number of layers done since the last call.
-    config, order, seed
-        As for :func:`plan_scan`.
-    power_of
-        Gives the power along beads by the wire that they get, see :func:`ebamcheck.pipeline.stages.power_by_wire`;
-        None: the heat is worked out as if each bead had the power of its layer.
+    `process.interpass` is off. `power_of` gives the power along beads by the wire that they get
+    (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each bead has the power of its layer.
     """
     config = config or Config()
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
