@@ -30,7 +30,7 @@ CODES: Mapping[str, str] = {
     "body-in-body": "A body lies in another of the same sense, so that it is solid metal and no cavity.",
     "check-failed": "A check of the program's text failed.",
     "consumable-change": "The wire of a spool or the life of a cathode does not last for the build: the operator has to put on a new one.",
-    "curve-fell-back": "Rings were fitted by a more cautious method, because the mesh does not speak for the one asked for.",
+    "curve-fell-back": "Rings are the polylines of their contours, because the mesh does not speak for their curves.",
     "curves-not-lifted": "The curves follow the contours: these do not lie on the edges of the part's mesh.",
     "declared-doubt": "Slicers agree on layers only because one of them declares its answer doubtful there.",
     "facets-turned-over": "Facets were turned over because the settings ask for it (part.fix_orientation).",

@@ -103,16 +103,6 @@ def test_the_floor_of_a_command_is_its_processor_time_on_all_cores():
     assert (time_s, memory_mb) == (pytest.approx(250.0), pytest.approx(50.0))
 
 
-def test_what_a_wheel_lets_wait_is_the_first_run_over_the_second():
-    done = {"status": "done", "why": "", "again_s": 40.0}
-    slower, faster = (
-        target_rows.job_results({"wheel": [{**done, "wall_s": wall_s}]}) for wall_s in (43.5, 39.0)
-    )
-    found = [next(r for r in results if r.target.key == "wheel") for results in (slower, faster)]
-    assert [r.measured.median for r in found] == [pytest.approx(3.5), 0.0]
-    assert [r.met for r in found] == [False, True]
-
-
 def test_pixels_are_held_beside_what_the_lattice_of_rasterisers_leaves():
     counts = {"against_literal": [3, 9], "against_exact": [2, 9], "by_lattice": [1, 7]}
     told = results(bitmaps=[{"status": "done", "why": "", **counts, "farthest_px": 0.001, "bitmaps_s": [1.0],

@@ -343,6 +343,6 @@ def test_a_missing_hatch_line_is_found_from_text_and_part_alone(block, tmp_path,
     p.write(lines)
     found = failures(run, block[1])
     # By the turn that has become too long, or by what it leaves bare, not by its hash alone.
-    told = [found[name] for name in ("gaps", "turns", "hatch spacing") if name in found]
+    told = [found[name] for name in ("gaps", "turns", "hatch spacing", "hatch lines") if name in found]
     assert told, {c.name: (c.where, c.text) for c in found.values()}
     assert told[0].where.startswith(f"{SECOND}:")

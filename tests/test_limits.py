@@ -66,11 +66,11 @@ NO_LIMITS = {
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
         header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
         metal.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
-        matching.APART_MM certificate_form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
+        matching.APART_MM form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
         findings.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT reports.TIME_S
         reports.MEMORY_MB reports.LARGEST_REPORT_BYTES reports.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
-        toolchain.GIT_TIMEOUT_S table.FAR_MM""",
+        certificate.GIT_TIMEOUT_S table.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
         bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
         subject.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM

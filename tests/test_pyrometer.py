@@ -55,7 +55,7 @@ def test_the_corrected_model_reads_what_was_measured(heat, off_k, after_s):
     stored = [found.part.column.stored_j for found in (after, then)]
     assert (stored[0] - stored[1]) * off_k >= 0.0
     # What differs across the section, and the cold base, keep their place in it.
-    assert np.allclose(after.part.state, said.factor * then.part.state)
+    assert np.allclose(after.part.field.state, said.factor * then.part.field.state)
     rise = [
         found.part.column.temperature_k - Config().process.ambient_temperature_k for found in (after, then)
     ]

@@ -66,7 +66,7 @@ def test_the_list_of_commands_says_what_each_of_them_says_of_itself():
 
 def test_slice_loads_what_it_needs(part, tmp_path):
     found = loaded("slice", part, "-o", tmp_path / "cube.parquet")
-    heavy = {"pandas", "rich", "shapely", "psutil", "trimesh", "OpenGL", "scipy.linalg", "networkx"}
+    heavy = {"pandas", "rich", "shapely", "psutil", "trimesh", "OpenGL", "networkx"}
     assert sorted(found & heavy) == []
     assert "ebamcheck.slicers.worker_pool" not in found, "its own kernels need no process of their own"
 

@@ -13,7 +13,7 @@ from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry import rings
 from ebamcheck.geometry.nearest import nearest, segments_along, signed_distance, tree_over
-from ebamcheck.geometry.sorting import stable_order
+from ebamcheck.geometry.rings import stable_order
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.threads import run_blocks

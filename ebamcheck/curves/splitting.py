@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.cleaning import RINGS_A_BLOCK, CleanRings
-from ebamcheck.geometry.sorting import rotate_to
+from ebamcheck.geometry.rings import rotate_to
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 

@@ -1,11 +1,14 @@
-"""Kernels on rings of points: area, length, bounds, nesting, point location.
+"""Kernels on rings of points: area, length, bounds, nesting, point location; and on their columns: order, rotation.
 
 A *ring* is a run of rows of a ``(N, 2)`` point array; it closes implicitly (no repeated end point).
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
@@ -141,3 +144,19 @@ def parents(points: Floats, ring_starts: Ints, layer_starts: Ints, areas: Floats
                 ):
                     result[r] = s
     return result
+
+
+@kernel
+def stable_order(keys: Floats) -> Ints:
+    """Places (n,) of keys (n,) from the least to the greatest; equal ones stay as they stand."""
+    return np.argsort(keys, kind="mergesort")
+
+
+@kernel
+def rotate_to(values: NDArray[Any], first: int) -> None:
+    """Let values (n,) that close on themselves begin with another one, in place."""
+    before = values.copy()
+    k = first
+    for i in range(values.size):
+        values[i] = before[k]
+        k = k + 1 if k + 1 < values.size else 0

@@ -135,8 +135,10 @@ def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
     ):
         if (limit := _broken(value, getattr(process, window))) is not None:
             text = f"process.{name} is {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
-            text = f"change process.{name}"
-            yield Check.finding(severity, "process-limit", text, f"process.{name}", value, limit, unit, text)
+            remedy = f"change process.{name}"
+            yield Check.finding(
+                severity, "process-limit", text, f"process.{name}", value, limit, unit, remedy
+            )
 
 
 def checked_window(config: Config) -> None:

@@ -18,7 +18,7 @@ from ebamcheck.curves.regions.borders import (
     part_bends,
 )
 from ebamcheck.curves.regions.planes import PlanarGroups, planar_groups, plane_tolerance_mm
-from ebamcheck.geometry.sorting import stable_order
+from ebamcheck.geometry.rings import stable_order
 from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index

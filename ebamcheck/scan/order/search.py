@@ -28,9 +28,16 @@ from ebamcheck.scan.order.entries import (
     nearest_option,
 )
 from ebamcheck.scan.order.simulation import entry_points
+from ebamcheck.threads import run_each
 
 PRICES = (0.005, 0.01, 0.0025, 0.02, 0.04, 0.08, 0.16)
 """Prices of travel of the greedy plans: in temperature rises of an island by its own heat, over widths of an island."""
+
+FEW_ISLANDS = 8
+"""Islands whose plan moves improve whatever the settings say: it takes no time, and comes near the best of all orders."""
+
+STARTS = 2
+"""First islands of the greedy plans for each price, where no moves follow."""
 
 MOST_WORK = 4e9
 """Multiplications in the greedy plans of a layer, which limits their number on a layer of thousands of islands."""
@@ -71,18 +78,21 @@ def thermal_order(
     """
     count = len(schedule)
     price_k_mm = float(own_rise(heat, schedule).mean()) / width_mm
+    steps = max(steps, MOVES_AN_ISLAND * FEW_ISLANDS) if count <= FEW_ISLANDS else steps
+    moves = min(steps, MOVES_AN_ISLAND * count, int(MOST_MOVES / count)) if count <= MOST_ISLANDS else 0
+    # A plan that no move improves is chosen among more: with one first island the coolest may touch the one before it.
+    starts = [0] if moves else sorted({count * n // STARTS for n in range(STARTS)})
     affordable = max(1, int(MOST_WORK / (count**2 * len(heat.modes.plane_rate))))
-    plans = [
-        greedy_order(heat, schedule, beside, rapid_mm_s, 0, price, price * start_travel_mm)
-        for price in price_k_mm * np.array(PRICES[:affordable])
-    ]
+    tries = [(price * price_k_mm, first) for price in PRICES for first in starts][:affordable]
+    plans = run_each(
+        lambda t: greedy_order(heat, schedule, beside, rapid_mm_s, t[1], t[0], t[0] * start_travel_mm), tries
+    )
 
     def rank(order: Ints) -> tuple[int, float, float]:
         return ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)
 
     best = min(plans, key=rank)
-    moves = min(steps, MOVES_AN_ISLAND * count, int(MOST_MOVES / count))
-    if moves == 0 or count > MOST_ISLANDS:
+    if moves == 0:
         return best
     _, end_s, travel_mm = clocked(schedule, best, rapid_mm_s)
     # Twice the time of a way that is too long: none met in the search takes longer.
