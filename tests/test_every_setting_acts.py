@@ -51,6 +51,8 @@ CHANGED: dict[str, Any] = {
     "process.wire_speed_min_mm_s": 50.0,
     "process.wire_speed_max_mm_s": 20.0,
     "process.feed_along_path": True,
+    "process.surface_temperature_k": 2500.0,
+    "material.conductivity_w_mk": 4.0,
     "process.least_wall_mm": 30.0,
     "process.least_hole_mm": 20.0,
     "process.surface_tolerance_mm": 0.01,
@@ -125,6 +127,8 @@ CHANGED: dict[str, Any] = {
 GIVEN: dict[str, dict[str, Any]] = {
     **dict.fromkeys(("process.ramp_power", "process.ramp_steps", "process.ramp_up_window_s", "process.crater_fill_window_s"), RAMPS),
     "process.longest_wait_s": {"process": {"layer_pause_s": 10.0}},
+    # Contours need more wire than hatch lines: here more than there is.
+    "process.feed_along_path": {"process": {"wire_speed_max_mm_s": 38.0}},
     "scan.stride": {"scan": {"order": "stride"}},
     "scan.seed": {"scan": {"order": "random"}},
     "machine.poly_licensed": {"machine": {"curve_form": "poly"}},

@@ -10,17 +10,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shapely
 from report_runs import data, render, rows, section, whole_run, words
 
 from ebamcheck import load
 from ebamcheck.curves import Curves, contour_error
 from ebamcheck.layers import files as layer_files
-from ebamcheck.program import read_program
+from ebamcheck.layers.stack import from_polygons
+from ebamcheck.pipeline.stages import bead_paths
+from ebamcheck.program import read_program, write_program
 from ebamcheck.record.run_folder import RunFolder
-from ebamcheck.scan import ScanPlan
+from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports import html, overlays, program_picture
-from ebamcheck_reports.run_data import RunData
 from ebamcheck_reports.sections.fit import polar_errors
 
 
@@ -207,10 +210,13 @@ def test_temperatures_of_the_layers_are_shown_where_the_order_asked_for_them(
     assert "Temperatures by the heat model" not in words(section(page, "scan"))
 
 
-def test_program_picture_is_the_path_of_the_text(whole: RunFolder) -> None:
-    config = RunData(whole).config
-    name = whole.manifest()["program"]["files"][3]["name"]
-    program = read_program(whole.program_folder / name, config)
+def test_program_picture_is_the_path_of_the_text(tmp_path: Path) -> None:
+    angle, config = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False), Config()
+    outline = np.column_stack([60.0 * np.cos(angle) + 5.0 * np.cos(3.0 * angle), 40.0 * np.sin(angle)])
+    layers = from_polygons(np.array([0.8]), [[shapely.Polygon(outline)]])
+    plan = plan_stack(layers, config)
+    files = write_program(bead_paths(layers, plan, config), plan, config, tmp_path / "program")
+    program = read_program(files.main, config)
     motions = np.flatnonzero(program.deposit)
     spans = program_picture.bezier_form(program, motions)
     assert len(spans) >= len(motions)

@@ -35,10 +35,15 @@ def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
 
 
 def on_table(before: Part, now: Part, built_mm: float = 0.0) -> OnTable:
-    """Mounting of a part that was built along one direction up to `built_mm` over the plate, and is turned to another.
+    """Mounting of a part that was built along one direction and is turned to another.
 
-    `before` and `now` are the part on the table with all axes at 0, and in the program of the turned layer, whose Z counts from
-    its lowest point.
+    Parameters
+    ----------
+    before, now
+        The same part on the table with all axes at 0, and in the program of the turned layer. Programs measure Z from the
+        lowest point of their part.
+    built_mm
+        Height over the plate up to which it was built before.
     """
     turn, shift = rigid_motion(before, now)
     zero = np.array([0.0, 0.0, before.bounds[0, 2]])
