@@ -154,7 +154,7 @@ ELSEWHERE = {
     "machine.tilt_axes": "parts on a tilt table (tests/test_tilt_table.py)",
     "machine.rotary": "the same",
     "machine.smoothing_tolerance_mm": "the feeds of a program beside those of polygons (tests/test_kinematics.py)",
-    "scan.start_travel_mm": "the price of travel on many islands (tests/test_scan_annealing.py)",
+    "scan.start_travel_mm": "the price of travel on many islands (tests/test_scan_improvement.py)",
     "scan.travel_share": "the same",
     "scan.annealing_steps": "the same",
 }
