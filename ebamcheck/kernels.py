@@ -35,7 +35,8 @@ _config: Any = numba.config
 
 
 def kernel(function: _Function) -> _Function:
-    """Compile `function` with numba at its first call: cached on disk, without the interpreter lock, IEEE arithmetic.
+    """Compile `function` with numba at its first call: cached on disk, without the interpreter lock, IEEE arithmetic
+    (a division by zero gives an infinity or NaN).
 
     What it uses of other modules, it imports by name (``from module import name``): so the cache notices when that changes.
     Arguments keep one type each: a second type compiles a second version.
@@ -43,7 +44,9 @@ def kernel(function: _Function) -> _Function:
     folder = cache_folder(function.__module__.partition(".")[0])
     before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder or "")
     try:
-        return cast(_Function, numba.njit(nogil=True, cache=folder is not None)(function))
+        return cast(
+            _Function, numba.njit(nogil=True, error_model="numpy", cache=folder is not None)(function)
+        )
     finally:
         _config.CACHE_DIR = before
 

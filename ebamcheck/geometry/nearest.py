@@ -146,7 +146,7 @@ def nearest(tree: SegmentTree, x: float, y: float, guess: int) -> Nearest:
     ux, uy = segments[i, 2] - segments[i, 0], segments[i, 3] - segments[i, 1]
     px, py = x - segments[i, 0], y - segments[i, 1]
     square = ux * ux + uy * uy
-    t = np.true_divide(px * ux + py * uy, square) if square > 0.0 else 0.0
+    t = (px * ux + py * uy) / square if square > 0.0 else 0.0
     t = min(max(t, 0.0), 1.0)
     return Nearest(math.hypot(px - t * ux, py - t * uy), i, t)
 

@@ -148,7 +148,7 @@ def heated(
             for n in range(len(depth_rate)):
                 rate, fall = plane + depth_rate[n], left * through[n]
                 decays = rate * duration
-                held = np.true_divide(1.0 - fall, rate)
+                held = (1.0 - fall) / rate
                 if decays < LEAST_DECAY:
                     held = duration * (1.0 - 0.5 * decays)
                 state[k, n] = state[k, n] * fall + strength * held * in_layer[n]

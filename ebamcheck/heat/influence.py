@@ -216,7 +216,7 @@ def add_young_heat(
 def table_place(since: float, nodes: float, horizon: float, columns: int) -> tuple[np.int32, float]:
     """Node before a time since the end of a source, and how far it is to the next one; without branches, for several times at once."""
     young = since < horizon
-    root = np.sqrt(np.true_divide(max(since, 0.0), horizon) if young else since - horizon)
+    root = np.sqrt(max(since, 0.0) / horizon if young else since - horizon)
     place = (YOUNG_NODES - 1.0) * root if young else (YOUNG_NODES - 1.0) + nodes * root
     node = np.int32(min(place, columns - 2.0))
     return node, min(place - node, 1.0)
@@ -288,7 +288,7 @@ def work_out(table: FreshTable, row: int, island: int, source: int, left_by: int
             for n in range(used):
                 held[n] = at_root(inside[w], root[n])
             for n in range(used):
-                dense = np.true_divide(strength[n] * falling(inverse[n] * away), held[n])
+                dense = strength[n] * falling(inverse[n] * away) / held[n]
                 entry_k[w, n] += 0.0 if away > limit[n] else dense
     for n in range(len(since)):
         mean = young_mean(near, near.pair[row], since[n], time)

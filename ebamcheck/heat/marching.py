@@ -125,18 +125,18 @@ def _newton_step(
     # Heat potential and radiation of each cell, with their slopes, by the tables at its heat content.
     for i in range(count):
         # A plain division is asked whether it is by nothing, and so done one cell at a time.
-        place = np.true_divide(content[i], step)
+        place = content[i] / step
         node = min(max(int(place), 0), temperature.size - 2)
         slope = temperature[node + 1] - temperature[node]
         warm = temperature[node] + slope * (place - node)
         rise = theta[node + 1] - theta[node]
-        flow[i], flow_slope[i] = theta[node] + rise * (place - node), np.true_divide(rise, step)
+        flow[i], flow_slope[i] = theta[node] + rise * (place - node), rise / step
         work.lost[i] = column.radiating[i] * (warm**4 - ambient**4)
-        work.lost_slope[i] = column.radiating[i] * 4.0 * warm**3 * np.true_divide(slope, step)
+        work.lost_slope[i] = column.radiating[i] * 4.0 * warm**3 * (slope / step)
     for i in range(count):
-        stored = np.true_divide(work.volume[i] * (content[i] - old[i]), time)
+        stored = work.volume[i] * (content[i] - old[i]) / time
         rest = source[i] - work.lost[i] - stored
-        pivot = np.true_divide(work.volume[i], time) + work.lost_slope[i]
+        pivot = work.volume[i] / time + work.lost_slope[i]
         if i == 0:
             rest -= base * flow[0]
             pivot += base * flow_slope[0]
@@ -149,8 +149,8 @@ def _newton_step(
             work.upper[i] = -link[i + 1] * flow_slope[i + 1]
         if i > 0:
             # What lies under the diagonal is eliminated.
-            lower = np.true_divide(-flow_slope[i - 1], apart[i])
-            factor = np.true_divide(lower, work.diagonal[i - 1])
+            lower = -flow_slope[i - 1] / apart[i]
+            factor = lower / work.diagonal[i - 1]
             pivot -= factor * work.upper[i - 1]
             rest -= factor * work.right[i - 1]
         work.diagonal[i], work.right[i] = pivot, rest
@@ -158,7 +158,7 @@ def _newton_step(
     for i in range(count - 1, -1, -1):
         if i + 1 < count:
             work.right[i] -= work.upper[i] * work.right[i + 1]
-        work.right[i] = np.true_divide(work.right[i], work.diagonal[i])
+        work.right[i] = work.right[i] / work.diagonal[i]
         largest = max(largest, abs(work.right[i]))
     return largest
 
@@ -199,11 +199,11 @@ def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: in
         for i in range(start, stop):
             if np.isnan(content[i]):
                 return np.nan
-            place = min(max(np.true_divide(content[i], step), 0.0), table.size - 1.0)
+            place = min(max(content[i] / step, 0.0), table.size - 1.0)
             node = min(int(place), table.size - 2)
             total_k += ((table[node + 1] - table[node]) * (place - node) + table[node]) * size[i]
             whole_mm += size[i]
-        mean_k = np.true_divide(total_k, whole_mm)
+        mean_k = total_k / whole_mm
         if mean_k > warmest:
             warmest = mean_k
     return warmest
@@ -258,7 +258,7 @@ def _aged(
     if duration_s <= 0.0:
         return
     steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
-    gone = march(content, fields, top, np.true_divide(energy_j, duration_s), duration_s, steps)
+    gone = march(content, fields, top, energy_j / duration_s, duration_s, steps)
     counted[ABSORBED] += energy_j
     counted[BASE] += gone[0]
     counted[RADIATED] += gone[1]

@@ -230,8 +230,8 @@ def between_pieces(
                 # Side by side, which the processor does for several at once, and then added up one after the other.
                 for k in range(count):
                     spread_mm2 = variances[k] + spread[q]
-                    power = falling(np.true_divide(-0.5 * away[k], spread_mm2))
-                    dense = np.true_divide(power, 2.0 * np.pi * spread_mm2)
+                    power = falling(-0.5 * away[k] / spread_mm2)
+                    dense = power / (2.0 * np.pi * spread_mm2)
                     part[k] = 0.0 if away[k] > FAR * spread_mm2 else weight[k] * dense
                 for k in range(count):
                     result[n, q] += part[k]
@@ -254,8 +254,8 @@ def young_mean(near: NearField, pair: int, since: float, time: float) -> float:
     The heating ended a time ago, and took a time, s.
     """
     horizon, exact = near.horizon_s, near.exact[pair]
-    late = np.sqrt(min(max(np.true_divide(since + time, horizon), 0.0), 1.0))
-    early = np.sqrt(min(max(np.true_divide(since, horizon), 0.0), 1.0))
+    late = np.sqrt(min(max((since + time) / horizon, 0.0), 1.0))
+    early = np.sqrt(min(max(since / horizon, 0.0), 1.0))
     return at_root(exact, late) - at_root(exact, early)
 
 
@@ -278,9 +278,9 @@ def entry_rise(
         away = (place[m, 0] - x) ** 2 + (place[m, 1] - y) ** 2
         if age > horizon or away > FAR * variance:
             continue
-        root = np.sqrt(np.true_divide(age, horizon))
-        dense = share[m] * np.true_divide(falling(-0.5 * away / variance), 2.0 * np.pi * variance)
-        total += np.true_divide(dense * at_root(depth, root), at_root(inside, root))
+        root = np.sqrt(age / horizon)
+        dense = share[m] * (falling(-0.5 * away / variance) / (2.0 * np.pi * variance))
+        total += dense * at_root(depth, root) / at_root(inside, root)
     return total * time
 
 
@@ -376,7 +376,7 @@ def in_sight(
             for s in range(length + 1):
                 # Stand-in for the angle, from 0 to 4, which grows with it: the way along a square on its corner.
                 around = abs(x[s]) + abs(y[s])
-                up = np.true_divide(y[s], around if around > 0.0 else 1.0)
+                up = y[s] / (around if around > 0.0 else 1.0)
                 ahead = up if up >= 0.0 else 4.0 + up
                 sector[s] = sectors[int(SECTOR_BINS * (ahead if x[s] >= 0.0 else 2.0 - up))]
             marked[length:] = 0
@@ -389,7 +389,7 @@ def in_sight(
                             _cross(nearest, dx, dy, x[s], y[s], x[s + 1], y[s + 1], sector[s], sector[s + 1])
         for n in range(DIRECTIONS):
             for q in range(variance.shape[1]):
-                parts[n, q] = np.true_divide(-0.5 * nearest[n] * nearest[n], variance[p, q])
+                parts[n, q] = -0.5 * nearest[n] * nearest[n] / variance[p, q]
         flat = parts.ravel()
         for m in range(len(flat)):
             flat[m] = (1.0 - falling(flat[m])) / DIRECTIONS

@@ -178,7 +178,7 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
 def _normalise(vector: NDArray[np.float64]) -> None:
     length = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
     for k in range(3):
-        vector[k] = np.true_divide(vector[k], length)
+        vector[k] = vector[k] / length
 
 
 def split_corners(faces: Index, twin: Index) -> Index:

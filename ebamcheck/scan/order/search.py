@@ -428,7 +428,7 @@ def time_from(first: int, order: Ints, layer: Layer, log: Log) -> None:
         island = order[n]
         if last >= 0:
             distance = jump[last, left_by, island]
-            start = start + time[last] + np.true_divide(distance, layer.rapid_mm_s)
+            start = start + time[last] + distance / layer.rapid_mm_s
             left_by = option[last, left_by, island]
             travel += distance
             if beside[last, island]:
@@ -486,7 +486,7 @@ def powers_from(
             if row >= 0:
                 if not known[row, left_by]:
                     work_out(fresh, row, island, order[earlier], left_by)
-                root = np.sqrt(np.true_divide(max(since, 0.0), horizon)) * last
+                root = np.sqrt(max(since, 0.0) / horizon) * last
                 under = min(int(root), last - 1)
                 low, high = excess_k[row, by, left_by, under], excess_k[row, by, left_by, under + 1]
                 excess += low + (high - low) * min(root - under, 1.0)
