@@ -9,9 +9,10 @@ import shapely
 from ebamcheck.comparison.depth import Deepest, search
 from ebamcheck.comparison.hausdorff import directed
 from ebamcheck.comparison.measure import Figures, linked_within, measure
-from ebamcheck.comparison.outline import outline, rising_order, winding
+from ebamcheck.comparison.outline import outline, winding
 from ebamcheck.comparison.sweep import overlap
 from ebamcheck.geometry.nearest import nearest_segment
+from ebamcheck.geometry.rings import stable_order
 from ebamcheck.layers.stack import Layers, from_polygons, from_rings
 
 SQUARE = np.array([(0, 0), (10, 0), (10, 10), (0, 10)], float)
@@ -393,4 +394,4 @@ def test_rising_order_is_the_stable_one():
         rng.normal(size=999),
     ):
         column = values.astype(float)
-        assert rising_order(column).tolist() == np.argsort(column, kind="stable").tolist()
+        assert stable_order(column).tolist() == np.argsort(column, kind="stable").tolist()

@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison.outline import Outline, rising_order
+from ebamcheck.comparison.outline import Outline
 from ebamcheck.comparison.sweep import L0, L1, LEFT_SEGMENT, R0, R1, RIGHT_SEGMENT, Y0, Y1
 from ebamcheck.geometry.nearest import distance_to_segment, nearest_segment
+from ebamcheck.geometry.rings import stable_order
 from ebamcheck.kernels import Floats, Ints, kernel
 
 FINEST_DEPTH_MM = 1e-6
@@ -35,9 +36,6 @@ STACK = 4096
 MOST_PARTS = 16
 """Parts into which a trapezoid is split at once."""
 
-OTHER = 5
-"""Row of the segment of the farther contours, after those of the middle and of four corners."""
-
 THINNEST_SHARE = 2.0**-42
 """Trapezoids thinner than this share of the largest coordinate (1000 roundings) are ignored: there edges coincide, and
 rounding alone decided their order."""
@@ -51,7 +49,7 @@ class Nearby(NamedTuple):
     """Segments and distances near a trapezoid; :func:`_look` fills the rows."""
 
     sides: Floats
-    """(6, 4) nearest segments: of the middle, of the four corners, and of the farther contours."""
+    """(6, 4) nearest segments: of the middle, of the four corners, and, in the last row, of the farther contours."""
     corners: Floats
     """(6, 4) distances of the four corners from each of them, mm."""
     guess: Ints
@@ -93,10 +91,10 @@ def search(
     """
     suspects = _suspects(a, b, from_a, from_b, difference, enough_mm(deepest.depth_mm, limit_mm))
     stack = np.empty((STACK, 7))
-    nearby = Nearby(np.empty((OTHER + 1, 4)), np.empty((OTHER + 1, 4)), np.full(2, -1, np.int64))
+    nearby = Nearby(np.empty((6, 4)), np.empty((6, 4)), np.full(2, -1, np.int64))
     nodes = 0
     # The most suspect first: what it proves rules out most of the others.
-    for s in rising_order(-suspects[:, 6]):
+    for s in stable_order(-suspects[:, 6]):
         if suspects[s, 6] <= enough_mm(deepest.depth_mm, limit_mm):
             break
         stack[0] = suspects[s]
@@ -167,20 +165,12 @@ def _between_sides(
     if ceiling <= enough:
         return float(ceiling)
     ceiling = 0.0
-    if left_counts:
-        ceiling = _farther(a, b, left, r0, y0, r1, y1)
-    if right_counts:
-        ceiling = max(ceiling, _farther(a, b, right, l0, y0, l1, y1))
+    for segment, counts, x0, x1 in ((left, left_counts, r0, r1), (right, right_counts, l0, l1)):
+        if counts:
+            segments, s = (a.segments, segment) if segment < numbered else (b.segments, segment - numbered)
+            ceiling = max(ceiling, distance_to_segment(x0, y0, segments, s))
+            ceiling = max(ceiling, distance_to_segment(x1, y1, segments, s))
     return float(share * ceiling)
-
-
-@kernel
-def _farther(a: Outline, b: Outline, segment: int, x0: float, y0: float, x1: float, y1: float) -> float:
-    """Greater distance of two points from a segment, those of `b` being numbered after those of `a`."""
-    segments, s = (
-        (a.segments, segment) if segment < len(a.segments) else (b.segments, segment - len(a.segments))
-    )
-    return max(distance_to_segment(x0, y0, segments, s), distance_to_segment(x1, y1, segments, s))
 
 
 @kernel
@@ -192,30 +182,30 @@ def _bound(
     y0, y1, l0, l1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
     r0, r1 = stack[at, 4], stack[at, 5]
     sides, corners, guess = nearby
-    x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
-    depth = _look(a, b, from_a, from_b, x, y, sides, guess, 0)
-    if depth > deepest.depth_mm:
-        deepest = Deepest(depth, x, y)
-    ceiling = _measure_corners(stack, at, sides, 0, corners)
-    # Of the mean distance from two segments, no lesser of both distances is more.
-    if from_a and from_b:
-        ceiling = min(ceiling, _measure_corners(stack, at, sides, OTHER, corners))
-        mean = 0.0
-        for c in range(4):
-            mean = max(mean, 0.5 * (corners[0, c] + corners[OTHER, c]))
-        ceiling = min(ceiling, mean)
-    if ceiling <= enough_mm(deepest.depth_mm, limit_mm) or depth < RIDGE_SHARE * deepest.depth_mm:
-        return deepest, ceiling
-    for k in range(1, 5):
-        if k < 3:
+    other = len(sides) - 1
+    ceiling = np.inf
+    for k in range(5):
+        if k == 0:
+            x, y = 0.25 * (l0 + l1 + r0 + r1), 0.5 * (y0 + y1)
+        elif k < 3:
             x, y = (l0 if k == 1 else r0), y0
         else:
             x, y = (l1 if k == 3 else r1), y1
         depth = _look(a, b, from_a, from_b, x, y, sides, guess, k)
         if depth > deepest.depth_mm:
             deepest = Deepest(depth, x, y)
-    for k in range(1, 5):
         ceiling = min(ceiling, _measure_corners(stack, at, sides, k, corners))
+        # Of the mean distance from two segments, no lesser of both distances is more.
+        if k == 0 and from_a and from_b:
+            ceiling = min(ceiling, _measure_corners(stack, at, sides, other, corners))
+            mean = 0.0
+            for c in range(4):
+                mean = max(mean, 0.5 * (corners[0, c] + corners[other, c]))
+            ceiling = min(ceiling, mean)
+        if k == 0 and (
+            ceiling <= enough_mm(deepest.depth_mm, limit_mm) or depth < RIDGE_SHARE * deepest.depth_mm
+        ):
+            return deepest, ceiling
     for i in range(4):
         for j in range(i + 1, 5):
             mean = 0.0
@@ -229,7 +219,7 @@ def _bound(
 def _look(
     a: Outline, b: Outline, from_a: bool, from_b: bool, x: float, y: float, sides: Floats, guess: Ints, k: int
 ) -> float:
-    """Depth at a point; the segment that is nearest goes to row `k` of `sides`, that of the other contours after all.
+    """Depth at a point; the segment that is nearest goes to row `k` of `sides`, that of the other contours to the last.
 
     `guess` holds the segments found last, from which the next search starts.
     """
@@ -246,10 +236,10 @@ def _look(
         guess[1] = i
         if other < depth:
             depth = other
-            sides[OTHER] = sides[k]
+            sides[-1] = sides[k]
             sides[k] = b.segments[i]
         elif i >= 0:
-            sides[OTHER] = b.segments[i]
+            sides[-1] = b.segments[i]
     return float(depth)
 
 
@@ -281,24 +271,15 @@ def _split(stack: Floats, at: int, ceiling: float, stretch: float) -> int:
     r0, r1 = stack[at, 4], stack[at, 5]
     along = math.hypot(y1 - y0, max(abs(l1 - l0), abs(r1 - r0)))
     if along <= max(r0 - l0, r1 - l1):
-        lower, upper = 0.5 * (l0 + r0), 0.5 * (l1 + r1)
-        _place(stack, at, y0, y1, l0, l1, lower, upper, ceiling)
-        _place(stack, at + 1, y0, y1, lower, upper, r0, r1, ceiling)
+        stack[at + 1] = stack[at]
+        for c in (4, 5):
+            stack[at, c] = stack[at + 1, c - 2] = 0.5 * (stack[at, c - 2] + stack[at, c])
+        stack[at, 6] = stack[at + 1, 6] = ceiling
         return 2
     parts = int(min(max(math.ceil(along / stretch), 2.0), float(MOST_PARTS)))
     for k in range(parts):
-        t, u = k / parts, (k + 1) / parts
-        _place(
-            stack, at + k, y0 + t * (y1 - y0), y0 + u * (y1 - y0), l0 + t * (l1 - l0), l0 + u * (l1 - l0),
-            r0 + t * (r1 - r0), r0 + u * (r1 - r0), ceiling,
-        )  # fmt: skip
+        for c, start, stop in ((0, y0, y1), (2, l0, l1), (4, r0, r1)):
+            stack[at + k, c] = start + (k / parts) * (stop - start)
+            stack[at + k, c + 1] = start + ((k + 1) / parts) * (stop - start)
+        stack[at + k, 6] = ceiling
     return parts
-
-
-@kernel
-def _place(
-    stack: Floats, at: int, y0: float, y1: float, l0: float, l1: float, r0: float, r1: float, ceiling: float
-) -> None:
-    """Write a trapezoid and its bound into a row of the stack."""
-    stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3] = y0, y1, l0, l1
-    stack[at, 4], stack[at, 5], stack[at, 6] = r0, r1, ceiling

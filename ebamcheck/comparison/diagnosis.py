@@ -20,7 +20,6 @@ from ebamcheck.comparison.fit_causes import (
     Fitted,
     centroid,
     contours_of,
-    contours_over,
     scaled_section,
     share_of,
     windings,
@@ -48,7 +47,6 @@ from ebamcheck.comparison.whole_causes import (
     sample,
     total_mm2,
 )
-from ebamcheck.geometry.nearest import SegmentTree
 from ebamcheck.kernels import Bools, Floats, Ints
 
 ENOUGH = 0.9
@@ -342,8 +340,8 @@ def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
         largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
         places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])
         # Winding numbers are those of all segments, also of those inside of another body.
-        mesh = contours_over(flaws.section(sheet.height_mm) - np.array([*sheet.origin_mm, *sheet.origin_mm]))
-        numbers = windings(mesh.segments, places)
+        mesh = flaws.section(sheet.height_mm) - np.array([*sheet.origin_mm, *sheet.origin_mm])
+        numbers = windings(mesh, places)
         in_a, in_b = (_solid(contours_of(o), places) for o in (sheet.outline_a, sheet.outline_b))
         for name, rule in RULES.items():
             fits = (rule(numbers) == in_a) & ((numbers > 0) == in_b) & (in_a != in_b)
@@ -391,16 +389,16 @@ def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
     return None
 
 
-def _count_elsewhere(sheet: Sheet, mesh: SegmentTree, wrong: dict[str, float]) -> None:
+def _count_elsewhere(sheet: Sheet, mesh: Floats, wrong: dict[str, float]) -> None:
     """Add to each rule the share of the solid that it gets wrong: it must hold everywhere, not only where the slicers differ."""
-    if not len(mesh.segments):
+    if not len(mesh):
         return
-    ends = mesh.segments.reshape(-1, 2)
+    ends = mesh.reshape(-1, 2)
     low, high = ends.min(axis=0), ends.max(axis=0)
     steps = (np.arange(CELLS) + 0.5) / CELLS
     places = np.stack(np.meshgrid(*(low + (high - low) * steps[:, None]).T), axis=-1).reshape(-1, 2)
     places = np.ascontiguousarray(places)
-    numbers, in_a = windings(mesh.segments, places), _solid(contours_of(sheet.outline_a), places)
+    numbers, in_a = windings(mesh, places), _solid(contours_of(sheet.outline_a), places)
     for name, rule in RULES.items():
         solid = rule(numbers) | in_a
         wrong[name] += float((rule(numbers) != in_a).sum() / solid.sum()) if solid.any() else 1.0
@@ -457,5 +455,5 @@ def _single(points: Floats) -> Floats:
     return np.asarray(points.astype(np.float32).astype(np.float64))
 
 
-def _solid(contours: SegmentTree, places: Floats) -> Bools:
-    return np.asarray(windings(contours.segments, places) > 0)
+def _solid(contours: Floats, places: Floats) -> Bools:
+    return np.asarray(windings(contours, places) > 0)

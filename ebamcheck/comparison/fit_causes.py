@@ -17,7 +17,7 @@ import numpy as np
 from ebamcheck.comparison.outline import Outline, winding
 from ebamcheck.comparison.place_causes import MeshFlaws
 from ebamcheck.comparison.whole_causes import Sheet
-from ebamcheck.geometry.nearest import SegmentTree, nearest_segment, tree_over
+from ebamcheck.geometry.nearest import distances
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 PLACES = 160
@@ -68,17 +68,17 @@ class Seen:
     flaws: MeshFlaws
 
     @cached_property
-    def a(self) -> SegmentTree:
+    def a(self) -> Floats:
         """Contours that differ."""
         return contours_of(self.sheet.outline_a)
 
     @cached_property
-    def b(self) -> SegmentTree:
+    def b(self) -> Floats:
         """Contours of the other slicer."""
         return contours_of(self.sheet.outline_b)
 
     @cached_property
-    def _moved(self) -> dict[float, SegmentTree]:
+    def _moved(self) -> dict[float, Floats]:
         return {}
 
     @cached_property
@@ -86,7 +86,7 @@ class Seen:
         """Places along `a` (N, 2) mm, and the length that each represents, mm."""
         return along(self.a, PLACES)
 
-    def reference(self, dz_mm: float, moving: bool) -> SegmentTree:
+    def reference(self, dz_mm: float, moving: bool) -> Floats:
         """Contours that the model moves onto `a`: those of `b`, or the mesh's at another height."""
         if not moving:
             return self.b
@@ -219,29 +219,29 @@ class FieldFit:
         return total
 
 
-def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], SegmentTree]:
+def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], Floats]:
     """Sections of a part that was read in another unit: all of it larger by a factor from the file's origin."""
 
-    def contours(sheet: Sheet) -> SegmentTree:
+    def contours(sheet: Sheet) -> Floats:
         section = mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
-        return contours_over(factor * section.segments - np.array([*sheet.origin_mm, *sheet.origin_mm]))
+        return np.asarray(factor * section - np.array([*sheet.origin_mm, *sheet.origin_mm]))
 
     return contours
 
 
-def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], SegmentTree]) -> float:
+def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Floats]) -> float:
     """Share of the difference that is explained if these are the contours of the slicer that differs."""
     before = after = 0.0
     for sheet in sheets:
         a, b, guess = contours_of(sheet.outline_a), contours_of(sheet.outline_b), predicted(sheet)
-        if not len(guess.segments):
+        if not len(guess):
             return 0.0
         before += _gap(a, b)
         after += _gap(a, guess)
     return max(1.0 - after / before, 0.0) if before > 0.0 else 0.0
 
 
-def _gap(a: SegmentTree, b: SegmentTree) -> float:
+def _gap(a: Floats, b: Floats) -> float:
     """Area between two contours, mm2: distances times lengths, measured from both."""
     total = 0.0
     for one, other in ((a, b), (b, a)):
@@ -278,66 +278,49 @@ ASIDE = 1e-6
 """Distance beside a segment, over its length, at which the winding number is computed."""
 
 
-def centroid(contours: Iterable[SegmentTree]) -> tuple[Floats, float]:
+def centroid(contours: Iterable[Floats]) -> tuple[Floats, float]:
     """Centroid (2,) of all solid area, mm from the origin, and that area, mm2."""
     total, moment = 0.0, np.zeros(2)
     for one in contours:
-        x0, y0, x1, y1 = one.segments.T
+        x0, y0, x1, y1 = one.T
         cross = x0 * y1 - x1 * y0
         total += 0.5 * float(cross.sum())
         moment += [float(((x0 + x1) * cross).sum()) / 6.0, float(((y0 + y1) * cross).sum()) / 6.0]
     return (moment / total if total else moment), total
 
 
-def contours_of(outline: Outline) -> SegmentTree:
-    """Closed rings of an outline."""
-    if int(outline.rings) == len(outline.paths) - 1:
-        return outline.tree
-    return contours_over(outline.segments[: outline.paths[outline.rings]])
+def contours_of(outline: Outline) -> Floats:
+    """Segments (S, 4) of the closed rings of an outline."""
+    return outline.segments[: outline.paths[outline.rings]]
 
 
-def contours_over(segments: Floats) -> SegmentTree:
-    """Contours of segments (S, 4) that lie in any order."""
-    return tree_over(np.ascontiguousarray(segments, np.float64).reshape(-1, 4))
-
-
-def mesh_contours(flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]) -> SegmentTree:
+def mesh_contours(flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]) -> Floats:
     """Section of the mesh, from an origin."""
-    segments = np.ascontiguousarray(flaws.section(height_mm) - np.array([*origin_mm, *origin_mm]))
+    segments: Floats = flaws.section(height_mm) - np.array([*origin_mm, *origin_mm])
     if flaws.bodies > 1 and len(segments) <= MOST_SEGMENTS:
         # Where bodies overlap, segments inside the solid of another body are no contour.
         segments = segments[_between_solid_and_not(segments)]
-    return contours_over(segments)
+    return segments
 
 
-def along(contours: SegmentTree, count: int) -> tuple[Floats, float]:
+def along(contours: Floats, count: int) -> tuple[Floats, float]:
     """Places (N, 2) at equal steps along all contours, and the length that each represents, mm."""
-    segments = contours.segments
-    ends = segments[:, 2:] - segments[:, :2]
+    ends = contours[:, 2:] - contours[:, :2]
     extent = np.hypot(ends[:, 0], ends[:, 1])
     reach = np.cumsum(extent)
     total = float(reach[-1]) if reach.size else 0.0
     if not total > 0.0:
         return np.zeros((0, 2)), 0.0
     at = (np.arange(count) + 0.5) / count * total
-    s = np.minimum(np.searchsorted(reach, at, side="right"), len(segments) - 1)
+    s = np.minimum(np.searchsorted(reach, at, side="right"), len(contours) - 1)
     t = 1.0 - (reach[s] - at) / np.maximum(extent[s], np.finfo(np.float64).tiny)
-    return segments[s, :2] + t[:, None] * ends[s], total / count
+    return contours[s, :2] + t[:, None] * ends[s], total / count
 
 
-def beside(contours: SegmentTree, places: Floats) -> Floats:
+def beside(contours: Floats, places: Floats) -> Floats:
     """Distances (N,) mm of places (N, 2) from contours, negative inside the solid; infinite where there are none."""
-    return _beside(contours, np.ascontiguousarray(places))
-
-
-@kernel
-def _beside(contours: SegmentTree, places: Floats) -> Floats:
-    distances, guess = np.full(len(places), np.inf), -1
-    for i in range(len(places) if len(contours.segments) > 0 else 0):
-        x, y = places[i, 0], places[i, 1]
-        square, guess = nearest_segment(contours, x, y, guess)
-        distances[i] = -math.sqrt(square) if winding(contours.segments, x, y) > 0 else math.sqrt(square)
-    return distances
+    places = np.ascontiguousarray(places)
+    return np.where(windings(contours, places) > 0, -1.0, 1.0) * distances(places, contours)
 
 
 @kernel

@@ -55,7 +55,7 @@ def directed(a: Outline, b: Outline) -> Directed:
     places, lengths, owners = a.samples.places, a.samples.lengths, a.samples.segments
     segments = b.segments
     distances, near = np.empty(len(places)), np.empty(len(places), np.int64)
-    found = -1
+    found = len(segments) - 1
     for k in range(len(places)):
         square, found = nearest_segment(b.tree, places[k, 0], places[k, 1], found)
         distances[k], near[k] = math.sqrt(square), found
@@ -71,7 +71,8 @@ def directed(a: Outline, b: Outline) -> Directed:
         x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
         i, j = min(near[k], near[k + 1]), max(near[k], near[k + 1])
         s = min(i + 1, j)
-        few = (j - i <= 2) & _follows(segments, s) & _follows(segments, j)
+        few = (j - i <= 2) & (segments[s - 1, 2] == segments[s, 0]) & (segments[s - 1, 3] == segments[s, 1])
+        few &= (segments[j - 1, 2] == segments[j, 0]) & (segments[j - 1, 3] == segments[j, 1])
         first = _square_to_piece(segments[s, 0], segments[s, 1], x0, y0, x1, y1)
         last = _square_to_piece(segments[j, 0], segments[j, 1], x0, y0, x1, y1)
         settled = (lengths[k] < 0.0) | (i == j) | (few & (max(first, last) <= reach * reach))
@@ -82,10 +83,9 @@ def directed(a: Outline, b: Outline) -> Directed:
         stack[0, 0], stack[0, 1], stack[0, 4] = places[k, 0], places[k, 1], distances[k]
         stack[0, 2], stack[0, 3], stack[0, 5] = places[k + 1, 0], places[k + 1, 1], distances[k + 1]
         near_stack[0, 0], near_stack[0, 1] = near[k], near[k + 1]
-        if _ceiling(segments, stack, near_stack, 0) > most + RESOLUTION_MM:
-            higher, hx, hy = _refine(b.tree, stack, near_stack, most)
-            if higher > most:
-                most, x, y, segment = higher, hx, hy, owners[k]
+        higher, hx, hy = _refine(b.tree, stack, near_stack, most)
+        if higher > most:
+            most, x, y, segment = higher, hx, hy, owners[k]
     return Directed(most, x, y, segment, _percentile(distances, lengths, least, sampled), near)
 
 
@@ -103,7 +103,7 @@ def farthest_passed(segments: Floats, i: int, j: int, x0: float, y0: float, x1: 
     square = 0.0
     for s in range(low + 1, high + 1):
         x, y = segments[s, 0], segments[s, 1]
-        if not _follows(segments, s):
+        if segments[s - 1, 2] != x or segments[s - 1, 3] != y:
             return np.inf
         square = max(square, square_between(x, y, x0, y0, x1, y1))
     return math.sqrt(square)
@@ -116,12 +116,6 @@ def _square_to_piece(x: float, y: float, x0: float, y0: float, x1: float, y1: fl
     t = min(max(np.divide(px * ux + py * uy, ux * ux + uy * uy), 0.0), 1.0)
     px, py = px - t * ux, py - t * uy
     return float(px * px + py * py)
-
-
-@kernel
-def _follows(segments: Floats, s: int) -> bool:
-    """Whether segment `s` begins where the one before it ends."""
-    return bool((segments[s - 1, 2] == segments[s, 0]) & (segments[s - 1, 3] == segments[s, 1]))
 
 
 @kernel

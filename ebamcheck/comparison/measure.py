@@ -47,11 +47,9 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
         from_a, from_b = is_a, is_b
     else:
         from_a, from_b = exact_a or not exact_b, not exact_a
-    known = _known(a, b, ab, ba, from_a, from_b, limit_mm)
-    swept, deepest = _swept(a, b, ab, ba, from_a, from_b, known, limit_mm)
+    swept, deepest = _swept(a, b, ab, ba, from_a, from_b, limit_mm)
     if exact_a and exact_b and is_a and is_b and swept.sound and deepest.depth_mm > resolution_mm(limit_mm):
-        known = _known(a, b, ab, ba, False, True, limit_mm)
-        _, other = _swept(a, b, ab, ba, False, True, known, limit_mm)
+        _, other = _swept(a, b, ab, ba, not from_a, not from_b, limit_mm)
         if other.depth_mm < deepest.depth_mm:
             deepest = other
     return Figures(
@@ -62,29 +60,21 @@ def measure(a: Outline, b: Outline, limit_mm: float, exact_a: bool, exact_b: boo
 
 
 @kernel
-def _known(
-    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, limit_mm: float
-) -> Deepest:
-    """Depth that the farthest points of the contours prove."""
-    if from_a != from_b:
-        resolution = resolution_mm(limit_mm)
-        return _reached(b, ba, resolution) if from_a else _reached(a, ab, resolution)
-    return _halfway(a, b, ab, _halfway(b, a, ba, Deepest(0.0, np.nan, np.nan)))
-
-
-@kernel
 def _swept(
-    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, known: Deepest, limit_mm: float
-) -> tuple[Overlap, Deepest]:  # fmt: skip
-    """Areas, and the greatest depth, from a depth already known; none is searched for where links prove that nothing is deeper."""
+    a: Outline, b: Outline, ab: Directed, ba: Directed, from_a: bool, from_b: bool, limit_mm: float
+) -> tuple[Overlap, Deepest]:
+    """Areas, and the greatest depth; it is not searched for where links prove that nothing is deeper than a known place."""
+    if from_a != from_b:
+        known = _reached(b if from_a else a, ba if from_a else ab, resolution_mm(limit_mm))
+    else:
+        known = _halfway(a, b, ab, _halfway(b, a, ba, Deepest(0.0, np.nan, np.nan)))
     # Of a link, no point is farther from its nearer end than half of it.
     reach = enough_mm(known.depth_mm, limit_mm) * (2.0 if from_a and from_b else 1.0)
-    if (from_a and ba.most_mm <= reach and linked_within(a, b, ba.near, reach)) or (
+    proved = (from_a and ba.most_mm <= reach and linked_within(a, b, ba.near, reach)) or (
         (from_b or not from_a) and ab.most_mm <= reach and linked_within(b, a, ab.near, reach)
-    ):
-        return overlap(a, b, False), known
-    swept = overlap(a, b, True)
-    return swept, search(a, b, from_a, from_b, swept.difference, known, limit_mm)
+    )
+    swept = overlap(a, b, not proved)
+    return swept, known if proved else search(a, b, from_a, from_b, swept.difference, known, limit_mm)
 
 
 @kernel
@@ -120,14 +110,17 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
     """Depth that is proved halfway from the point of `o` farthest from the other contours to the nearest one."""
     if farthest.segment < 0 or o.chains.steps.size == 0 or other.chains.steps.size == 0:
         return known
-    i = nearest_segment(other.tree, farthest.x_mm, farthest.y_mm, -1)[1]
+    guess = farthest.near[0]
+    i = nearest_segment(other.tree, farthest.x_mm, farthest.y_mm, guess)[1]
     ax, ay = other.segments[i, 0], other.segments[i, 1]
     ux, uy = other.segments[i, 2] - ax, other.segments[i, 3] - ay
     square = ux * ux + uy * uy
     t = ((farthest.x_mm - ax) * ux + (farthest.y_mm - ay) * uy) / square if square > 0.0 else 0.0
     t = min(1.0, max(0.0, t))
     x, y = 0.5 * (farthest.x_mm + ax + t * ux), 0.5 * (farthest.y_mm + ay + t * uy)
-    depth = math.sqrt(min(nearest_segment(o.tree, x, y, -1)[0], nearest_segment(other.tree, x, y, -1)[0]))
+    depth = math.sqrt(
+        min(nearest_segment(o.tree, x, y, farthest.segment)[0], nearest_segment(other.tree, x, y, i)[0])
+    )
     if depth > known.depth_mm:
         in_o = winding(o.segments[: o.paths[o.rings]], x, y) > 0
         if in_o != (winding(other.segments[: other.paths[other.rings]], x, y) > 0):
@@ -166,7 +159,7 @@ def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
     taken = np.zeros(a.rings, np.bool_)
     places, lengths = b.samples.places, b.samples.lengths
     budget = MOST_STEPS * (len(ring_of) + len(places))
-    start = 0
+    start = b.paths[0]
     for _ in range(b.rings):
         stop = start
         while lengths[stop] >= 0.0:

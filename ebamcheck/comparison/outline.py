@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ebamcheck.geometry.nearest import SegmentTree, tree_over
-from ebamcheck.geometry.rings import EPSILON
+from ebamcheck.geometry.rings import EPSILON, stable_order
 from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers
 
@@ -214,7 +214,7 @@ def monotone_chains(segments: Floats, rings: Ints) -> Chains:
                 count, chains = _follow(segments, start, stop, s, levels, events, steps, count, chains)
                 break
             before = s
-    order = rising_order(levels)
+    order = stable_order(levels)
     rising, met = np.full(count + 1, np.inf), np.full((count + 1, 5), -1, np.int32)
     edges = np.zeros((count + 1, 5))
     for k in range(count):
@@ -274,47 +274,3 @@ def _follow(
         before, last = s, step
         count += 1
     return count, chains
-
-
-@kernel
-def rising_order(values: Floats) -> Ints:
-    """Stable ascending order: runs that rise or fall are found, then merged. Contours have few, but long ones."""
-    count = values.size
-    order, merged, borders = (
-        np.empty(count, np.int64),
-        np.empty(count, np.int64),
-        np.empty(count + 1, np.int64),
-    )
-    runs, start = 0, 0
-    while start < count:
-        stop = start + 1
-        if stop < count and values[stop] < values[start]:
-            while stop < count and values[stop] < values[stop - 1]:
-                stop += 1
-            for k in range(start, stop):
-                order[k] = start + stop - 1 - k
-        else:
-            while stop < count and values[stop] >= values[stop - 1]:
-                stop += 1
-            for k in range(start, stop):
-                order[k] = k
-        borders[runs] = start
-        runs += 1
-        start = stop
-    borders[runs] = count
-    while runs > 1:
-        for run in range(0, runs, 2):
-            a, b, c = borders[run], borders[min(run + 1, runs)], borders[min(run + 2, runs)]
-            i, j = a, b
-            for n in range(a, c):
-                if j == c or (i < b and values[order[i]] <= values[order[j]]):
-                    merged[n] = order[i]
-                    i += 1
-                else:
-                    merged[n] = order[j]
-                    j += 1
-            borders[run // 2] = a
-        runs = (runs + 1) // 2
-        borders[runs] = count
-        order, merged = merged, order
-    return order

@@ -144,10 +144,7 @@ def _sweep(
                 first, lowest = _first_crossing(edges, n)
                 continue
             crossings += 1
-            _take_areas(edges, marks, sums, difference, first - 1, first + 1, lowest)
-            _swap(edges, marks, first)
-            for k in range(first - 1, first + 2):
-                _start_gap(edges, k, lowest)
+            _exchange(edges, marks, sums, difference, first, n, lowest)
             first, lowest = _first_crossing(edges, n)
             room = len(difference) == 0 or int(sums[TRAPEZOIDS]) + TAKEN_AN_EDGE * (n + 2) <= len(difference)
         if not room or crossings > MOST_CROSSINGS:
@@ -323,17 +320,6 @@ def _first_crossing(edges: Floats, n: int) -> tuple[int, float]:
 
 
 @kernel
-def _swap(edges: Floats, marks: Ints, k: int) -> None:
-    """Let edges `k` and `k + 1` change places."""
-    for c in range(SINCE):
-        edges[k, c], edges[k + 1, c] = edges[k + 1, c], edges[k, c]
-    for c in range(WINDING_A):
-        marks[k, c], marks[k + 1, c] = marks[k + 1, c], marks[k, c]
-    marks[marks[k, CHAIN], PLACE], marks[marks[k + 1, CHAIN], PLACE] = k, k + 1
-    _set_winding(marks, k)
-
-
-@kernel
 def _set_winding(marks: Ints, k: int) -> None:
     """Winding numbers of gap `k` from those of the gap before it."""
     before_a, before_b = (marks[k - 1, WINDING_A], marks[k - 1, WINDING_B]) if k > 0 else (0, 0)
@@ -355,7 +341,12 @@ def _settle(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int
 def _exchange(edges: Floats, marks: Ints, sums: Floats, difference: Floats, k: int, n: int, y: float) -> None:
     """Let edges `k` and `k + 1` change places at a level."""
     _take_areas(edges, marks, sums, difference, max(k - 1, 0), min(k + 1, n - 2), y)
-    _swap(edges, marks, k)
+    for c in range(SINCE):
+        edges[k, c], edges[k + 1, c] = edges[k + 1, c], edges[k, c]
+    for c in range(WINDING_A):
+        marks[k, c], marks[k + 1, c] = marks[k + 1, c], marks[k, c]
+    marks[marks[k, CHAIN], PLACE], marks[marks[k + 1, CHAIN], PLACE] = k, k + 1
+    _set_winding(marks, k)
     _start_gaps(edges, k - 1, k + 1, n, y)
 
 

@@ -156,7 +156,7 @@ def distances(places: Floats, segments: Floats) -> Floats:
     """Distance (n,) of places (n, 2) from the nearest of segments (m, 4), as GEOS reckons it; infinite where there is none."""
     tree = tree_over(segments)
     result = np.full(len(places), np.inf)
-    guess = 0
+    guess = len(segments) - 1
     for n in range(len(places)):
         x, y = places[n, 0], places[n, 1]
         _, guess = nearest_segment(tree, x, y, guess)

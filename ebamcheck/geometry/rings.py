@@ -47,39 +47,28 @@ def signed_areas(points: Floats, ring_starts: Ints, closed: Bools) -> Floats:
     return areas
 
 
-@kernel
 def lengths(points: Floats, ring_starts: Ints, closed: Bools) -> Floats:
     """Length of each ring (R,), mm; a closed ring includes its closing segment."""
-    count = ring_starts.size - 1
-    result = np.zeros(count)
-    for r in range(count):
-        a, b = ring_starts[r], ring_starts[r + 1]
-        total = 0.0
-        for i in range(a + 1, b):
-            total += np.hypot(points[i, 0] - points[i - 1, 0], points[i, 1] - points[i - 1, 1])
-        if closed[r] and b - a > 1:
-            total += np.hypot(points[a, 0] - points[b - 1, 0], points[a, 1] - points[b - 1, 1])
-        result[r] = total
+    following = np.arange(1, len(points) + 1)
+    last, filled = ring_starts[1:] - 1, np.diff(ring_starts) > 0
+    following[last[filled]] = np.where(closed, ring_starts[:-1], last)[filled]
+    steps = np.hypot(*(points[following] - points).T) if len(points) else np.zeros(0)
+    result = np.zeros(len(closed))
+    if filled.any():
+        result[filled] = np.add.reduceat(steps, ring_starts[:-1][filled])
     return result
 
 
-@kernel
 def bounds(points: Floats, ring_starts: Ints) -> Floats:
     """Bounding box of each ring, (R, 4): xmin, ymin, xmax, ymax; NaN for an empty ring."""
-    count = ring_starts.size - 1
-    boxes = np.full((count, 4), np.nan)
-    for r in range(count):
-        for i in range(ring_starts[r], ring_starts[r + 1]):
-            x, y = points[i, 0], points[i, 1]
-            if i == ring_starts[r]:
-                boxes[r, 0] = boxes[r, 2] = x
-                boxes[r, 1] = boxes[r, 3] = y
-            else:
-                boxes[r, 0] = min(boxes[r, 0], x)
-                boxes[r, 1] = min(boxes[r, 1], y)
-                boxes[r, 2] = max(boxes[r, 2], x)
-                boxes[r, 3] = max(boxes[r, 3], y)
-    return boxes
+    result = np.full((ring_starts.size - 1, 4), np.nan)
+    filled = np.diff(ring_starts) > 0
+    if filled.any():
+        first = ring_starts[:-1][filled]
+        inside = points[: ring_starts[-1]]
+        result[filled, :2] = np.minimum.reduceat(inside, first)
+        result[filled, 2:] = np.maximum.reduceat(inside, first)
+    return result
 
 
 @kernel
@@ -147,9 +136,50 @@ def parents(points: Floats, ring_starts: Ints, layer_starts: Ints, areas: Floats
 
 
 @kernel
-def stable_order(keys: Floats) -> Ints:
-    """Places (n,) of keys (n,) from the least to the greatest; equal ones stay as they stand."""
-    return np.argsort(keys, kind="mergesort")
+def stable_order(values: Floats) -> Ints:
+    """Places (n,) of values (n,) in ascending order, equal ones as they stand: runs that rise or fall are found, then merged.
+
+    Columns of contours have few runs, but long ones.
+    """
+    count = values.size
+    order, merged, borders = (
+        np.empty(count, np.int64),
+        np.empty(count, np.int64),
+        np.empty(count + 1, np.int64),
+    )
+    runs, start = 0, 0
+    while start < count:
+        stop = start + 1
+        if stop < count and values[stop] < values[start]:
+            while stop < count and values[stop] < values[stop - 1]:
+                stop += 1
+            for k in range(start, stop):
+                order[k] = start + stop - 1 - k
+        else:
+            while stop < count and values[stop] >= values[stop - 1]:
+                stop += 1
+            for k in range(start, stop):
+                order[k] = k
+        borders[runs] = start
+        runs += 1
+        start = stop
+    borders[runs] = count
+    while runs > 1:
+        for run in range(0, runs, 2):
+            a, b, c = borders[run], borders[min(run + 1, runs)], borders[min(run + 2, runs)]
+            i, j = a, b
+            for n in range(a, c):
+                if j == c or (i < b and values[order[i]] <= values[order[j]]):
+                    merged[n] = order[i]
+                    i += 1
+                else:
+                    merged[n] = order[j]
+                    j += 1
+            borders[run // 2] = a
+        runs = (runs + 1) // 2
+        borders[runs] = count
+        order, merged = merged, order
+    return order
 
 
 @kernel
