@@ -119,22 +119,12 @@ def _square_to_piece(x: float, y: float, x0: float, y0: float, x1: float, y1: fl
 
 
 @kernel
-def _ceiling(segments: Floats, pieces: Floats, near: Ints, k: int) -> float:
-    """No point of piece `k` is farther than this from the segments (nearest ones at its two ends given)."""
-    start, stop = pieces[k, 4], pieces[k, 5]
-    if near[k, 0] == near[k, 1]:
-        return float(max(start, stop))
-    x0, y0, x1, y1 = pieces[k, 0], pieces[k, 1], pieces[k, 2], pieces[k, 3]
-    first_at_stop = distance_to_segment(x1, y1, segments, near[k, 0])
-    last_at_start = distance_to_segment(x0, y0, segments, near[k, 1])
-    mean = 0.5 * max(start + last_at_start, stop + first_at_stop)
-    passed = max(start, stop, farthest_passed(segments, near[k, 0], near[k, 1], x0, y0, x1, y1))
-    return float(min(max(start, first_at_stop), max(stop, last_at_start), mean, passed))
-
-
-@kernel
 def _refine(tree: SegmentTree, stack: Floats, near: Ints, most: float) -> tuple[float, float, float]:
-    """Greatest distance on the piece in row 0 of a stack if it is over `most`, by halving, with its place."""
+    """Greatest distance on the piece in row 0 of a stack if it is over `most`, by halving, with its place.
+
+    A row holds both ends of a piece and their distances; `near` the segments nearest to them.
+    """
+    segments = tree.segments
     count = 1
     x, y = np.nan, np.nan
     for _ in range(MOST_PIECES):
@@ -142,19 +132,25 @@ def _refine(tree: SegmentTree, stack: Floats, near: Ints, most: float) -> tuple[
             break
         at = count - 1
         count -= 1
-        if _ceiling(tree.segments, stack, near, at) <= most + RESOLUTION_MM or count + 2 > len(stack):
+        x0, y0, x1, y1 = stack[at, 0], stack[at, 1], stack[at, 2], stack[at, 3]
+        start, stop, i, j = stack[at, 4], stack[at, 5], near[at, 0], near[at, 1]
+        ceiling = max(start, stop)
+        if i != j:
+            first, last = distance_to_segment(x1, y1, segments, i), distance_to_segment(x0, y0, segments, j)
+            passed = max(ceiling, farthest_passed(segments, i, j, x0, y0, x1, y1))
+            mean = 0.5 * max(start + last, stop + first)
+            ceiling = min(max(start, first), max(stop, last), mean, passed)
+        if ceiling <= most + RESOLUTION_MM or count + 2 > len(stack):
             continue
-        mx, my = 0.5 * (stack[at, 0] + stack[at, 2]), 0.5 * (stack[at, 1] + stack[at, 3])
-        square, middle = nearest_segment(tree, mx, my, near[at, 0])
+        mx, my = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+        square, middle = nearest_segment(tree, mx, my, i)
         distance = math.sqrt(square)
         if distance > most:
             most, x, y = distance, mx, my
-        stack[at + 1, 0], stack[at + 1, 1] = mx, my
-        stack[at + 1, 2], stack[at + 1, 3] = stack[at, 2], stack[at, 3]
-        stack[at + 1, 4], stack[at + 1, 5] = distance, stack[at, 5]
+        stack[at + 1, 0], stack[at + 1, 1], stack[at + 1, 2], stack[at + 1, 3] = mx, my, x1, y1
+        stack[at + 1, 4], stack[at + 1, 5] = distance, stop
         stack[at, 2], stack[at, 3], stack[at, 5] = mx, my, distance
-        near[at + 1, 0], near[at + 1, 1] = middle, near[at, 1]
-        near[at, 1] = middle
+        near[at + 1, 0], near[at + 1, 1], near[at, 1] = middle, j, middle
         count += 2
     return most, x, y
 
@@ -174,16 +170,37 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
             low[count], high[count] = min(distances[k], distances[k + 1]), max(distances[k], distances[k + 1])
             weight[count] = lengths[k]
             total, count = total + lengths[k], count + 1
-    # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
-    # many there are and how much of them is below the middle.
-    below, rate, count, half = _within(low, high, weight, count, bottom, top)
     wanted = PERCENTILE * total
     # So far apart can sums of the same lengths be that are added in another order; then they are added in one order.
     doubt = 4.0 * EPSILON * distances.size * total
-    if below >= wanted:
-        return float(bottom)
-    while count > 0:
+    # Length below the bracket, and its rise with the distance within, of pieces that have no end in it; of the others, how
+    # many there are and how much of them is below the middle.
+    below, rate, first = 0.0, 0.0, True
+    while True:
+        # Pieces without an end in the bracket are dropped; of those that are left, the length below its middle is added up, up
+        # to rounding. Without a branch: where a piece lies is as good as random.
+        more, steeper, half, kept = 0.0, 0.0, 0.0, 0
         middle = 0.5 * (bottom + top)
+        for k in range(count):
+            start, stop, length = low[k], high[k], weight[k]
+            low[kept], high[kept], weight[kept] = start, stop, length
+            rise = length / (stop - start)
+            is_under, is_over = stop <= bottom, start >= top
+            across = (start <= bottom) & (stop >= top) & (not is_under)
+            stays = not (is_under | is_over | across)
+            under = rise * (bottom - start) if across else 0.0
+            more += length if is_under else under
+            steeper += rise if across else 0.0
+            half += (
+                (length if stop <= middle else rise * (middle - start)) if stays & (start <= middle) else 0.0
+            )
+            kept += stays
+        below, rate, count = below + more, rate + steeper, kept
+        if first and below >= wanted:
+            return float(bottom)
+        first = False
+        if count == 0:
+            return float(min(bottom + (wanted - below) / rate, top)) if rate > 0.0 else float(top)
         if not bottom < middle < top:
             return float(top)
         under = below + rate * (middle - bottom)
@@ -200,33 +217,3 @@ def _percentile(distances: Floats, lengths: Floats, least: float, most: float) -
         else:
             below += rate * (middle - bottom)
             bottom = middle
-        more, steeper, count, half = _within(low, high, weight, count, bottom, top)
-        below, rate = below + more, rate + steeper
-    return float(min(bottom + (wanted - below) / rate, top)) if rate > 0.0 else float(top)
-
-
-@kernel
-def _within(
-    low: Floats, high: Floats, weight: Floats, count: int, bottom: float, top: float
-) -> tuple[float, float, int, float]:
-    """Drop the pieces without an end inside a bracket: their length below it, its rise within, how many are left.
-
-    Then the length of those that are left below the middle of the bracket, up to rounding. Without a branch: where a piece lies
-    is as good as random.
-    """
-    below, rate, kept, half = 0.0, 0.0, 0, 0.0
-    middle = 0.5 * (bottom + top)
-    for k in range(count):
-        start, stop, length = low[k], high[k], weight[k]
-        low[kept], high[kept], weight[kept] = start, stop, length
-        rise = np.divide(length, stop - start)
-        is_under, is_over = stop <= bottom, start >= top
-        across = (start <= bottom) & (stop >= top) & (not is_under)
-        stays = not (is_under | is_over | across)
-        under = rise * (bottom - start) if across else 0.0
-        part = length if stop <= middle else rise * (middle - start)
-        below += length if is_under else under
-        rate += rise if across else 0.0
-        half += part if stays & (start <= middle) else 0.0
-        kept += stays
-    return below, rate, kept, half

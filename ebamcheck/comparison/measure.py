@@ -13,7 +13,7 @@ from ebamcheck.comparison.hausdorff import Directed, directed
 from ebamcheck.comparison.outline import Outline, winding
 from ebamcheck.comparison.sweep import Overlap, overlap
 from ebamcheck.geometry.nearest import nearest_segment, square_between
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.kernels import Ints, kernel
 
 
 class Figures(NamedTuple):
@@ -146,8 +146,9 @@ MOST_STEPS = 8
 
 @kernel
 def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
-    """Whether links no longer than this draw all rings of `b` onto those of `a`.
+    """Whether links no longer than this draw each ring of `b` onto another ring of `a`.
 
+    The contour between two links is led along vertex by vertex: none may be farther from the piece than allowed.
     `near` (M,) is the segment of `a` nearest to each sample of `b`; all samples of `b`, and the contours between them, are known to
     be within the reach.
     """
@@ -158,56 +159,42 @@ def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
         ring_of[a.paths[r] : a.paths[r + 1]] = r
     taken = np.zeros(a.rings, np.bool_)
     places, lengths = b.samples.places, b.samples.lengths
+    segments = a.segments
     budget = MOST_STEPS * (len(ring_of) + len(places))
     start = b.paths[0]
     for _ in range(b.rings):
         stop = start
         while lengths[stop] >= 0.0:
             stop += 1
-        budget = _link_ring(a, places, near, start, stop, ring_of, taken, reach_mm, budget)
-        if budget < 0:
+        if near[start] >= ring_of.size or taken[ring_of[near[start]]]:
+            return False
+        ring = ring_of[near[start]]
+        taken[ring] = True
+        first, size = a.paths[ring], a.paths[ring + 1] - a.paths[ring]
+        turns = 0
+        for k in range(start, stop):
+            # The last sample is the first place again.
+            s, there = near[k], near[k + 1] if k + 1 < stop else near[start]
+            if s == there:
+                continue
+            if not first <= there < first + size:
+                return False
+            ahead = there - s if there > s else there - s + size
+            steps = ahead if 2 * ahead <= size else ahead - size
+            turns += steps
+            budget -= abs(steps)
+            if budget < 0:
+                return False
+            x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
+            for _ in range(abs(steps)):
+                # On: the starts of the segments after this one. Back: its own start, and those before.
+                if steps > 0:
+                    s = s + 1 if s + 1 < first + size else first
+                if square_between(segments[s, 0], segments[s, 1], x0, y0, x1, y1) > reach_mm * reach_mm:
+                    return False
+                if steps < 0:
+                    s = s - 1 if s > first else first + size - 1
+        if turns != size:
             return False
         start = stop + 1
     return True
-
-
-@kernel
-def _link_ring(
-    a: Outline, places: Floats, near: Ints, start: int, stop: int, ring_of: Ints, taken: Bools, reach_mm: float,
-    budget: int,
-) -> int:  # fmt: skip
-    """Link the ring with samples ``start .. stop`` to a ring not taken yet; steps left, or -1 without luck.
-
-    The contour between two links is led along vertex by vertex: none may be farther from the piece than allowed.
-    """
-    if near[start] >= ring_of.size or taken[ring_of[near[start]]]:
-        return -1
-    ring = ring_of[near[start]]
-    taken[ring] = True
-    first, size = a.paths[ring], a.paths[ring + 1] - a.paths[ring]
-    segments = a.segments
-    turns = 0
-    for k in range(start, stop):
-        # The last sample is the first place again.
-        here, there = near[k], near[k + 1] if k + 1 < stop else near[start]
-        if here == there:
-            continue
-        if not first <= there < first + size:
-            return -1
-        ahead = there - here if there > here else there - here + size
-        steps = ahead if 2 * ahead <= size else ahead - size
-        turns += steps
-        budget -= abs(steps)
-        if budget < 0:
-            return -1
-        s = here
-        for _ in range(abs(steps)):
-            # On: the starts of the segments after this one. Back: its own start, and those before.
-            if steps > 0:
-                s = s + 1 if s + 1 < first + size else first
-            x0, y0, x1, y1 = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
-            if square_between(segments[s, 0], segments[s, 1], x0, y0, x1, y1) > reach_mm * reach_mm:
-                return -1
-            if steps < 0:
-                s = s - 1 if s > first else first + size - 1
-    return budget if turns == size else -1

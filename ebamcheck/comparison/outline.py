@@ -117,10 +117,28 @@ def _outline(points: Floats, starts: Ints, closed: Bools, x_mm: float, y_mm: flo
     for want_closed in (True, False):
         for r in range(starts.size - 1):
             a, b = starts[r], starts[r + 1]
-            if closed[r] == want_closed and b - a >= 2:
-                count = _straightened(points, a, b, want_closed, tolerance, written, count)
-                path += 1
-                paths[path] = count
+            if closed[r] != want_closed or b - a < 2:
+                continue
+            x, y = points[a, 0], points[a, 1]
+            last = b if want_closed else b - 1
+            for i in range(a + 1, last + 1):
+                k = i if i < b else a
+                bx, by = points[k, 0], points[k, 1]
+                if i < last:
+                    # A point is left out where it lies on the way straight from the one before to the next.
+                    n = i + 1 if i + 1 < b else a
+                    cx, cy = points[n, 0], points[n, 1]
+                    ux, uy, vx, vy = bx - x, by - y, cx - bx, cy - by
+                    across, wx, wy = ux * vy - uy * vx, cx - x, cy - y
+                    if ux * vx + uy * vy > 0.0 and across * across <= tolerance * tolerance * (
+                        wx * wx + wy * wy
+                    ):
+                        continue
+                written[count, 0], written[count, 1], written[count, 2], written[count, 3] = x, y, bx, by
+                count += 1
+                x, y = bx, by
+            path += 1
+            paths[path] = count
         if want_closed:
             rings = path
     segments = written[:count].copy()
@@ -131,32 +149,6 @@ def _outline(points: Floats, starts: Ints, closed: Bools, x_mm: float, y_mm: flo
     paths = paths[: path + 1].copy()
     chains = monotone_chains(segments, paths[: rings + 1])
     return Outline(segments, paths, rings, tree_over(segments), samples_along(segments, paths), chains)
-
-
-@kernel
-def _straightened(
-    points: Floats, a: int, b: int, is_closed: bool, tolerance: float, segments: Floats, count: int
-) -> int:
-    """Write the segments of path ``[a, b)`` after the first `count`; their new number.
-
-    A point is left out where it lies on the way straight from the one before to the next, within the tolerance.
-    """
-    x, y = points[a, 0], points[a, 1]
-    last = b if is_closed else b - 1
-    for i in range(a + 1, last + 1):
-        k = i if i < b else a
-        bx, by = points[k, 0], points[k, 1]
-        if i < last:
-            n = i + 1 if i + 1 < b else a
-            cx, cy = points[n, 0], points[n, 1]
-            ux, uy, vx, vy = bx - x, by - y, cx - bx, cy - by
-            across, wx, wy = ux * vy - uy * vx, cx - x, cy - y
-            if ux * vx + uy * vy > 0.0 and across * across <= tolerance * tolerance * (wx * wx + wy * wy):
-                continue
-        segments[count, 0], segments[count, 1], segments[count, 2], segments[count, 3] = x, y, bx, by
-        count += 1
-        x, y = bx, by
-    return count
 
 
 @kernel
