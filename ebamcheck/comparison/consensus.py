@@ -34,8 +34,7 @@ from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.stages import ComparisonSettings
 
-Bounds = Mapping[str, tuple[float, float]]
-"""Error bound and height bound of each method, mm."""
+Bounds = Mapping[str, tuple[float, float]]  # error bound and height bound of each method, mm
 
 
 @dataclass(frozen=True)

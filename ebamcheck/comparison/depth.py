@@ -21,20 +21,14 @@ from ebamcheck.geometry.rings import stable_order
 from ebamcheck.kernels import Floats, Ints, kernel
 
 FINEST_DEPTH_MM = 1e-6
+# Resolution of depths near the limit, over the limit; never finer than the finest depth. These depths decide the verdict
 FINE_SHARE = 0.01
-"""Resolution of depths near the limit, over the limit; never finer than the finest depth. These depths decide the verdict."""
-
-COARSE_SHARE = 0.05
-"""Resolution of depths below the limit, over the limit. These depths are only reported."""
-
+COARSE_SHARE = 0.05  # resolution of depths below the limit, over the limit. These depths are only reported
+# Most trapezoids examined in one search; beyond it the upper bound is returned, which errs towards a finding
 MOST_NODES = 400_000
-"""Most trapezoids examined in one search; beyond it the upper bound is returned, which errs towards a finding."""
-
+# Size of the stack of trapezoids in one search; a split adds few, so float64 runs out of halvings first
 STACK = 4096
-"""Size of the stack of trapezoids in one search; a split adds few, so float64 runs out of halvings first."""
-
-MOST_PARTS = 16
-"""Parts into which a trapezoid is split at once."""
+MOST_PARTS = 16  # parts into which a trapezoid is split at once
 
 THINNEST_SHARE = 2.0**-42
 """Trapezoids thinner than this share of the largest coordinate (1000 roundings) are ignored: there edges coincide, and

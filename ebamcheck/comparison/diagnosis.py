@@ -49,24 +49,16 @@ from ebamcheck.comparison.whole_causes import (
 )
 from ebamcheck.kernels import Bools, Floats, Ints
 
-ENOUGH = 0.9
-"""Share of a difference from which a single cause is enough."""
-
-ALL = 0.98
-"""Share of a difference from which a cause leaves nothing to look for."""
+ENOUGH = 0.9  # share of a difference from which a single cause is enough
+ALL = 0.98  # share of a difference from which a cause leaves nothing to look for
 
 NAMED = 0.55
 """Least share of a difference that the causes together must explain to be named: noise, too, fits some cause by chance, and
 a scale that explains 51 % fits a square that has lost a corner."""
 
-LEAST = 0.1
-"""Least share of a difference that one cause among several must explain."""
-
-AS_WELL = 0.01
-"""Causes whose shares differ by less than this cannot be told apart on these layers."""
-
-LARGE = 1.5
-"""Factor of size from which sections differ by their unit."""
+LEAST = 0.1  # least share of a difference that one cause among several must explain
+AS_WELL = 0.01  # causes whose shares differ by less than this cannot be told apart on these layers
+LARGE = 1.5  # factor of size from which sections differ by their unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +206,7 @@ def _field_cause(name: str, fitted: Fitted, share: float, origin_mm: tuple[float
     return Cause(SCALE, factor, "", f"scale by {factor:.6g} {about}", share)
 
 
+# Factors by which a part is too large if its unit was mistaken
 UNITS: dict[str, float] = {
     "inches taken for millimetres": 1.0 / 25.4,
     "millimetres taken for inches": 25.4,
@@ -226,11 +219,9 @@ UNITS: dict[str, float] = {
     "inches taken for centimetres": 1.0 / 2.54,
     "centimetres taken for inches": 2.54,
 }
-"""Factors by which a part is too large if its unit was mistaken."""
-
+# Largest relative difference between a scale and the factor of a unit for the scale to be a mistaken unit
 UNIT_SHARE = 0.005
-"""Largest relative difference between a scale and the factor of a unit for the scale to be a mistaken unit."""
-
+# Quarter turns with their angles, and mirrors with the direction that is reversed (x, y, or both exchanged)
 TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
     (ROTATION, 180.0, ((-1, 0), (0, -1))),
     (ROTATION, 90.0, ((0, -1), (1, 0))),
@@ -240,35 +231,23 @@ TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = 
     (MIRROR, 45.0, ((0, 1), (1, 0))),
     (MIRROR, 135.0, ((0, -1), (-1, 0))),
 )
-"""Quarter turns with their angles, and mirrors with the direction that is reversed (x, y, or both exchanged)."""
 
 MIRRORED = {0.0: "X", 90.0: "Y", 45.0: "X and Y exchanged", 135.0: "X and Y exchanged with their signs"}
 
+# Winding rules other than the default, winding > 0
 RULES: dict[str, Callable[[Ints], Bools]] = {
     "odd": lambda w: w % 2 == 1,
     "winding != 0": lambda w: w != 0,
     "1..1": lambda w: w == 1,
     "winding > 1": lambda w: w > 1,
 }
-"""Winding rules other than the default, winding > 0."""
-
+# Most pieces of a sheet's difference at which winding numbers are computed, the largest ones
 MOST_PIECES = 2000
-"""Most pieces of a sheet's difference at which winding numbers are computed, the largest ones."""
-
-CELLS = 23
-"""Rows and columns of places at which a rule is checked against the whole section."""
-
-MOST_WRONG = 0.02
-"""Largest share of the solid at which a rule may be wrong, because of places on contours."""
-
-LEAST_GAP_MM = 1e-7
-"""Coordinates nearer to each other than this are the same."""
-
-GRID_SHARE = 1e-3
-"""Largest distance of coordinates from a grid, over its step."""
-
-GRID_POINTS = 4
-"""Fewest different coordinates that a grid must have."""
+CELLS = 23  # rows and columns of places at which a rule is checked against the whole section
+MOST_WRONG = 0.02  # largest share of the solid at which a rule may be wrong, because of places on contours
+LEAST_GAP_MM = 1e-7  # coordinates nearer to each other than this are the same
+GRID_SHARE = 1e-3  # largest distance of coordinates from a grid, over its step
+GRID_POINTS = 4  # fewest different coordinates that a grid must have
 
 
 def turned_over(sheets: Sequence[Sheet]) -> Cause | None:

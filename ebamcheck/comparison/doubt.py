@@ -19,8 +19,8 @@ from ebamcheck.comparison.whole_causes import Reader
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 
+# Column of a pair's table: how much declared doubt added to the limit of a layer that agrees only by it; else 0
 DOUBT = "doubt_mm"
-"""Column of a pair's table: how much declared doubt added to the limit of a layer that agrees only by it; else 0."""
 
 
 class Doubt(NamedTuple):

@@ -20,27 +20,17 @@ from ebamcheck.comparison.whole_causes import Sheet
 from ebamcheck.geometry.nearest import distances
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
-PLACES = 160
-"""Places along the contours of each sheet."""
-
-MOST_STEPS = 30
-"""Most steps of the fit."""
-
+PLACES = 160  # places along the contours of each sheet
+MOST_STEPS = 30  # most steps of the fit
+# Distance up to which its square counts, over the median at the start: beyond it distances count as they are
 SOFT = 0.1
-"""Distance up to which its square counts, over the median at the start: beyond it distances count as they are."""
-
+# Largest movement of a fit, over the size of the part; beyond it the fit is lost, as contours moved so far hardly overlap
 FARTHEST = 0.5
-"""Largest movement of a fit, over the size of the part; beyond it the fit is lost, as contours moved so far hardly overlap."""
-
-NESTED = 0.01
-"""Least gain in the share explained for which a fit with more parameters is preferred."""
-
-PROMISING = 0.3
-"""Share that a single cause must explain before two together are tried."""
-
+NESTED = 0.01  # least gain in the share explained for which a fit with more parameters is preferred
+PROMISING = 0.3  # share that a single cause must explain before two together are tried
+# Parameters: offset mm, translation mm, logarithm of the scale, angle rad, height mm
 D, TX, TY, E, TURN, DZ = range(6)
-"""Parameters: offset mm, translation mm, logarithm of the scale, angle rad, height mm."""
-
+# Parameters of each cause that is fitted: scale and rotation have a centre, which needs a translation
 GROUPS: dict[str, tuple[int, ...]] = {
     "translation": (TX, TY),
     "offset": (D,),
@@ -48,7 +38,6 @@ GROUPS: dict[str, tuple[int, ...]] = {
     "scale": (E, TX, TY),
     "rotation": (TURN, TX, TY),
 }
-"""Parameters of each cause that is fitted: scale and rotation have a centre, which needs a translation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,11 +260,9 @@ def _moved_back(points: Floats, q: Floats) -> Floats:
 # -- Signed distances from contours given as segments in any order, with the solid on their left ---------------
 
 
+# Most segments for which the winding number on both sides is computed, which takes quadratic time
 MOST_SEGMENTS = 4000
-"""Most segments for which the winding number on both sides is computed, which takes quadratic time."""
-
-ASIDE = 1e-6
-"""Distance beside a segment, over its length, at which the winding number is computed."""
+ASIDE = 1e-6  # distance beside a segment, over its length, at which the winding number is computed
 
 
 def centroid(contours: Iterable[Floats]) -> tuple[Floats, float]:

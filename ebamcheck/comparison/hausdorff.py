@@ -16,19 +16,15 @@ from ebamcheck.geometry.nearest import SegmentTree, distance_to_segment, nearest
 from ebamcheck.geometry.rings import EPSILON
 from ebamcheck.kernels import Floats, Ints, kernel
 
-RESOLUTION_MM = 1e-7
-"""Resolution of Hausdorff distances: ten thousand times finer than the default tolerance."""
+RESOLUTION_MM = 1e-7  # resolution of Hausdorff distances: ten thousand times finer than the default tolerance
 
 PERCENTILE = 0.95
 
-MOST_PASSED = 8
-"""Most vertices examined between the nearest segments at both ends of a piece; more are rare."""
-
+MOST_PASSED = 8  # most vertices examined between the nearest segments at both ends of a piece; more are rare
+# Most pieces refined in one search; a count, not a time, so that results do not depend on the machine
 MOST_PIECES = 200_000
-"""Most pieces refined in one search; a count, not a time, so that results do not depend on the machine."""
-
+# Size of the stack of pieces in one search; each halving adds one, so float64 runs out of halvings first
 STACK = 128
-"""Size of the stack of pieces in one search; each halving adds one, so float64 runs out of halvings first."""
 
 
 class Directed(NamedTuple):

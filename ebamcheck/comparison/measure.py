@@ -140,8 +140,8 @@ def _halfway(o: Outline, other: Outline, farthest: Directed, known: Deepest) -> 
 # from the nearer contours.
 
 
+# Most vertices passed per segment and sample, on average: links that run back and forth prove nothing
 MOST_STEPS = 8
-"""Most vertices passed per segment and sample, on average: links that run back and forth prove nothing."""
 
 
 @kernel

@@ -186,6 +186,7 @@ LEAVE_OUT = "leave {backend} out (--backends), and tell those who make it"
 SETTINGS = "look at the settings of {backend} (slicing.settings.{backend})"
 MEND = "mend the mesh at this place, or slice by a method that does not need it whole"
 
+# Remedies by cause; for a cause that a slicer declares in its own words it is `DECLARED`
 REMEDIES: Mapping[str, str] = {
     local.COPLANAR_FACE: "shift the layers a little (layers.layer_height_mm, layers.heights_mm), or turn the part (part.direction)",
     local.VERTEX: "shift the layers a little (layers.layer_height_mm, layers.heights_mm)",
@@ -220,7 +221,6 @@ REMEDIES: Mapping[str, str] = {
     systematic.DUPLICATED: SETTINGS + " for its layer height, else " + LEAVE_OUT,
     systematic.SHIFTED: SETTINGS + " for its first layer, else " + LEAVE_OUT,
 }  # fmt: skip
-"""Remedies by cause; for a cause that a slicer declares in its own words it is :data:`DECLARED`."""
 
 DECLARED = "trust {against} here and leave {backend} out (--backends), or mend the mesh at this place"
 
@@ -236,8 +236,8 @@ def remedy(cause: str, backend: str, against: str) -> str:
     return REMEDIES.get(cause, DECLARED).format(backend=backend, against=against)
 
 
+# Verdicts on a layer
 AGREE, OUTLIER, UNDECIDED, NOT_COMPARED, EMPTY = "agree", "outlier", "undecided", "not-compared", "empty"
-"""Verdicts on a layer."""
 
 
 @dataclass(frozen=True)

@@ -16,22 +16,22 @@ from ebamcheck.geometry.rings import EPSILON, stable_order
 from ebamcheck.kernels import Bools, Floats, Ints, ShortInts, kernel
 from ebamcheck.layers.stack import Layers
 
+# Deviation, relative to the largest coordinate, below which a point on a straight run is dropped
 ROUNDING = 4.0 * EPSILON
-"""Deviation, relative to the largest coordinate, below which a point on a straight run is dropped."""
 
 PIECES = 512
 """Least number of equal pieces into which a contour is divided; along each the distance is taken as
 linear, which is a good approximation while the nearest segment stays the same."""
 
+# Kinds of events: a chain continues with its next segment, two chains start, or two end
 ADVANCE, OPEN, CLOSE = 0, 1, 2
-"""Kinds of events: a chain continues with its next segment, two chains start, or two end."""
 
 KIND, LEFT, RIGHT, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4
 """Columns of events: kind; the chain, or the left and right one of two that start, or both that end; and
 the segments with which these continue upwards, -1 for none."""
 
+# Columns of `edges`: lower and upper end, mm, and change of x with y
 X_LOW, Y_LOW, X_HIGH, Y_HIGH, SLOPE = 0, 1, 2, 3, 4
-"""Columns of `edges`: lower and upper end, mm, and change of x with y."""
 
 
 class Samples(NamedTuple):

@@ -22,14 +22,10 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
 
-SAME_HEIGHT_MM = 1e-6
-"""Heights closer than this are the same: finer than any slice file writes them."""
-
-SMALLEST_BLOCK = 16
-"""Fewest layers of a task, so that starting it costs little in comparison."""
-
+SAME_HEIGHT_MM = 1e-6  # heights closer than this are the same: finer than any slice file writes them
+SMALLEST_BLOCK = 16  # fewest layers of a task, so that starting it costs little in comparison
+# Tasks per thread into which a block of layers is divided: small ones, so that all threads finish at about the same time
 TASKS_A_THREAD = 32
-"""Tasks per thread into which a block of layers is divided: small ones, so that all threads finish at about the same time."""
 
 DepthFrom = Literal["auto", "a", "b", "nearer"]
 
@@ -282,8 +278,7 @@ def _topologies(
 GENERIC = "generic"
 VERTEX_ON_PLANE = "vertex-on-plane"
 FACE_ON_PLANE = "face-on-plane"
-UNKNOWN = "unknown"
-"""Class of a layer if no part is given."""
+UNKNOWN = "unknown"  # class of a layer if no part is given
 
 
 def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[np.str_]:
@@ -331,11 +326,8 @@ def layer_classes(part: Part, heights: ArrayLike, margin_mm: float) -> NDArray[n
 # more than `r`, which has a limit of its own.
 
 
-ARC_SEGMENTS = 4
-"""Segments a quarter circle in the offsets: their radius is right to 2 %."""
-
-Counts = tuple[range, range]
-"""Range of the number of outer rings, and of holes."""
+ARC_SEGMENTS = 4  # segments a quarter circle in the offsets: their radius is right to 2 %
+Counts = tuple[range, range]  # range of the number of outer rings, and of holes
 
 
 def topologies_agree(a: Layers, b: Layers, layer: int, limit_mm: float) -> bool:

@@ -32,17 +32,13 @@ THIN_GAP = "thin gap"
 SHALLOW = "shallow slope"
 UNKNOWN_CAUSE = "unknown"
 
+# Distance within which a flaw of the mesh explains a disagreement, over the sum of the disagreement's depth and limit
 NEAR_DEPTHS = 3.0
-"""Distance within which a flaw of the mesh explains a disagreement, over the sum of the disagreement's depth and limit."""
-
+# Largest depth of a thin feature, over the limit of the methods compared; a wall or gap has two sides
 THIN_LIMITS = 4.0
-"""Largest depth of a thin feature, over the limit of the methods compared; a wall or gap has two sides."""
-
+# Shells nearer to each other than this share of the part's size touch: single precision cannot separate them
 TOUCHING_SHARE = 1e-7
-"""Shells nearer to each other than this share of the part's size touch: single precision cannot separate them."""
-
-PROBES = 16
-"""Points on a circle around the place at which the winding number is computed."""
+PROBES = 16  # points on a circle around the place at which the winding number is computed
 
 
 class MeshFlaws:
@@ -270,20 +266,12 @@ def _width(place: Place, segments: Floats) -> tuple[float, bool]:
     return surroundings(segments, none, flat, place.x_mm, place.y_mm, place.reach_mm).width()
 
 
-MOST_SEGMENTS = 400
-"""Most segments examined, the nearest ones: all pairs of them are compared."""
-
+MOST_SEGMENTS = 400  # most segments examined, the nearest ones: all pairs of them are compared
+# Largest cosine between the directions of the two sides of a wall or gap: opposite to within about 45 degrees
 FACING_COS = -0.7
-"""Largest cosine between the directions of the two sides of a wall or gap: opposite to within about 45 degrees."""
-
-AS_NEAR = 1.0 + 1e-6
-"""Factor of the least distance within which segments count as equally near."""
-
-MOST_SIDES = 8
-"""Most equally near segments examined; they meet in one point."""
-
-ROUNDING_SHARE = 2.0**-22
-"""Largest height error by single precision, over the part's size (four roundings)."""
+AS_NEAR = 1.0 + 1e-6  # factor of the least distance within which segments count as equally near
+MOST_SIDES = 8  # most equally near segments examined; they meet in one point
+ROUNDING_SHARE = 2.0**-22  # largest height error by single precision, over the part's size (four roundings)
 
 Bools = NDArray[np.bool_]
 

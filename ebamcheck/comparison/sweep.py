@@ -39,8 +39,7 @@ from ebamcheck.comparison.outline import (
 )  # fmt: skip
 from ebamcheck.kernels import Floats, Ints, kernel
 
-MOST_CROSSINGS = 2_000_000
-"""Most crossings in one sweep; beyond it the caller uses shapely instead."""
+MOST_CROSSINGS = 2_000_000  # most crossings in one sweep; beyond it the caller uses shapely instead
 
 TAKEN_AN_EDGE = 6
 """Trapezoids that one step of the sweep takes at most for each edge of the status: an edge that moves passes
@@ -50,31 +49,27 @@ SEGMENT, X_NOW = 5, 6
 """Columns of `edges` after those of :attr:`ebamcheck.comparison.outline.Chains.edges`: which segment it is, and x at the level at
 which the areas beside it were taken last."""
 
+# Columns of `edges` for its gap: level up to which its area is taken, x of its sides there, level at which they cross
 SINCE, LEFT, RIGHT, CROSSING = 7, 8, 9, 10
-"""Columns of `edges` for its gap: level up to which its area is taken, x of its sides there, level at which they cross."""
 
 EDGE_COLUMNS = 11
 
+# Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap
 CHAIN, STEP_A, STEP_B, WINDING_A, WINDING_B = 0, 1, 2, 3, 4
-"""Columns of `marks`: chain of the edge, change of both winding numbers across it, those in its gap."""
-
-PLACE = 5
-"""Column of `marks` with a row a chain instead: place of its edge in the status."""
+PLACE = 5  # column of `marks` with a row a chain instead: place of its edge in the status
 
 MARK_COLUMNS = 6
 
+# Columns of `sums`: areas so far, mm2; number of trapezoids stored
 AREA_A, AREA_B, DIFFERENCE, TRAPEZOIDS = 0, 1, 2, 3
-"""Columns of `sums`: areas so far, mm2; number of trapezoids stored."""
-
-BORDER_MM = 1e200
-"""x of the borders: beyond every edge, yet so small that areas up to them are finite."""
+BORDER_MM = 1e200  # x of the borders: beyond every edge, yet so small that areas up to them are finite
 
 Y0, Y1, L0, L1, R0, R1, LEFT_SEGMENT, RIGHT_SEGMENT = 0, 1, 2, 3, 4, 5, 6, 7
 """Columns of `difference`, the trapezoids of the symmetric difference: levels, x of both sides at each, and
 the segments on which these lie. It has no rows where they are not wanted."""
 
+# State of a sweep: events passed of either outline, edges of the status, and crossings passed
 NEXT_A, NEXT_B, EDGES, CROSSINGS = 0, 1, 2, 3
-"""State of a sweep: events passed of either outline, edges of the status, and crossings passed."""
 
 
 class Overlap(NamedTuple):

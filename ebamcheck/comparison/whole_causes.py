@@ -33,11 +33,11 @@ DROPPED = "dropped layers"
 DUPLICATED = "duplicated layers"
 SHIFTED = "shifted layers"
 
+# Every kind, each of which has a remedy and a meaning
 KINDS = (
     OFFSET, TRANSLATION, HEIGHT, SCALE, UNIT, ROTATION, MIRROR, MISSING_OUTER, MISSING_HOLE, EXTRA_OUTER, EXTRA_HOLE,
     NESTING, ORIENTATION, WINDING_RULE, QUANTISATION, DROPPED, DUPLICATED, SHIFTED,
 )  # fmt: skip
-"""Every kind, each of which has a remedy and a meaning."""
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,9 @@ class Cause:
 # -- Causes in whole layers: dropped, duplicated, or taken from another height of the stack --------------------
 
 
-FARTHEST_SHIFT = 5
-"""Largest shift of a stack, in layers, that is recognised."""
-
+FARTHEST_SHIFT = 5  # largest shift of a stack, in layers, that is recognised
+# Two layers are the same if they differ by less than this share of the difference to be explained
 SAME_SHARE = 0.02
-"""Two layers are the same if they differ by less than this share of the difference to be explained."""
 
 
 def layer_causes(
@@ -186,14 +184,12 @@ def _sources(areas: Floats, rings: Ints, step: int) -> Ints:
 # -- Causes in whole rings: missing or extra ones, and those with the wrong direction --------------------------
 
 
+# Least likeness of two slicers' rings to be the same one: overlap of their boxes times ratio of their areas
 LEAST_LIKENESS = 0.25
-"""Least likeness of two slicers' rings to be the same one: overlap of their boxes times ratio of their areas."""
-
-MOST_MATCHED = 3000
-"""Most rings of a layer that are matched, as every one is compared with every other."""
-
-DEEP = 2
-"""Nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting."""
+MOST_MATCHED = 3000  # most rings of a layer that are matched, as every one is compared with every other
+DEEP = (
+    2  # nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting
+)
 
 
 class Matched(NamedTuple):
@@ -326,14 +322,10 @@ def _mended(kind: str, sheet: Sheet, rings: Ints) -> Sheet:
     return sheet.with_a(one_layer(sheet.height_mm, made))
 
 
-MOST_SHEETS = 12
-"""Most layers of a pair that are examined: enough to find what they have in common."""
-
+MOST_SHEETS = 12  # most layers of a pair that are examined: enough to find what they have in common
+# Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be
 MOST_RINGS = 300_000
-"""Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be."""
-
-WINDOW = 32
-"""Layers read from a file at once."""
+WINDOW = 32  # layers read from a file at once
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,11 +17,10 @@ if TYPE_CHECKING:
     # Loaded only where there are geometries; most commands make none.
     from shapely.geometry.base import BaseGeometry
 
-SEGMENTS_A_LEAF = 4
-"""Segments in one leaf of the tree."""
-
-MOST_LEVELS = 64
-"""Depth of the largest tree that memory could hold, and so the most nodes a search has waiting."""
+SEGMENTS_A_LEAF = 4  # segments in one leaf of the tree
+MOST_LEVELS = (
+    64  # depth of the largest tree that memory could hold, and so the most nodes a search has waiting
+)
 
 
 class SegmentTree(NamedTuple):

@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
-EPSILON = 2.0**-52
-"""Spacing of float64 at 1."""
-
-OUTSIDE, INSIDE, ON_BOUNDARY = 0, 1, 2
-"""Answers of :func:`locate`."""
+EPSILON = 2.0**-52  # spacing of float64 at 1
+OUTSIDE, INSIDE, ON_BOUNDARY = 0, 1, 2  # answers of `locate`
 
 
 @kernel
