@@ -187,9 +187,8 @@ def _sources(areas: Floats, rings: Ints, step: int) -> Ints:
 # Least likeness of two slicers' rings to be the same one: overlap of their boxes times ratio of their areas
 LEAST_LIKENESS = 0.25
 MOST_MATCHED = 3000  # most rings of a layer that are matched, as every one is compared with every other
-DEEP = (
-    2  # nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting
-)
+# Nesting depth of a ring inside a hole: from here on a slicer derives the direction from the nesting
+DEEP = 2
 
 
 class Matched(NamedTuple):

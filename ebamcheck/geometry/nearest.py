@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
 SEGMENTS_A_LEAF = 4  # segments in one leaf of the tree
-MOST_LEVELS = (
-    64  # depth of the largest tree that memory could hold, and so the most nodes a search has waiting
-)
+# Depth of the largest tree that memory could hold, and so the most nodes a search has waiting
+MOST_LEVELS = 64
 
 
 class SegmentTree(NamedTuple):
