@@ -91,7 +91,8 @@ def search(
     for s in stable_order(-suspects[:, 6]):
         if suspects[s, 6] <= enough_mm(deepest.depth_mm, limit_mm):
             break
-        stack[0] = suspects[s]
+        for c in range(7):
+            stack[0, c] = suspects[s, c]
         count = 1
         while count > 0:
             count -= 1
@@ -132,7 +133,8 @@ def _suspects(
             continue
         ceiling = _between_sides(a, b, from_a, from_b, difference, t, enough)
         if ceiling > enough:
-            suspects[count, :6] = difference[t, :6]
+            for c in range(6):
+                suspects[count, c] = difference[t, c]
             suspects[count, 6] = ceiling
             count += 1
     return suspects[:count]
@@ -222,18 +224,18 @@ def _look(
         square, i = nearest_segment(a.tree, x, y, guess[0])
         depth = math.sqrt(square)
         guess[0] = i
-        if i >= 0:
-            sides[k] = a.segments[i]
+        for c in range(4 if i >= 0 else 0):
+            sides[k, c] = a.segments[i, c]
     if from_b:
         square, i = nearest_segment(b.tree, x, y, guess[1])
         other = math.sqrt(square)
         guess[1] = i
-        if other < depth:
-            depth = other
-            sides[-1] = sides[k]
-            sides[k] = b.segments[i]
-        elif i >= 0:
-            sides[-1] = b.segments[i]
+        for c in range(4 if i >= 0 else 0):
+            if other < depth:
+                sides[-1, c], sides[k, c] = sides[k, c], b.segments[i, c]
+            else:
+                sides[-1, c] = b.segments[i, c]
+        depth = min(depth, other)
     return float(depth)
 
 
@@ -265,9 +267,9 @@ def _split(stack: Floats, at: int, ceiling: float, stretch: float) -> int:
     r0, r1 = stack[at, 4], stack[at, 5]
     along = math.hypot(y1 - y0, max(abs(l1 - l0), abs(r1 - r0)))
     if along <= max(r0 - l0, r1 - l1):
-        stack[at + 1] = stack[at]
-        for c in (4, 5):
-            stack[at, c] = stack[at + 1, c - 2] = 0.5 * (stack[at, c - 2] + stack[at, c])
+        for c in (0, 1):
+            stack[at + 1, c], stack[at + 1, 4 + c] = stack[at, c], stack[at, 4 + c]
+            stack[at, 4 + c] = stack[at + 1, 2 + c] = 0.5 * (stack[at, 2 + c] + stack[at, 4 + c])
         stack[at, 6] = stack[at + 1, 6] = ceiling
         return 2
     parts = int(min(max(math.ceil(along / stretch), 2.0), float(MOST_PARTS)))

@@ -156,7 +156,8 @@ def linked_within(a: Outline, b: Outline, near: Ints, reach_mm: float) -> bool:
         return False
     ring_of = np.empty(a.paths[a.rings], np.int64)
     for r in range(a.rings):
-        ring_of[a.paths[r] : a.paths[r + 1]] = r
+        for s in range(a.paths[r], a.paths[r + 1]):
+            ring_of[s] = r
     taken = np.zeros(a.rings, np.bool_)
     places, lengths = b.samples.places, b.samples.lengths
     segments = a.segments

@@ -90,7 +90,10 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     """Sweep over two outlines; the trapezoids of the symmetric difference are written down if `wanted`."""
     of_a, of_b = a.chains.steps, b.chains.steps
     steps = np.zeros((of_a.size + of_b.size, 2), np.int64)
-    steps[: of_a.size, 0], steps[of_a.size :, 1] = of_a, of_b
+    for chain in range(of_a.size):
+        steps[chain, 0] = of_a[chain]
+    for chain in range(of_b.size):
+        steps[of_a.size + chain, 1] = of_b[chain]
     # Beyond the edges there are two borders, and beyond the marks a row of zeros, the last one.
     edges = np.zeros((len(steps) + 2, EDGE_COLUMNS))
     marks = np.zeros((len(steps) + 1, MARK_COLUMNS), np.int64)
@@ -100,7 +103,9 @@ def overlap(a: Outline, b: Outline, wanted: bool) -> Overlap:
     while not _sweep(a, b, steps, edges, marks, sums, difference, come):
         taken = int(sums[TRAPEZOIDS])
         larger = np.empty((2 * (taken + TAKEN_AN_EDGE * (come[EDGES] + 2)), 8))
-        larger[:taken] = difference[:taken]
+        for t in range(taken):
+            for c in range(8):
+                larger[t, c] = difference[t, c]
         difference = larger
     if come[CROSSINGS] > MOST_CROSSINGS:
         return Overlap(0.0, 0.0, 0.0, difference[:0], False)

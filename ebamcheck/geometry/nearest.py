@@ -78,8 +78,9 @@ def tree_over(segments: Floats) -> SegmentTree:
     while leaves * SEGMENTS_A_LEAF < len(segments):
         leaves *= 2
     boxes = np.empty((2 * leaves, 4))
-    boxes[:, :2] = np.inf
-    boxes[:, 2:] = -np.inf
+    for node in range(len(boxes)):
+        for axis in range(2):
+            boxes[node, axis], boxes[node, axis + 2] = np.inf, -np.inf
     for i in range(len(segments)):
         node = leaves + i // SEGMENTS_A_LEAF
         for axis in range(2):
