@@ -39,7 +39,9 @@ def kernel(function: _Function) -> _Function:
     (a division by zero gives an infinity or NaN).
 
     What it uses of other modules, it imports by name (``from module import name``): so the cache notices when that changes.
-    Arguments keep one type each: a second type compiles a second version.
+    What keeps compiling short: arguments keep one type each, since a second type compiles a second version, and a literal
+    (``f(x, 0)`` beside ``f(x, k)``) is a type of its own; columns are copied in loops, since numba compiles a slice that is
+    assigned from an array with all the messages for shapes that do not fit.
     """
     folder = cache_folder(function.__module__.partition(".")[0])
     before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder or "")
