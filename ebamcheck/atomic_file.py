@@ -12,18 +12,13 @@ from typing import Final
 from ebamcheck.errors import SettingsError
 from ebamcheck.scratch import owned_file, sweep_parts
 
-COMPRESSION: Final = "lz4"
-"""Compression of the Parquet files of a run: coordinates hardly get smaller by a slower one."""
+COMPRESSION: Final = (
+    "lz4"  # compression of the Parquet files of a run: coordinates hardly get smaller by a slower one
+)
 
 
 def made_folder(path: Path) -> Path:
-    """Make a folder where there is none, and return it.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be made.
-    """
+    """Make a folder where there is none, and return it."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -38,13 +33,6 @@ def replacing(path: str | Path) -> Iterator[Path]:
     Where the block raises, the temporary file goes and what stood at `path` stays as it was; what a killed process
     left in that folder goes, too.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written (no such folder, no permission, disk full).
-
-    Examples
-    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with replacing(Path(folder, "a.txt")) as temporary:

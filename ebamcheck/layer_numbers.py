@@ -13,8 +13,6 @@ if TYPE_CHECKING:
 def numbered(table: pd.DataFrame) -> pd.DataFrame:
     """Return a table as a person opens it: its column `layer`, an index, counts from 1; one without layers stays as it is.
 
-    Examples
-    --------
     >>> import pandas as pd
     >>> numbered(pd.DataFrame({"layer": [0, 1]}))["layer"].tolist()
     [1, 2]
@@ -30,13 +28,6 @@ def indexed(table: pd.DataFrame) -> pd.DataFrame:
 def index_of_number(number: int, layers: int, option: str = "--layer") -> int:
     """Index of the layer that an option names by its number.
 
-    Raises
-    ------
-    SettingsError
-        If there is no such layer.
-
-    Examples
-    --------
     >>> index_of_number(12, 12)
     11
     """

@@ -9,8 +9,8 @@ import re
 import unicodedata
 from typing import Any, TextIO
 
+# Categories of Unicode that move the cursor, hide or reorder text: controls, formats, surrogates, unassigned, line ends
 UNPRINTABLE = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
-"""Categories of Unicode that move the cursor, hide or reorder text: controls, formats, surrogates, unassigned, line ends."""
 
 _BETWEEN = re.compile(r"[^\n\t -~]+")
 _SUSPECT = re.compile(r"[^ -~]")
@@ -19,15 +19,6 @@ _SUSPECT = re.compile(r"[^ -~]")
 def printable(text: object, most: int | None = None) -> str:
     r"""Write control characters, line ends and what reorders text as escapes; every other character stays.
 
-    Parameters
-    ----------
-    text
-        A value from outside: a signer's name, a part's name, a message that quotes a file.
-    most
-        Characters that are kept; what is longer ends in ``...``. None: all.
-
-    Examples
-    --------
     >>> printable("Jane\x1b[2K Doe\n\u202e"), printable("Jürgen"), printable("x" * 99, most=8)
     ('Jane\\x1b[2K Doe\\n\\u202e', 'Jürgen', 'xxxxx...')
     """
@@ -36,13 +27,7 @@ def printable(text: object, most: int | None = None) -> str:
 
 
 class PrintableStream:
-    """A text stream to which line ends and tabs alone go as they are, of all characters that :func:`printable` escapes.
-
-    Parameters
-    ----------
-    stream
-        Where the text goes; everything but writing is done by it.
-    """
+    """A text stream to which line ends and tabs alone go as they are, of all characters that :func:`printable` escapes."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ebamcheck.errors import EbamcheckError, InputError
 
+# What else may stand under a name: opening one of them blocks, never ends, or fails in another way each time
 KINDS = {
     stat.S_IFDIR: "is a folder, not a file",
     stat.S_IFIFO: "is a pipe, not a file: save what comes through it to a file first",
@@ -14,7 +15,6 @@ KINDS = {
     stat.S_IFBLK: "is a device, not a file",
     stat.S_IFSOCK: "is a socket, not a file",
 }
-"""What else may stand under a name: opening one of them blocks, never ends, or fails in another way each time."""
 
 
 def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> Path:
@@ -22,8 +22,6 @@ def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> 
 
     What is missing, or must not be looked at, is told by whoever opens it.
 
-    Examples
-    --------
     >>> regular_file("/dev/zero")
     Traceback (most recent call last):
     ebamcheck.errors.InputError: /dev/zero: is a device, not a file

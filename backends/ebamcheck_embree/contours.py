@@ -19,14 +19,10 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck_embree.grid import Lattice
 from ebamcheck_embree.scene import Facets, Mesh
 
+# The columns `starts`, `along`, `facet` and `paired` of `ebamcheck_embree.crossings.Borders`
 RayColumns = tuple[Ints, Floats, Facets, Bools]
-"""The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.crossings.Borders`."""
-
-NO_FACET = -1
-"""Facet of a knot without a crossing, which lies at the middle or an end of its grid edge."""
-
-SADDLE = -1
-"""Cell of a link in a cell with four knots: no corner of the section is added to such a link."""
+NO_FACET = -1  # facet of a knot without a crossing, which lies at the middle or an end of its grid edge
+SADDLE = -1  # cell of a link in a cell with four knots: no corner of the section is added to such a link
 
 
 class RowKnots(NamedTuple):

@@ -32,11 +32,11 @@ from ebamcheck_embree.scene import Facets, Mesh, Scene, Singles, Slabs, UnderWay
 
 log = logging.getLogger(__name__)
 
+# Most segments of sections that a thread holds at once, unless a single section has more: at most 150 MB
 SEGMENTS_AT_ONCE = 1 << 22
-"""Most segments of sections that a thread holds at once, unless a single section has more: at most 150 MB."""
-
-PIECES_A_THREAD = 4
-"""Least number of pieces of a stack per thread, if it has enough layers: they take unequal time."""
+PIECES_A_THREAD = (
+    4  # least number of pieces of a stack per thread, if it has enough layers: they take unequal time
+)
 
 
 class InPlaneRays:

@@ -19,14 +19,10 @@ from ebamcheck.mesh.part import Part
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
-MOST_REGIONS = 16
-"""Most boxes declared; further ones are merged with their neighbours in height."""
-
+MOST_REGIONS = 16  # most boxes declared; further ones are merged with their neighbours in height
+# Least horizontal part of a group's unit normal: sections of a flatter group may move too far to be bounded
 LEAST_SLOPE = 0.05
-"""Least horizontal part of a group's unit normal: sections of a flatter group may move too far to be bounded."""
-
-BOUND_MARGIN = 1.01
-"""Factor on a bound, for rounding and the ends of the slab."""
+BOUND_MARGIN = 1.01  # factor on a bound, for rounding and the ends of the slab
 
 Floats = NDArray[np.float64]
 Keys = NDArray[np.uint64]
@@ -147,8 +143,9 @@ def _known_bound(bounds: Floats) -> dict[str, float]:
 # so that `min <= h < max` stays the same comparison.
 
 
-WORKING_SIZE_EXPONENT = 10
-"""Parts smaller than 2**10 mm are scaled to lie between half that size and that size."""
+WORKING_SIZE_EXPONENT = (
+    10  # parts smaller than 2**10 mm are scaled to lie between half that size and that size
+)
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,9 @@ from ebamcheck_manifold.changes import Floats, Placement, doubtful_regions, exac
 if TYPE_CHECKING:
     from manifold3d import Manifold
 
+# Resolution of a cross-section's coordinates, in working units: manifold3d keeps eight decimals
 CONTOUR_ROUNDING = 1e-8
-"""Resolution of a cross-section's coordinates, in working units: manifold3d keeps eight decimals."""
-
-MERGE_TOLERANCE = 1e-12
-"""Distance within which manifold3d merges vertices, over the largest coordinate."""
+MERGE_TOLERANCE = 1e-12  # distance within which manifold3d merges vertices, over the largest coordinate
 
 LAYERS_AT_ONCE = 64
 """Layers whose rings are brought into canonical form together: their points stay in the processor's cache, and
@@ -76,13 +74,7 @@ class ManifoldCut:
         return 2.0 * MERGE_TOLERANCE * _reach_mm(part)
 
     def prepare(self, part: Part, settings: BackendSettings) -> PreparedManifold:
-        """Build the manifold.
-
-        Raises
-        ------
-        BackendFailed
-            If manifold3d refuses the mesh, with its status and the number of edges that do not pair.
-        """
+        """Build the manifold."""
         return PreparedManifold(part, exact_placement(part), settings)
 
 

@@ -22,8 +22,7 @@ from ebamcheck_planecut.overlaps import NESTED_WRONG, kept_rings
 
 Index = NDArray[np.int32]
 
-SEVERAL = -1
-"""In place of the sheet of a vertex, point or side that several sheets share."""
+SEVERAL = -1  # in place of the sheet of a vertex, point or side that several sheets share
 
 
 class Arrangement(NamedTuple):

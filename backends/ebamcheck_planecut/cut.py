@@ -23,11 +23,9 @@ from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 Sheets = Callable[[], NDArray[np.int32]]
 
-SMALLEST_BLOCK = 16
-"""Fewest layers worth a thread."""
-
+SMALLEST_BLOCK = 16  # fewest layers worth a thread
+# Most layers along a new direction that are cut without sorting its mesh: finding their facets takes no longer than sorting
 LONE_LAYERS = 8
-"""Most layers along a new direction that are cut without sorting its mesh: finding their facets takes no longer than sorting."""
 
 
 class PreparedCut:

@@ -20,11 +20,8 @@ Floats = NDArray[np.float64]
 Index = NDArray[np.int32]
 Ints = NDArray[np.int64]
 
-SMALLEST_BLOCK = 16384
-"""Fewest vertices worth a thread."""
-
-NONE = -1
-"""End of a linked list of facets."""
+SMALLEST_BLOCK = 16384  # fewest vertices worth a thread
+NONE = -1  # end of a linked list of facets
 
 
 class Neighbours(NamedTuple):

@@ -18,8 +18,8 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
+# Segments of a leaf: with fewer, the tree costs more than it saves; with more, overlapping leaves do
 SEGMENTS_A_LEAF = 8
-"""Segments of a leaf: with fewer, the tree costs more than it saves; with more, overlapping leaves do."""
 
 LEFT, RIGHT, DOWN, UP = 1, 2, 4, 8  # directions of segments, as bits
 SEVERAL_RINGS = -1

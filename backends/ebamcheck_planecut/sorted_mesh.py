@@ -22,22 +22,17 @@ Index = NDArray[np.int32]
 Ints = NDArray[np.int64]
 Levels = NDArray[np.uint8]
 
+# Facets of a run that is skipped as a whole: so many that testing all runs costs as little as going through one
 RUN = 256
-"""Facets of a run that is skipped as a whole: so many that testing all runs costs as little as going through one."""
 
 RUNS_A_BLOCK = 128
-FACETS_A_BLOCK = RUN * RUNS_A_BLOCK
-"""Fewest runs, and facets, worth a thread."""
-
-FLAT = -1
-"""First corner of a facet that is left out."""
-
-VERTICES_A_BIN = 4
-"""Mean number of vertices in a bin of the sort by height: few enough to sort by insertion."""
+FACETS_A_BLOCK = RUN * RUNS_A_BLOCK  # fewest runs, and facets, worth a thread
+FLAT = -1  # first corner of a facet that is left out
+VERTICES_A_BIN = 4  # mean number of vertices in a bin of the sort by height: few enough to sort by insertion
 
 
+# Most planes at a time, so that a level fits into a byte: the levels of a million facets then stay in a core's cache
 MOST_PLANES = 255
-"""Most planes at a time, so that a level fits into a byte: the levels of a million facets then stay in a core's cache."""
 
 
 class SortedMesh(NamedTuple):

@@ -13,8 +13,8 @@ from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import FieldOfView
 
+# Side of a pixel over the largest coordinate, above which float64 keeps points apart and areas clear of rounding
 LEAST_PIXEL = 2.0**-40
-"""Side of a pixel over the largest coordinate, above which float64 keeps points apart and areas clear of rounding."""
 
 
 class Rings(NamedTuple):

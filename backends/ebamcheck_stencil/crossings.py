@@ -20,8 +20,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS
 
-SMALLEST_BLOCK = 65536
-"""Fewest fragments or pixels worth a thread."""
+SMALLEST_BLOCK = 65536  # fewest fragments or pixels worth a thread
 
 
 @dataclass(frozen=True)

@@ -30,16 +30,14 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-LAYERS_AT_ONCE = 256
-"""Most layers between two reports of progress."""
+LAYERS_AT_ONCE = 256  # most layers between two reports of progress
 
 BYTES_PER_FRAGMENT = 8
-FACETS_A_BLOCK = 65536
-"""Fewest facets worth a thread."""
+FACETS_A_BLOCK = 65536  # fewest facets worth a thread
+# Buffer size over the estimate by projected area, which is right to well below a percent; the counter shows an overflow
 ESTIMATE_SLACK = 1.05
-"""Buffer size over the estimate by projected area, which is right to well below a percent; the counter shows an overflow."""
+# Least size of the buffer, in fragments: the estimate is poor if facets are few and smaller than pixels
 SMALLEST_BUFFER = 4096
-"""Least size of the buffer, in fragments: the estimate is poor if facets are few and smaller than pixels."""
 
 VERTEX_SHADER = """
 #version 430

@@ -34,24 +34,19 @@ from ebamcheck_stencil.stencil_target import PACKED_BITS, Drawing, StencilTarget
 if TYPE_CHECKING:
     import moderngl
 
-DEPTH_SLACK = 1.0 / 64.0
-"""Height of the far plane above the part, over the part's height: nothing may be clipped there."""
+DEPTH_SLACK = (
+    1.0 / 64.0
+)  # height of the far plane above the part, over the part's height: nothing may be clipped there
 
 LAYERS_AT_ONCE = 16
-BYTES_AT_ONCE = 2**24
-"""Most layers, and about the most bytes of bitmaps, that are drawn before they are read back."""
-
-DRAWS_AT_WORK = 2
-"""Readings that the device is given at a time: it draws one while another is copied."""
-
-DRAWS_A_BLOCK = 8
-"""Readings whose contours are followed together: few layers are not worth all threads."""
-
-BLOCKS_AT_WORK = 2
-"""Blocks of bitmaps that are drawn or followed at a time."""
-
+BYTES_AT_ONCE = (
+    2**24
+)  # most layers, and about the most bytes of bitmaps, that are drawn before they are read back
+DRAWS_AT_WORK = 2  # readings that the device is given at a time: it draws one while another is copied
+DRAWS_A_BLOCK = 8  # readings whose contours are followed together: few layers are not worth all threads
+BLOCKS_AT_WORK = 2  # blocks of bitmaps that are drawn or followed at a time
+# Distance from the near plane, as a share of the part's height, at which float32 may still put a facet on it
 BELOW_SLACK = 2.0**-22
-"""Distance from the near plane, as a share of the part's height, at which float32 may still put a facet on it."""
 
 VERTEX_SHADER = """
 #version 430

@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 from ebamcheck.kernels import kernel
 from ebamcheck_stencil.bitmaps import Flips, Words, flip
 
+# Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed
 SPARE_POINTS = 2**22
-"""Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed."""
 
 FIRST_POINTS = 4096
-FIRST_RINGS = 64
-"""Initial sizes of the output columns; they grow as needed."""
-
+FIRST_RINGS = 64  # initial sizes of the output columns; they grow as needed
+# Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it
 POINTS_PER_EDGE = 3
-"""Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it."""
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)

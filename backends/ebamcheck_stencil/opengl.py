@@ -12,11 +12,9 @@ from ebamcheck.errors import BackendMissing
 if TYPE_CHECKING:
     import moderngl
 
-NEEDED_VERSION = 430
-"""OpenGL 4.3: shader storage buffers, which the draw-once form writes its fragments to."""
-
+NEEDED_VERSION = 430  # OpenGL 4.3: shader storage buffers, which the draw-once form writes its fragments to
+# Fewest subpixel bits of the rasteriser: it must keep the lattice of `ebamcheck_stencil.field_of_view.SUBPIXELS`
 NEEDED_SUBPIXEL_BITS = 8
-"""Fewest subpixel bits of the rasteriser: it must keep the lattice of :data:`ebamcheck_stencil.field_of_view.SUBPIXELS`."""
 
 INSTALL_HINT = (
     "on Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri "

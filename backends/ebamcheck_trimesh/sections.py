@@ -19,17 +19,13 @@ from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.part import Part
 
+# Distance within which trimesh merges vertices, and takes a vertex as on the plane (`tol.merge`), in working units
 MERGE = 1e-8
-"""Distance within which trimesh merges vertices, and takes a vertex as on the plane (``tol.merge``), in working units."""
-
-WORKING_SIZE_EXPONENT = 10
-"""Parts are scaled to a size between 2**9 and 2**10, against which :data:`MERGE` is negligible."""
-
-ALONG = 100.0
-"""Rings touch along a line, not in a point, from so many error bounds of it on."""
-
-BLOCK = 64
-"""Layers that trimesh cuts at a time, to report progress and bound memory."""
+WORKING_SIZE_EXPONENT = (
+    10  # parts are scaled to a size between 2**9 and 2**10, against which `MERGE` is negligible
+)
+ALONG = 100.0  # rings touch along a line, not in a point, from so many error bounds of it on
+BLOCK = 64  # layers that trimesh cuts at a time, to report progress and bound memory
 
 
 class TrimeshSettings(BackendSettings):

@@ -133,8 +133,6 @@ def _text(model: str, entries: Iterable[Entry]) -> str:
 def strict_json(value: Any, indent: int = 0) -> str:
     """Strict JSON with sorted keys and one line for each column of numbers, so that a change is a readable diff.
 
-    Examples
-    --------
     >>> print(strict_json({"b": [1.5, 2.0], "a": {}}))
     {
       "a": {},

@@ -197,6 +197,7 @@ def _count(column: Column) -> float:
     return float(sum(value != 0 for value in column))
 
 
+# Figures that sum up a column of the layers
 METRICS = (
     Metric("depth_max_mm", "depth_mm", _largest, "deepest point of the symmetric difference with the exact section"),
     Metric("depth_mean_mm", "depth_mm", _mean, "mean over the layers of their deepest points"),
@@ -209,18 +210,16 @@ METRICS = (
     Metric("open_path_layers", "open_paths", _count, "layers with open paths"),
     Metric("beyond_bound_layers", "beyond_bound_mm", _count, "layers deeper than bound and mesh allow"),
 )  # fmt: skip
-"""Figures that sum up a column of the layers."""
-
+# Figures of an entry that no column explains
 WHOLE = {
     "volume_error_mm3": "areas times layer height, against those of the exact sections",
     "bound_mm": "error bound that the backend declares",
     "not_compared_layers": "layers left out, in a vertex or face where the backend declares no rule",
 }
-"""Figures of an entry that no column explains."""
 
 NAMES = (*(metric.name for metric in METRICS), *WHOLE)
+# Columns that are held layer by layer, too: a loss on one layer must not hide behind a worse one
 LAYER_COLUMNS = tuple(dict.fromkeys(metric.column for metric in METRICS))
-"""Columns that are held layer by layer, too: a loss on one layer must not hide behind a worse one."""
 
 TOLERANCE_NAMES = (*NAMES, *LAYER_COLUMNS)
 
@@ -233,8 +232,6 @@ def summarised(columns: Columns) -> dict[str, float]:
 def rounded(value: float, digits: int = DIGITS, decimals: int | None = FINEST) -> float:
     """Round to the digits that a baseline keeps; zero has no sign.
 
-    Examples
-    --------
     >>> rounded(0.0123456789), rounded(-1e-17), rounded(123456.789)
     (0.0123457, 0.0, 123457.0)
     """

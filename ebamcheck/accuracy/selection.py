@@ -215,8 +215,6 @@ class Choice:
 def choose(trials: Sequence[Trial], tolerance_mm: float) -> Choice:
     """Choose by :data:`RULES`.
 
-    Examples
-    --------
     >>> quick = Trial("quick", False, 1, True, bound_mm=0.2, measured_mm=0.1, seconds=1.0)
     >>> sound = Trial("sound", True, 9, True, bound_mm=0.0, measured_mm=0.0, seconds=5.0)
     >>> choose([quick, sound], tolerance_mm=0.1).reasons["quick"]

@@ -21,6 +21,7 @@ from ebamcheck.showing.short_text import text_table
 
 TABLE, CASE = "judged.csv", "case"
 
+# Columns of the printed table, and their headings
 SHOWN = {
     "rank": "rank",
     "island": "island",
@@ -30,7 +31,6 @@ SHOWN = {
     "thesis_spot_k": "at the entry, K",
     "thesis_hottest_k": "hottest, K",
 }
-"""Columns of the printed table, and their headings."""
 
 FIGURES = {
     "kendall_tau": "Kendall's tau of the islands",

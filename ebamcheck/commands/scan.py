@@ -56,12 +56,12 @@ ORDERS_TABLE, LAYERS_TABLE = "orders.json", "layers.csv"
 BUILT = "built_s"  # column: time from the start of the build to the end of a layer, with the waits between
 LEAST_HEIGHT_MM = 1e-3  # a layer at the very bottom of a part is exported so high over the plate
 
+# Figures of the printed table of orders, and their headings
 HEADINGS = {
     "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",
     "interval_p10_s": "interval p10, s", "interval_min_s": "min, s", "travel_mm": "travel, mm", "starts": "starts",
     "time_s": "time, s",
 }  # fmt: skip
-"""Figures of the printed table of orders, and their headings."""
 
 COMMON = 0.9  # share of the cells that the colours tell apart: the last islands are far hotter
 

@@ -21,8 +21,8 @@ from ebamcheck.scratch import scratch_folder
 
 JOBS = "ebamcheck.commands.warm_jobs"
 
+# Folders of kernels that no command has asked for as long as this go: their sources have changed since
 _KEPT_S = 30.0 * 86400.0
-"""Folders of kernels that no command has asked for as long as this go: their sources have changed since."""
 
 
 def warm_command() -> ExitCode:

@@ -172,8 +172,11 @@ def place_error(path: Path, data: bytes, offset: int, message: str, binary: bool
 
 log = logging.getLogger(__name__)
 
-INTERNAL, EXTERNAL, OPEN_LINE = 0, 1, 2
-"""Directions of a polyline: clockwise (hole), counter-clockwise (outer), open."""
+INTERNAL, EXTERNAL, OPEN_LINE = (
+    0,
+    1,
+    2,
+)  # directions of a polyline: clockwise (hole), counter-clockwise (outer), open
 
 
 class Gathered:

@@ -109,14 +109,13 @@ def read_csv(path: str | Path) -> Layers:
     return stack_of_rings(heights, of_layer[begins] - 1, sizes, closed[begins] != 0, points)
 
 
-OUTER, HOLE, OPEN = 5, 1, 6
-"""Colours of the AutoCAD colour index."""
+OUTER, HOLE, OPEN = 5, 1, 6  # colours of the AutoCAD colour index
 
 DECIMALS = 6  # a nanometre: far under what is compared
 HEIGHT = "ebamcheck height"  # begins a comment that holds the height of a layer
 
+# Millimetres of the drawing units that `$INSUNITS` of later releases names; 0: it names none
 UNITS_MM = {0: 1.0, 1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0}
-"""Millimetres of the drawing units that ``$INSUNITS`` of later releases names; 0: it names none."""
 
 HEAD = "0\nSECTION\n2\nHEADER\n9\n$ACADVER\n1\nAC1009\n0\nENDSEC\n"
 VERTEX = f"0\nVERTEX\n8\n%s\n10\n%.{DECIMALS}f\n20\n%.{DECIMALS}f\n30\n%.{DECIMALS}f\n"

@@ -60,8 +60,9 @@ VERSION = "1"  # version of the table; a reader refuses any other
 
 LABELS = ("part", "direction", "backend", "settings")
 
-LARGEST_LIST = 2**31 - 1
-"""Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""
+LARGEST_LIST = (
+    2**31 - 1
+)  # arrow's lists count their items in 32 bits; a longer stack is written as several blocks
 
 SMALLEST_BLOCK = 65536  # fewest points worth a thread that copies them
 
@@ -76,8 +77,9 @@ _KINDS = {
     "closed": pa.list_(pa.bool_()),
     **_EDGES,
 }
-CONTOUR_COLUMNS = [name for name in _KINDS if name not in _EDGES]
-"""Columns that every table of contours must have."""
+CONTOUR_COLUMNS = [
+    name for name in _KINDS if name not in _EDGES
+]  # columns that every table of contours must have
 
 
 def to_arrow(layers: Layers) -> pa.RecordBatch:
@@ -319,6 +321,7 @@ class LayerFormat(NamedTuple):
     read: Callable[[str | Path], Layers]
 
 
+# Formats of layers, by suffix
 FORMATS: Mapping[str, LayerFormat] = {
     ".parquet": LayerFormat(write_parquet, read_parquet),
     ".cli": LayerFormat(write_cli, read_cli),
@@ -328,14 +331,14 @@ FORMATS: Mapping[str, LayerFormat] = {
     ".3mf": LayerFormat(slices_3mf.write_stack, slices_3mf.read_stack),
     ".csv": LayerFormat(contour_files.write_csv, contour_files.read_csv),
 }
-"""Formats of layers, by suffix."""
 
 
-SUFFIX, BLOCK = ".blocks", ".arrow"
-"""Suffixes of the folder of one stack's blocks, and of the file of one block."""
-
+SUFFIX, BLOCK = (
+    ".blocks",
+    ".arrow",
+)  # suffixes of the folder of one stack's blocks, and of the file of one block
+# Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing
 WORTH = 5.0
-"""Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing."""
 
 
 class KeptBlocks:

@@ -14,8 +14,9 @@ from ebamcheck.settings.config import Config
 
 LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped layer height
 
-LARGEST_BLOCK = 1024
-"""Most layers of a block, however small their contours: rasters need memory for empty layers, too."""
+LARGEST_BLOCK = (
+    1024  # most layers of a block, however small their contours: rasters need memory for empty layers, too
+)
 
 
 def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:

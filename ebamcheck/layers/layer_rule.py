@@ -22,28 +22,21 @@ from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 
+# A facet that rises by less is level, and level facets within as much of height are one face: the rounding of files
 LEVEL_MM = 0.01
-"""A facet that rises by less is level, and level facets within as much of height are one face: the rounding of files."""
-
+# Least share of a level facet's area that is seen from above: a small steep facet rises by little, too
 LEVEL_COS = float(np.cos(np.radians(0.5)))
-"""Least share of a level facet's area that is seen from above: a small steep facet rises by little, too."""
 
 SAME_BORDER_MM = 1e-6  # a face this near to a border of layers lies on it
 
+# Height of the slab over a cut of which the volume gives the area of the section: h + 0, and no facet's height
 THIN_MM = 1e-6
-"""Height of the slab over a cut of which the volume gives the area of the section: h + 0, and no facet's height."""
-
+# How far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for
 OTHER_HEIGHTS = 0.25
-"""How far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for."""
-
-HEIGHTS_TRIED = 40
-"""Layer heights that are tried for a proposal, the nearest first."""
-
+HEIGHTS_TRIED = 40  # layer heights that are tried for a proposal, the nearest first
+# A layer height whose level faces move more than this times the tolerance is not looked at any further
 SURELY_OFF = 2.0
-"""A layer height whose level faces move more than this times the tolerance is not looked at any further."""
-
-HEIGHT_DECIMALS = 4
-"""Decimals of a layer height that is proposed, mm."""
+HEIGHT_DECIMALS = 4  # decimals of a layer height that is proposed, mm
 
 
 class LevelFace(NamedTuple):

@@ -20,8 +20,8 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_rings
 
+# Millimetres of the units of a 3MF model, as lib3mf numbers them: micrometre to metre
 MM_A_UNIT = {0: 0.001, 1: 1.0, 2: 10.0, 3: 25.4, 4: 304.8, 5: 1000.0}
-"""Millimetres of the units of a 3MF model, as lib3mf numbers them: micrometre to metre."""
 
 
 @contextlib.contextmanager

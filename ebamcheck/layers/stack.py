@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 UP = (0.0, 0.0, 1.0)  # slicing direction of a part that is not rotated
 RINGS_A_BLOCK = 256  # fewest rings worth a thread that brings them into canonical form
 
+# Okabe and Ito's colours, which colour-blind people can tell apart
 KIND_COLOURS = {"outer": "#0072b2", "hole": "#d55e00", "open path": "#cc79a7"}
-"""Okabe and Ito's colours, which colour-blind people can tell apart."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

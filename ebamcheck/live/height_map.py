@@ -148,8 +148,6 @@ def _from_tiff(path: Path) -> Floats:
 def placed(grid: Floats, frame: HeightMapSettings, where: str) -> HeightMap:
     """Put a grid (rows, columns) at its place.
 
-    Examples
-    --------
     >>> frame = HeightMapSettings(origin_mm=(10.0, 20.0), step_mm=(1.0, 2.0), rows="up")
     >>> found = placed(np.array([[1.0, np.nan], [3.0, 4.0]]), frame, "")
     >>> found.x_mm, found.y_mm, found.height_mm

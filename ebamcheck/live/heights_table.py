@@ -95,12 +95,12 @@ def read_heights(path: Path) -> dict[str, Floats]:
 
 WIDTH_PX, PANEL_PX, LEFT_PX, TOP_PX, GAP_PX, RIGHT_PX = 900.0, 170.0, 70.0, 46.0, 58.0, 20.0
 
+# Title of each panel, and its lines: name, column, and the column that is taken off it
 PANELS = (
     ("height over the plan of the beginning, mm", (("corrected", "corrected_top_mm", "planned_top_mm"), ("measured", "measured_top_mm", "planned_top_mm"))),
     ("height of the layer, mm", (("corrected", "thickness_mm", ""), ("as grown", "grown_mm", ""))),
     ("cusp and deviation, mm", (("cusp", "cusp_mm", ""), ("deviation", "deviation_mm", ""))),
 )  # fmt: skip
-"""Title of each panel, and its lines: name, column, and the column that is taken off it."""
 
 LINES = (("#1f77b4", ""), ("#d62728", "5 3"))  # colour and dashes of the lines of a panel
 
@@ -125,8 +125,6 @@ def heights_plot(table: dict[str, Floats]) -> str:
 def ticks(low: float, most: float) -> list[float]:
     """Round numbers from `low` to `most`, about five.
 
-    Examples
-    --------
     >>> ticks(-0.06, 0.84)
     [0.0, 0.2, 0.4, 0.6, 0.8]
     >>> ticks(1.0, 175.0)

@@ -38,15 +38,13 @@ LAYERS, CURRENT, JOURNAL = "layers", "current.json", "journal.jsonl"  # in the f
 FORMAT = "ebamcheck layer 2"  # format of a certificate: it counts layers from 1, as the layer's name does; format 1 counted them from 0
 STEM = 10  # characters of the program's name that a layer's name keeps
 
+# What a control is told of a layer that stands in its certificate, too
 SAID = ("layer", "base_mm", "thickness_mm", "travel_speed_mm_s", "wait_s", "layer_s")
-"""What a control is told of a layer that stands in its certificate, too."""
 
 
 def layer_name(program: str, layer: int, number: int) -> str:
     """Name of a layer's program: that of the run, the number of the layer of that index, from 1, and how often it was made.
 
-    Examples
-    --------
     >>> layer_name("MAIN", 35, 2)
     'MAIN_K0036R2'
     """

@@ -23,21 +23,19 @@ if TYPE_CHECKING:
 
 Bools = NDArray[np.bool_]
 
+# How far within a body its points are taken, and how deep boxes must meet, over the size of the part: over the rounding of files
 ASIDE = 1e-6
-"""How far within a body its points are taken, and how deep boxes must meet, over the size of the part: over the rounding of files."""
-
+# Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part
 NO_VOLUME = 1e-12
-"""Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
 
 SAME = 1e-6  # share by which volumes differ that are the same
 POINTS_OF_A_BODY = 4096  # most facets of a body at which it is looked whether it lies in another
 IN_FACET = (0.3512, 0.2871, 0.3617)  # where on a facet: on no line that a regular mesh has
 
+# Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any
 MOST_PAIRS = 20_000
-"""Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any."""
-
+# Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union
 MOST_CUT_FACETS = 2_000_000
-"""Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union."""
 
 MOST_LISTED = 100  # most relations that are listed
 

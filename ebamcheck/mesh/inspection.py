@@ -20,11 +20,11 @@ Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold",
 
 Bools = NDArray[np.bool_]
 
+# Figures of an inspection that `defects` counts
 COUNTS = (
     "vertices", "open_edges", "nonmanifold_edges", "inconsistent_edges",
     "duplicate_facets", "degenerate_facets", "zero_area_facets",
 )  # fmt: skip
-"""Figures of an inspection that :func:`defects` counts."""
 
 FACETS_AT_ONCE = 1 << 18  # facets of which the area is looked at together, to bound the working memory
 BOX_ROOM = 1e-9  # share by which a volume may be over that of its box: rounding of a block

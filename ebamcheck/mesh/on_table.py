@@ -9,18 +9,11 @@ from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.machine import OnTable
 
-RIGID_MM = 1e-6
-"""Largest residual of the motion between two parts of the same file."""
+RIGID_MM = 1e-6  # largest residual of the motion between two parts of the same file
 
 
 def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and shift (3,) that take one part to the other as p @ rotation + shift, from their vertices.
-
-    Raises
-    ------
-    InputError
-        If they are not from one file.
-    """
+    """Rotation (3, 3) and shift (3,) that take one part to the other as p @ rotation + shift, from their vertices."""
     if before.vertices.shape != now.vertices.shape:
         raise InputError(f"part {now.name!r}: is of another file than the one that was built")
     middle = before.vertices.mean(axis=0)
@@ -35,15 +28,9 @@ def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
 
 
 def on_table(before: Part, now: Part, built_mm: float = 0.0) -> OnTable:
-    """Mounting of a part that was built along one direction and is turned to another.
+    """Mounting of a part that was built along one direction up to `built_mm` over the plate, and is turned to another.
 
-    Parameters
-    ----------
-    before, now
-        The same part on the table with all axes at 0, and in the program of the turned layer. Programs measure Z from the
-        lowest point of their part.
-    built_mm
-        Height over the plate up to which it was built before.
+    `before` is the part on the table with all axes at 0, `now` the part in the program of the turned layer, each with Z from its lowest point.
     """
     turn, shift = rigid_motion(before, now)
     zero = np.array([0.0, 0.0, before.bounds[0, 2]])

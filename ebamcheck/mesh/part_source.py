@@ -72,8 +72,6 @@ class Placing:
 def cosine_and_sine(angle_deg: float) -> tuple[float, float]:
     """Cosine and sine of an angle in degrees; of quarter turns exactly.
 
-    Examples
-    --------
     >>> cosine_and_sine(90.0), cosine_and_sine(-180.0)
     ((0.0, 1.0), (-1.0, 0.0))
     """

@@ -330,8 +330,6 @@ def _reaching(file: FacetFile, heights: Floats, layers: Ints, reach_mm: float) -
 def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
     """First layer of each slab, and the number of layers (S + 1,); work is half the facets that begin, half those cut.
 
-    Examples
-    --------
     >>> slab_layers(np.array([6, 0, 0, 6]), np.array([4, 4, 4, 4]), 2).tolist()
     [0, 2, 4]
     """

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ebamcheck.kernels import kernel
 from ebamcheck.threads import run_blocks
 
+# Approximate number of corners of a share: with their hash table they fit in the second-level cache of a core
 SHARE = 4096
-"""Approximate number of corners of a share: with their hash table they fit in the second-level cache of a core."""
 
 MOST_SHARES = 1024  # most shares: writing to more streams at once costs more than it saves
 SMALLEST_BLOCK = 16384  # fewest corners worth a thread

@@ -48,6 +48,7 @@ STEEP_DEG = 45.0  # overhang, from the vertical, over which hardly any process b
 MOST_NARROW = 8  # narrow features that are told one by one
 ROUNDING_MM = 1e-6  # sum of the roundings of heights, far under any layer
 
+# Code and remedy of each check of the metal that fails
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", COARSE),
     "reach of metal": ("bead-out-of-section", COARSE),
@@ -71,17 +72,16 @@ METAL: Mapping[str, tuple[str, str]] = {
         f"{LESS_METAL}; else turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
     ),
 }
-"""Code and remedy of each check of the metal that fails."""
-
+# Remedies where the metal of a check lacks, other than those of one that has too much
 LACKING: Mapping[str, str] = {
     name: f"look at {what} in deposit.csv, and whether beads are at the most wire of the feeder (process.wire_speed_max_mm_s)"
     for name, what in {"metal": "the layers with the least metal", "metal of layers": "that layer"}.items()
 } | {
     "surface": f"at a corner whose tip no round bead fills, allow for machining (process.machining_allowance_mm); {METAL['surface'][1]}"
 }
-"""Remedies where the metal of a check lacks, other than those of one that has too much."""
 
 
+# Severity, unit and remedy of each finding, by its code, where nothing else is said
 KINDS: Mapping[str, tuple[Severity, str, str]] = {
     "backend-lost": ("warning", "", ""),
     "backend-unavailable": ("note", "", ""),
@@ -105,7 +105,6 @@ KINDS: Mapping[str, tuple[Severity, str, str]] = {
     "thin-set-aside": ("note", "rings", "join bodies that nearly touch in the model, or move them apart"),
     "wire-drawn-back": ("warning", "mm", "make sure that the feeder does, or have it done by the codes of machine.wire_start"),
 }  # fmt: skip
-"""Severity, unit and remedy of each finding, by its code, where nothing else is said."""
 
 
 def _told(

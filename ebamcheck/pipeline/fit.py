@@ -33,6 +33,7 @@ from ebamcheck.result import Place
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
+# Causes of `ebamcheck.curves.gate.CAUSES` in words
 WHY: Mapping[str, str] = {
     "sagitta": "the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
     "plane": "a planar facet would have moved",
@@ -40,7 +41,6 @@ WHY: Mapping[str, str] = {
     "turned": "it encloses nothing, or runs the other way",
     "nesting": "it lies in another ring than its contour",
 }
-"""Causes of :data:`ebamcheck.curves.gate.CAUSES` in words."""
 
 REMEDY: Mapping[str, str] = {
     "sagitta": "give a finer mesh, or set curves.method = 'chord'",

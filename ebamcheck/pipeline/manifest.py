@@ -34,6 +34,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
 
+# Columns of the program's summary that add up over the layers
 TOTALS = (
     "motions",
     "contour_mm",
@@ -45,7 +46,6 @@ TOTALS = (
     "wire_mm",
     "wire_kg",
 )
-"""Columns of the program's summary that add up over the layers."""
 
 
 def manifest(

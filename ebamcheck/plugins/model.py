@@ -22,8 +22,6 @@ from ebamcheck.plugins import registry
 class Model(Protocol):
     """A solid known in closed form, in mm.
 
-    Examples
-    --------
     >>> model = models(["sphere"])["sphere"]
     >>> part = model.tessellate(0.01)
     >>> bool(part.volume < model.volume < part.volume + 0.02 * model.area(0.0) * 4)

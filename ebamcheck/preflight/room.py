@@ -22,8 +22,8 @@ from ebamcheck.settings.process_window import outside_window, unusual_layers
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
+# Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number
 OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)
-"""Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number."""
 
 ROUNDING_MM = 1e-6  # placed boxes are rounded to about this
 
@@ -309,8 +309,6 @@ def of_bodies(found: Inspection) -> Iterator[Check]:
 def sizes(size: np.typing.ArrayLike) -> str:
     """Extents as text.
 
-    Examples
-    --------
     >>> sizes([100.0, 50.8, 25.4])
     '100 x 50.8 x 25.4'
     """

@@ -31,11 +31,10 @@ START_S = 6.0  # start of the interpreter and of the slicers' processes
 SLICE_S, COMPARE_S, FIT_S = 3e-6, 8e-6, 3e-5  # time a point and method, a point and pair, and a point
 ISLAND_S = 0.012  # time an island of partition, filling and thermal order
 BEAD_S = 1.4e-4  # time a millimetre of bead of writing, reading back and laying a program
+# Memory of the job itself, of each method's process, of a facet and of a point, each a method
 BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
-"""Memory of the job itself, of each method's process, of a facet and of a point, each a method."""
-
+# Islands of an ordinary layer, and fewest and most beads across one (`ebamcheck.scan.islands.lattice`)
 ZONES, BEADS_ACROSS = 60, (4, 12)
-"""Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.islands.lattice`)."""
 
 CUT = 0.3  # islands that the border cuts off, over those that fit along it
 
@@ -157,8 +156,6 @@ def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
 def _amount(figure: float, unit: str) -> str:
     """Write a count, a time or an amount of memory as people say it.
 
-    Examples
-    --------
     >>> _amount(1234567.0, "points"), _amount(5400.0, "s"), _amount(95.0, "s"), _amount(2300.0, "MB")
     ('1,234,567', '1.5 hours', '1.6 minutes', '2.3 GB')
     """

@@ -23,8 +23,6 @@ PRINTED = 60  # characters of a name or value that a message quotes
 def file_inside(name: str) -> str:
     """Return the name of a file inside of a run folder, as ``run.json`` lists it; raises :class:`ValueError` for another.
 
-    Examples
-    --------
     >>> file_inside("program/MAIN.MPF")
     'program/MAIN.MPF'
     """

@@ -166,6 +166,7 @@ def _told(place: _Place, first: Mapping[str, Any]) -> str:
 
 # -- settings in words -----------------------------------------------------------------------------
 
+# What is filled in where it stands in braces in a template of the machine
 PLACEHOLDERS: Mapping[str, str] = {
     "power_w": "power of the beam, W",
     "voltage_kv": "accelerating voltage, kV",
@@ -178,8 +179,7 @@ PLACEHOLDERS: Mapping[str, str] = {
     "height_mm": "Z of the layer, mm",
     "defocus": "focus of the beam, in the machine's own unit; in set_focus alone",
 }
-"""What is filled in where it stands in braces in a template of the machine."""
-
+# Templates of the machine's blocks, with an example each
 TEMPLATES: Mapping[str, str] = {
     "beam_on": '["M60 ; beam on"]',
     "beam_off": '["M61 ; beam off"]',
@@ -194,8 +194,7 @@ TEMPLATES: Mapping[str, str] = {
     "layer_begin": '["MSG(\\"LAYER {layer} AT {height_mm}\\")"]',
     "layer_end": '["M77"]',
 }
-"""Templates of the machine's blocks, with an example each."""
-
+# Examples of settings whose default does not show what they take; each is TOML
 EXAMPLES: Mapping[str, str] = {
     **{f"machine.{name}": example for name, example in TEMPLATES.items()},
     "machine.beam_codes": '["M60: on", "M61: off", "H2: current_ma"]',
@@ -210,7 +209,6 @@ EXAMPLES: Mapping[str, str] = {
     "slicing.required": '["planecut"]',
     "slicing.witnesses": '["all"]',
 }
-"""Examples of settings whose default does not show what they take; each is TOML."""
 
 _NUMBERS = "a list of numbers"
 
@@ -228,8 +226,6 @@ def example_of(section: str, key: str, info: FieldInfo) -> str:
 def wanted(section: str, key: str, info: FieldInfo) -> str:
     """What a setting takes.
 
-    Examples
-    --------
     >>> from ebamcheck.settings.machine import MachineSettings
     >>> wanted("machine", "beam_on", MachineSettings.model_fields["beam_on"])
     'a list of blocks, such as ["M60 ; beam on"]'
@@ -371,8 +367,8 @@ def as_toml(config: Config) -> str:
     return "\n".join(lines)
 
 
+# Lines of sections that were written last. Sections do not change, and settings that differ in one share the others
 _written: dict[tuple[int, bool], tuple[Section, list[str]]] = {}
-"""Lines of sections that were written last. Sections do not change, and settings that differ in one share the others."""
 
 MOST_WRITTEN = 64
 
@@ -417,8 +413,8 @@ def _explained(description: str) -> tuple[str, ...]:
     return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
 
 
+# Value and text of each key as it was written last: a section that differs in one value shares the others
 _texts: dict[str, tuple[Any, str]] = {}
-"""Value and text of each key as it was written last: a section that differs in one value shares the others."""
 
 
 def _same_text(key: str, value: Any) -> str:

@@ -163,8 +163,6 @@ MISSING = "nothing"  # stands for the value of a setting that one side lacks
 def differences(one: Config, other: Config) -> list[str]:
     """Settings whose values differ, in their order: ``SECTION.NAME is VALUE, not OTHER VALUE``.
 
-    Examples
-    --------
     >>> differences(Config().changed(scan={"seed": 4}), Config())
     ['scan.seed is 4, not 0']
     """

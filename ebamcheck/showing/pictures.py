@@ -19,11 +19,10 @@ from ebamcheck.kernels import Floats, Ints
 from ebamcheck.showing.colours import SCALE, VIRIDIS, palette_image, png_address, ramp
 from ebamcheck.showing.markup import Markup, element, escaped, join, svg_file, text
 
+# Width of a picture, its margin, the room for the title and for the colour scale, and for what stands over the scale
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
-"""Width of a picture, its margin, the room for the title and for the colour scale, and for what stands over the scale."""
-
+# Length of a scale, of one of temperatures, and half the room of a label of its greatest one
 BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
-"""Length of a scale, of one of temperatures, and half the room of a label of its greatest one."""
 
 TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6  # of what is shown
 FIELD_PX = 3  # width of a pixel of a field; viewers smooth between them
@@ -362,6 +361,7 @@ def frontier(figures: Mapping[str, tuple[float, float]]) -> list[str]:
     return found
 
 
+# Colours that colour-blind readers tell apart (Okabe, Ito 2008)
 KIND_COLOURS = {
     "plane": (86, 180, 233),
     "cylinder": (230, 159, 0),
@@ -372,10 +372,9 @@ KIND_COLOURS = {
     "quadric": (153, 153, 153),
     "freeform": (0, 158, 115),
 }
-"""Colours that colour-blind readers tell apart (Okabe, Ito 2008)."""
-
-VIEW = np.array([[0.8, 0.6, 0.0], [-0.36, 0.48, 0.8], [0.48, -0.64, 0.6]])
-"""Rows to the right, up, and towards the eye."""
+VIEW = np.array(
+    [[0.8, 0.6, 0.0], [-0.36, 0.48, 0.8], [0.48, -0.64, 0.6]]
+)  # rows to the right, up, and towards the eye
 
 PART_PX, PART_MARGIN_PX, KEY_PX = 720.0, 10.0, 20.0
 

@@ -24,8 +24,8 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.processes import one_line
 
+# What can become of a backend but success
 Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
-"""What can become of a backend but success."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ CHUNK_BYTES = 1 << 16
 MOST_CHUNKS = 16  # chunks that are read of one worker before its limits and the other workers are looked at
 LONGEST_LINE_BYTES = 1_000_000  # an event is a line of a few hundred bytes
 
+# More than the first, and so much more for each second, is a flood: progress is some 1000 bytes a second
 FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
-"""More than the first, and so much more for each second, is a flood: progress is some 1000 bytes a second."""
 
 LONGEST_TEXT = 4000
 

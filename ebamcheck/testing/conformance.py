@@ -21,15 +21,6 @@ LOGGER = logging.getLogger(__name__)
 class Check:
     """One check: a function from a subject to figures; those over their limit are violations.
 
-    Parameters
-    ----------
-    name, summary
-        As the table of ``ebamcheck conform`` shows them.
-    find
-        The function.
-
-    Examples
-    --------
     >>> from ebamcheck_models import CUBE
     >>> from ebamcheck_planecut import PlaneCut
     >>> def area(subject):
@@ -65,6 +56,7 @@ def _check(function: Callable[[Subject], list[Figure]]) -> Check:
     return Check(function.__name__.replace("_", " "), summary, function)
 
 
+# Every check, in the order in which they are run and shown
 CHECKS: tuple[Check, ...] = tuple(
     _check(function)
     for function in (
@@ -105,7 +97,6 @@ CHECKS: tuple[Check, ...] = tuple(
         laws.ring_parity,
     )
 )
-"""Every check, in the order in which they are run and shown."""
 
 SHOWN_SHARE = 0.005  # shares of a limit under this are mere rounding and shown as a plain pass
 
@@ -147,15 +138,6 @@ class Outcome:
 class Conformance:
     """What the kit found out about one slicer under one choice of settings.
 
-    Parameters
-    ----------
-    subject
-        Slicer and settings in words.
-    outcomes
-        What each check found.
-
-    Examples
-    --------
     >>> found = Conformance("mine", (Outcome("bound", "stays within it", (Figure("bound", "cube", 0, 2.0, 1.0),)),))
     >>> found.passed, len(found.violations)
     (False, 1)
@@ -216,31 +198,6 @@ def conform(
 ) -> Conformance:
     """Run every check against an installed slicer.
 
-    Parameters
-    ----------
-    name
-        Name in the registry.
-    models
-        Reference models to cut; default: all that are installed.
-    settings
-        The slicer's settings; default: its own defaults.
-    progress
-        Called with 1 after each check; there are ``len(CHECKS)``.
-
-    Returns
-    -------
-    Conformance
-        One outcome a check.
-
-    Raises
-    ------
-    BackendMissing
-        If the slicer is unknown or cannot run on this machine.
-    SettingsError
-        If a model is unknown or a setting is wrong.
-
-    Examples
-    --------
     >>> conform("nosuch")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ebamcheck.errors.BackendMissing: unknown backend 'nosuch': ...
@@ -269,22 +226,6 @@ def examine(
 ) -> Conformance:
     """Run checks against a subject, or a slicer that need not be installed.
 
-    Parameters
-    ----------
-    subject
-        The slicer, its class, or one with settings and models.
-    checks
-        What to run; default: all.
-    progress
-        Called with 1 after each check.
-
-    Returns
-    -------
-    Conformance
-        One outcome a check.
-
-    Examples
-    --------
     >>> from ebamcheck_planecut import PlaneCut
     >>> found = examine(PlaneCut, [check for check in CHECKS if check.name == "settings"])
     >>> found.passed, [outcome.verdict for outcome in found.outcomes]
@@ -302,18 +243,6 @@ def examine(
 def markdown_table(found: Sequence[Conformance]) -> str:
     """Checks as rows and slicers as columns; in brackets the largest share of a limit that was needed.
 
-    Parameters
-    ----------
-    found
-        What was found out about each, by the same checks.
-
-    Returns
-    -------
-    str
-        A table in Markdown.
-
-    Examples
-    --------
     >>> one = Outcome("bound", "stays within it", (Figure("bound", "cube", 0, 0.5, 1.0),))
     >>> print(markdown_table([Conformance("mine", (one,))]))
     | check | mine |

@@ -71,8 +71,6 @@ def lattices_of(heights: Floats, least_mm: float, greatest_mm: float) -> list[La
     Each goes from the bottom of the part to its top. One that would have far more planes than are asked of it is left as single
     planes, whose step is the height of the part.
 
-    Examples
-    --------
     >>> lattices_of(np.array([0.75, 1.25, 1.75, 7.0]), 0.0, 10.0)
     [Lattice(first_mm=0.25, step_mm=0.5, count=20), Lattice(first_mm=7.0, step_mm=10.0, count=1)]
     """
@@ -195,8 +193,8 @@ MARK_SHARE = 2.0**-10  # side of a mark over the smaller side of the part
 MARK_LAYERS = 0.6  # height of a mark over that of a layer: the lower one is cut in the middle of layer 0, the upper one nowhere
 
 MARK = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+# A tetrahedron with facets counter-clockwise seen from outside
 MARK_FACETS = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)])
-"""A tetrahedron with facets counter-clockwise seen from outside."""
 
 HALF_STEP = 2.0**-25  # largest rounding of a 32-bit float, over its value
 

@@ -97,8 +97,6 @@ def _write_own(path: Path, content: bytes) -> None:
 def faults_of(texts: list[str]) -> dict[int, tuple[str, ...]]:
     """Faults by layer, of texts such as ``away@3``.
 
-    Examples
-    --------
     >>> faults_of(["away@3", "late@3", "reset@5"])
     {3: ('away', 'late'), 5: ('reset',)}
     """

@@ -22,6 +22,7 @@ from ebamcheck.nc.control import control
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.opcua import OpcuaSettings
 
+# Faults of the played control by name, and what happens; each at a layer, from 1
 FAULTS = {
     "away": "the server is away for a while, when the layer is done",
     "upload": "the server goes away in the middle of the upload of the layer, which leaves half a file",
@@ -41,7 +42,6 @@ FAULTS = {
     "reset-between": "RESET after the layer; the operator says that it is whole",
     "sessions": "no session is left for a while: the server is away and comes back full",
 }
-"""Faults of the played control by name, and what happens; each at a layer, from 1."""
 
 LEAST_WAIT_S = 0.05  # least real time of a wait of the main program, however fast it plays
 SHOWN_S = 0.6  # time for which a wrong value is shown: several times the grid
@@ -117,8 +117,6 @@ class Growth:
     def grown_mm(self, layer: int, thickness_mm: float) -> float:
         """Return the height that a layer really gets; never nothing.
 
-        Examples
-        --------
         >>> Growth(drift=0.1).grown_mm(3, 2.0)
         2.2
         """
@@ -327,8 +325,6 @@ _PLACE = re.compile(r"(?:PO\[([XY])\]=\(|([XY])=?)(-?\d+\.?\d*)")
 def top_of(text: str) -> float:
     """Z of the top of the layer that a text lays: the lowest Z of its blocks.
 
-    Examples
-    --------
     >>> top_of("%_N_A_SPF\\n; Z 1.0\\nN10 G0 Z21.5\\nN20 G0 Z1.5\\nN30 G1 X1 F600\\n")
     1.5
     """
@@ -343,8 +339,6 @@ def top_of(text: str) -> float:
 def planned_s(text: str, rapid_mm_s: float) -> float:
     """Time of a layer by its text: chords over feed, rapid moves, and waits; near enough for a machine that plays.
 
-    Examples
-    --------
     >>> planned_s("N10 G0 X0 Y0\\nN20 G1 X10 Y0 F600\\nN30 X10 Y20\\nN40 G4 F2\\n", 100.0)
     5.0
     """
