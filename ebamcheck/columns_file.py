@@ -16,11 +16,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import COMPRESSION, replacing
+from ebamcheck.atomic_file import COMPRESSION, regular_file, replacing
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
 from ebamcheck.kernels import Ints
-from ebamcheck.regular_file import regular_file
 
 if TYPE_CHECKING:
     # Loaded only where a file is opened: it takes longer than the rest of Arrow.

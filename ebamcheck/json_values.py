@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import EbamcheckError, InputError
-from ebamcheck.regular_file import regular_file
 
 MOST_DIGITS = 20  # digits of a whole number in a file that is read: those of 64 bits
 # Lists and tables within each other in a file that is read; settings, records and certificates have ten

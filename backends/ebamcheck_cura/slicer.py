@@ -22,11 +22,12 @@ from ebamcheck.slicers.outside.lattices import (
     Lattice,
     LatticeStack,
     Placement,
+    Program,
+    ProgramSettings,
     coordinate_rounding_mm,
     height_rounding_mm,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 
 PROGRAM = Program(
     name="CuraEngine",

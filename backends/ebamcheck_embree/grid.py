@@ -16,9 +16,8 @@ Lattice = tuple[float, float, float, int, int]
 USUAL_CELL_MM = 0.1  # cell for a part of usual size: the pixel of the paper (section 2.2)
 # Cells along the longer side: at least the order of the paper's image, at most what bounds the cost of a layer
 COARSE_LINES, FINE_LINES = 1024, 4096
-LARGEST_LINE_COUNT = (
-    65_536  # most lines of a grid: more come from a mistyped cell and would not fit into memory
-)
+# Most lines of a grid: more come from a mistyped cell and would not fit into memory
+LARGEST_LINE_COUNT = 65_536
 
 OFFSET_X, OFFSET_Y = 0.381966, 0.276393
 """Fractions of a cell by which the lines are offset from the part's box. Faces and vertices of a drawing lie at round

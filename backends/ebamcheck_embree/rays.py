@@ -34,9 +34,8 @@ log = logging.getLogger(__name__)
 
 # Most segments of sections that a thread holds at once, unless a single section has more: at most 150 MB
 SEGMENTS_AT_ONCE = 1 << 22
-PIECES_A_THREAD = (
-    4  # least number of pieces of a stack per thread, if it has enough layers: they take unequal time
-)
+# Least number of pieces of a stack per thread, if it has enough layers: they take unequal time
+PIECES_A_THREAD = 4
 
 
 class InPlaneRays:

@@ -143,9 +143,8 @@ def _known_bound(bounds: Floats) -> dict[str, float]:
 # so that `min <= h < max` stays the same comparison.
 
 
-WORKING_SIZE_EXPONENT = (
-    10  # parts smaller than 2**10 mm are scaled to lie between half that size and that size
-)
+# Parts smaller than 2**10 mm are scaled to lie between half that size and that size
+WORKING_SIZE_EXPONENT = 10
 
 
 @dataclass(frozen=True)

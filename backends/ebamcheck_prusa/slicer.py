@@ -23,12 +23,13 @@ from ebamcheck.slicers.outside.lattices import (
     Lattice,
     LatticeStack,
     Placement,
+    Program,
+    ProgramSettings,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 
 PROGRAM = Program(
     name="PrusaSlicer",

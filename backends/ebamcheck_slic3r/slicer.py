@@ -24,12 +24,13 @@ from ebamcheck.slicers.outside.lattices import (
     Lattice,
     LatticeStack,
     Placement,
+    Program,
+    ProgramSettings,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 from ebamcheck.threads import thread_count
 
 PROGRAM = Program(

@@ -21,9 +21,8 @@ from ebamcheck.mesh.part import Part
 
 # Distance within which trimesh merges vertices, and takes a vertex as on the plane (`tol.merge`), in working units
 MERGE = 1e-8
-WORKING_SIZE_EXPONENT = (
-    10  # parts are scaled to a size between 2**9 and 2**10, against which `MERGE` is negligible
-)
+# Parts are scaled to a size between 2**9 and 2**10, against which `MERGE` is negligible
+WORKING_SIZE_EXPONENT = 10
 ALONG = 100.0  # rings touch along a line, not in a point, from so many error bounds of it on
 BLOCK = 64  # layers that trimesh cuts at a time, to report progress and bound memory
 

@@ -12,8 +12,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from ebamcheck.accuracy.matrix import Tolerance, Tolerances
-from ebamcheck.accuracy.measurement import LAYER_COLUMNS, MEASURED, METRICS, NAMES, REFUSED, Measured
+from ebamcheck.accuracy.measurement import (
+    LAYER_COLUMNS,
+    MEASURED,
+    METRICS,
+    NAMES,
+    REFUSED,
+    Measured,
+    Tolerance,
+    Tolerances,
+)
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import plain, read_json

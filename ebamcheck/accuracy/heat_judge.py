@@ -35,7 +35,7 @@ from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.outside.programs import Program
+from ebamcheck.slicers.outside.lattices import Program
 
 # Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too
 BEADS = ("islands", "all")

@@ -15,7 +15,7 @@ from tomlkit.items import Table
 
 from ebamcheck import __version__
 from ebamcheck.accuracy.measurement import Truth, measure_outcome, truth_of
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import SettingsError
@@ -25,8 +25,7 @@ from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import Model
-from ebamcheck.regular_file import regular_file
+from ebamcheck.plugins.registry import Model
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all

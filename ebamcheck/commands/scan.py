@@ -20,7 +20,7 @@ from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands import options
-from ebamcheck.commands.progress import watched
+from ebamcheck.commands.summaries import watched
 from ebamcheck.errors import ExitCode, SettingsError, interruptible
 from ebamcheck.heat import ContourModes
 from ebamcheck.heat.island_heat import IslandHeat

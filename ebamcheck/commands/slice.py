@@ -64,7 +64,7 @@ def slice_command(
 
         pool = None
         if not may_run_here(name):
-            from ebamcheck.slicers.worker_pool import WorkerPool
+            from ebamcheck.slicers.isolation import WorkerPool
 
             # The worker's interpreter comes up while the part is read.
             pool = opened.enter_context(WorkerPool([name]))
@@ -117,8 +117,8 @@ def compare(
     from ebamcheck.atomic_file import replacing
     from ebamcheck.comparison import compare as compare_layers
     from ebamcheck.comparison.pairwise import check_comparable
-    from ebamcheck.layer_numbers import numbered
     from ebamcheck.layers.files import read_layers
+    from ebamcheck.printable import numbered
     from ebamcheck.showing.short_text import text_table
 
     if not tolerance >= 0.0:

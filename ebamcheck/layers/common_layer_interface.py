@@ -27,20 +27,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.geometry.rings import signed_areas
 from ebamcheck.json_values import parsed_json
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.reading import is_number
-from ebamcheck.regular_file import regular_file
 
 VERSIONS = (100, 101, 200)
 USER_DATA = "ebamcheck.layers"
-HEADER_WITHIN_BYTES = (
-    65536  # A file whose header does not begin within this many bytes is another kind of file
-)
+# A file whose header does not begin within this many bytes is another kind of file
+HEADER_WITHIN_BYTES = 65536
 SHOWN_CHARACTERS = 40  # characters of a wrong value that a message quotes
 
 _COMMENT = re.compile(rb"//.*?//", re.DOTALL)

@@ -51,7 +51,7 @@ from ebamcheck.columns_file import (
 )
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.kernels import Ints
-from ebamcheck.layers import contour_files, slices_3mf, svg
+from ebamcheck.layers import contour_files, svg
 from ebamcheck.layers.common_layer_interface import read_cli, write_cli
 from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck.threads import run_blocks
@@ -328,7 +328,7 @@ FORMATS: Mapping[str, LayerFormat] = {
     ".svg": LayerFormat(svg.write_stack, svg.read_stack),
     ".dxf": LayerFormat(contour_files.write_dxf, contour_files.read_dxf),
     ".vtp": LayerFormat(contour_files.write_vtp, contour_files.read_vtp),
-    ".3mf": LayerFormat(slices_3mf.write_stack, slices_3mf.read_stack),
+    ".3mf": LayerFormat(contour_files.write_3mf, contour_files.read_3mf),
     ".csv": LayerFormat(contour_files.write_csv, contour_files.read_csv),
 }
 

@@ -22,11 +22,11 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError
 from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal import Surface
 from ebamcheck.metal.surface import HALF, SPOT_BEADS
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import HeightMapSettings

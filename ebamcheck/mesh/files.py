@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.obj_and_ply import read_obj, read_ply
 from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, Part
 from ebamcheck.mesh.reading import how_to_read
 from ebamcheck.mesh.stl import read_triangles
 from ebamcheck.mesh.three_mf import read_3mf
-from ebamcheck.mesh.welding import weld
-from ebamcheck.regular_file import regular_file
+from ebamcheck.mesh.topology import weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
 OWN_READERS = {".obj": read_obj, ".ply": read_ply}

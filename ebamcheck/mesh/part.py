@@ -52,9 +52,8 @@ class Mesh:
 
 
 SMALLEST_EXTENT_MM = 1.0
-LARGEST_EXTENT_MM = (
-    10_000.0  # range of usual extents: outside it, a wrong unit is more likely than such a part
-)
+# Range of usual extents: outside it, a wrong unit is more likely than such a part
+LARGEST_EXTENT_MM = 10_000.0
 
 MOST_ROWS = 8192
 """Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine

@@ -37,8 +37,7 @@ from ebamcheck.mesh.stl import (
     refuse_truncated,
     trailing_bytes,
 )
-from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups
-from ebamcheck.mesh.welding import weld
+from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups, weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
 BLOCK = 1 << 18  # facets read at once: 13 MB

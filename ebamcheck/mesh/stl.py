@@ -154,9 +154,8 @@ for _row, _word in enumerate(_WORDS):
     _WORD_TABLE[_row, : len(_word)] = np.frombuffer(_word, np.uint8)
 _WORD_SIZES = np.array([len(w) for w in _WORDS])
 _NUMBERS_PER_FACET = 9
-_SHORTEST_FACET = (
-    75  # bytes of the shortest facet that can be written; bounds the number of facets before parsing
-)
+# Bytes of the shortest facet that can be written; bounds the number of facets before parsing
+_SHORTEST_FACET = 75
 
 _DONE, _WANT_SOLID, _WANT_WORD, _BAD_NUMBER, _CUT, _CONTROL = 0, 1, 2, 3, 4, 5
 

@@ -18,7 +18,7 @@ from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.comparison.naming import worst_of
 from ebamcheck.errors import ExitCode
 from ebamcheck.kernels import Floats
-from ebamcheck.layers.layer_rule import section_areas
+from ebamcheck.layers.heights import section_areas
 from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part

@@ -19,7 +19,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.record.run_folder import RunFolder, RunInProgress, finished_run, start_run
 from ebamcheck.result import Check, gate_of_record
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import WorkerPool
 from ebamcheck.threads import worker_threads
 from ebamcheck.version import __version__
 

@@ -17,7 +17,7 @@ from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.workload import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import WorkerPool
 from ebamcheck.writing.posts import check_entry
 
 LATER_STAGES = "ebamcheck.pipeline.finishing"  # module of what comes after the cross-check

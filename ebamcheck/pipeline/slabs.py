@@ -34,8 +34,7 @@ from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
 from ebamcheck.preflight.report import Preflight
 from ebamcheck.preflight.workload import slab_workload, work_checks
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import Limits, Outcome, WorkerPool, bounds_of, declared_bounds, slice_all
 
 LEAST_REACH = 1e-6  # how far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding
 

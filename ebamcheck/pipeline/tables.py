@@ -16,10 +16,10 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.curves import Curves
 from ebamcheck.kernels import Floats
 from ebamcheck.kinematics import side_by_side
-from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.files import write_parquet
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
+from ebamcheck.printable import numbered
 from ebamcheck.program import program_summary
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config

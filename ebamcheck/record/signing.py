@@ -23,10 +23,10 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import read_json, write_json
 from ebamcheck.printable import printable
-from ebamcheck.regular_file import regular_file
 from ebamcheck.result import Check
 
 SIGNATURES = "signatures"  # folder of the signatures, beside the certificate

@@ -23,8 +23,8 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import EbamcheckError, SettingsError
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Between, Section
 from ebamcheck.settings.stages import MachineChoice
 from ebamcheck.showing.short_text import did_you_mean

@@ -12,9 +12,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Item
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import SettingsError
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.checking import WIDTH, as_toml, explanations, told_beside, value_text
 from ebamcheck.settings.config import Config, validated

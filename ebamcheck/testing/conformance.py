@@ -9,7 +9,7 @@ from typing import Any
 
 from ebamcheck.backend import Slicer
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models as installed_models
+from ebamcheck.plugins.registry import models as installed_models
 from ebamcheck.showing.short_text import text_table
 from ebamcheck.testing import accuracy, laws, protocol
 from ebamcheck.testing.subject import NO_LAYER, Figure, Raised, Subject, violations
@@ -21,6 +21,15 @@ LOGGER = logging.getLogger(__name__)
 class Check:
     """One check: a function from a subject to figures; those over their limit are violations.
 
+    Parameters
+    ----------
+    name, summary
+        As the table of ``ebamcheck conform`` shows them.
+    find
+        The function.
+
+    Examples
+    --------
     >>> from ebamcheck_models import CUBE
     >>> from ebamcheck_planecut import PlaneCut
     >>> def area(subject):
@@ -138,6 +147,15 @@ class Outcome:
 class Conformance:
     """What the kit found out about one slicer under one choice of settings.
 
+    Parameters
+    ----------
+    subject
+        Slicer and settings in words.
+    outcomes
+        What each check found.
+
+    Examples
+    --------
     >>> found = Conformance("mine", (Outcome("bound", "stays within it", (Figure("bound", "cube", 0, 2.0, 1.0),)),))
     >>> found.passed, len(found.violations)
     (False, 1)
@@ -198,6 +216,31 @@ def conform(
 ) -> Conformance:
     """Run every check against an installed slicer.
 
+    Parameters
+    ----------
+    name
+        Name in the registry.
+    models
+        Reference models to cut; default: all that are installed.
+    settings
+        The slicer's settings; default: its own defaults.
+    progress
+        Called with 1 after each check; there are ``len(CHECKS)``.
+
+    Returns
+    -------
+    Conformance
+        One outcome a check.
+
+    Raises
+    ------
+    BackendMissing
+        If the slicer is unknown or cannot run on this machine.
+    SettingsError
+        If a model is unknown or a setting is wrong.
+
+    Examples
+    --------
     >>> conform("nosuch")  # doctest: +ELLIPSIS
     Traceback (most recent call last):
     ebamcheck.errors.BackendMissing: unknown backend 'nosuch': ...
@@ -226,6 +269,22 @@ def examine(
 ) -> Conformance:
     """Run checks against a subject, or a slicer that need not be installed.
 
+    Parameters
+    ----------
+    subject
+        The slicer, its class, or one with settings and models.
+    checks
+        What to run; default: all.
+    progress
+        Called with 1 after each check.
+
+    Returns
+    -------
+    Conformance
+        One outcome a check.
+
+    Examples
+    --------
     >>> from ebamcheck_planecut import PlaneCut
     >>> found = examine(PlaneCut, [check for check in CHECKS if check.name == "settings"])
     >>> found.passed, [outcome.verdict for outcome in found.outcomes]
@@ -243,6 +302,18 @@ def examine(
 def markdown_table(found: Sequence[Conformance]) -> str:
     """Checks as rows and slicers as columns; in brackets the largest share of a limit that was needed.
 
+    Parameters
+    ----------
+    found
+        What was found out about each, by the same checks.
+
+    Returns
+    -------
+    str
+        A table in Markdown.
+
+    Examples
+    --------
     >>> one = Outcome("bound", "stays within it", (Figure("bound", "cube", 0, 0.5, 1.0),))
     >>> print(markdown_table([Conformance("mine", (one,))]))
     | check | mine |

@@ -18,7 +18,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.geometry.rings import EPSILON
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.plugins.model import Model
+from ebamcheck.plugins.registry import Model
 from ebamcheck.testing.solids import HOUSE_RULE, house_rule, sections, winding_rule
 
 ROUNDING_STEPS = 64.0  # units in the last place of the largest coordinate by which the kit's own maps and sections may be off

@@ -22,8 +22,7 @@ from ebamcheck.live.making import failure_of
 from ebamcheck.live.opcua import handshake
 from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken, within
 from ebamcheck.live.publishing import read_journal
-from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import MachineSettings, OpcuaSettings
 
 OWNERS = 2**31  # range of the number by which a door knows that it is the one that writes
 LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"  # kinds of lines in the journal

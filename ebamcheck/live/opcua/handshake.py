@@ -19,8 +19,7 @@ from typing import Any
 from ebamcheck.atomic_file import replacing
 from ebamcheck.controls.sinumerik.release_keys import PRIME, Release, ReleaseKeys, drawn_key
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
+from ebamcheck.settings.machine import ROLES, WARMTH_ROLES, MachineSettings, OpcuaSettings
 
 # R parameter of each role, counted from `machine.live_r`; the fifth is the program's own
 OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))

@@ -20,7 +20,7 @@ from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
 from ebamcheck.nc.control import control
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import OpcuaSettings
 
 # Faults of the played control by name, and what happens; each at a layer, from 1
 FAULTS = {
