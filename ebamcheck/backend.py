@@ -60,10 +60,7 @@ class Prepared(Protocol):
         ...
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Free the index, the tree or the graphics context."""
         ...

@@ -79,15 +79,12 @@ class Place:
     """
 
     file: str = ""
-    line: int = 0
-    """From 1; 0 where the whole file is meant."""
+    line: int = 0  # from 1; 0 where the whole file is meant
     layer: int | None = None
     x_mm: float = math.nan
     y_mm: float = math.nan
-    cut_mm: float = math.nan
-    """Height of the layer's cut in the part."""
-    z_mm: float = math.nan
-    """Z of the layer's top in the program."""
+    cut_mm: float = math.nan  # height of the layer's cut in the part
+    z_mm: float = math.nan  # Z of the layer's top in the program
 
     @classmethod
     def of_line(
@@ -125,30 +122,21 @@ class Check:
     'rapids at MAIN.MPF:12: 3 rapids are slow; write G0'
     """
 
-    name: str
-    """Stable: of a finding its code, one of :data:`CODES`."""
+    name: str  # stable: of a finding its code, one of `CODES`
     passed: bool
-    value: float
-    """In `unit`; NaN where nothing was measured."""
-    limit: float
-    """What the value is held against; NaN where there is none."""
+    value: float  # in `unit`; NaN where nothing was measured
+    limit: float  # what the value is held against; NaN where there is none
     unit: str
-    where: str
-    """``FILE:line`` of the worst or first place; empty where the whole program is meant."""
-    text: str
-    """What is the case, in one sentence with its figure, without a full stop."""
-    layer: int | None = None
-    """Layer of the worst place, from 0, where there is one."""
-    x_mm: float | None = None
-    """Where the worst place is, to draw it."""
+    where: str  # `FILE:line` of the worst or first place; empty where the whole program is meant
+    text: str  # what is the case, in one sentence with its figure, without a full stop
+    layer: int | None = None  # layer of the worst place, from 0, where there is one
+    x_mm: float | None = None  # where the worst place is, to draw it
     y_mm: float | None = None
     place: str = ""
     """Of a check that fails: its layer as the program names it, and that height in part and program; of a finding its place, or the
     setting or slicer that it is about."""
-    remedy: str = ""
-    """Of a check that fails: what to do, without a full stop."""
-    severity: Severity = "fault"
-    """How much it matters that the check fails."""
+    remedy: str = ""  # of a check that fails: what to do, without a full stop
+    severity: Severity = "fault"  # how much it matters that the check fails
     stops: tuple[str, ...] = ()
     """Of a check of the preflight that is a fault: jobs that it ends before they begin; others go on, and their gates tell."""
 

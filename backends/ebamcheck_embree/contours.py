@@ -28,27 +28,20 @@ SADDLE = -1  # cell of a link in a cell with four knots: no corner of the sectio
 class RowKnots(NamedTuple):
     """Crossed grid edges of all rows: entering, leaving, entering, leaving along each row."""
 
-    starts: Ints
-    """(rows + 1,) first knot of each row."""
-    node: Ints
-    """(K,) column of the node at the right end of the crossed edge."""
-    along: Floats
-    """(K,) x of the knot, mm."""
+    starts: Ints  # (rows + 1,) first knot of each row
+    node: Ints  # (K,) column of the node at the right end of the crossed edge
+    along: Floats  # (K,) x of the knot, mm
     facet: Facets
 
 
 class ColumnKnots(NamedTuple):
     """Crossed grid edges between each row and the next."""
 
-    starts: Ints
-    """(rows + 1,) first knot between row j and row j + 1."""
-    node: Ints
-    """(K,) column on which the knot lies, ascending within each pair of rows."""
-    along: Floats
-    """(K,) y of the knot, mm."""
+    starts: Ints  # (rows + 1,) first knot between row j and row j + 1
+    node: Ints  # (K,) column on which the knot lies, ascending within each pair of rows
+    along: Floats  # (K,) y of the knot, mm
     facet: Facets
-    up: Bools
-    """(K,) whether the column enters the material there."""
+    up: Bools  # (K,) whether the column enters the material there
 
 
 @kernel

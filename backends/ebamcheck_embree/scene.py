@@ -30,14 +30,10 @@ class Mesh(NamedTuple):
 class UnderWay(NamedTuple):
     """Rays up one axis that have not met all their facets yet."""
 
-    ray: Ints
-    """(R,) number of each ray."""
-    origin: Singles
-    """(R, 3) origin of the next cast; at first outside the part."""
-    last: Facets
-    """(R,) facet that each ray met last, -1 at first."""
-    repeats: NDArray[np.int32]
-    """(R,) how often in a row each ray has met that facet again."""
+    ray: Ints  # (R,) number of each ray
+    origin: Singles  # (R, 3) origin of the next cast; at first outside the part
+    last: Facets  # (R,) facet that each ray met last, -1 at first
+    repeats: NDArray[np.int32]  # (R,) how often in a row each ray has met that facet again
 
 
 Take = Callable[[Facets, Singles, UnderWay], int]

@@ -28,12 +28,9 @@ SEVERAL = -1  # in place of the sheet of a vertex, point or side that several sh
 class Arrangement(NamedTuple):
     """What the rings of a layer make of the plane."""
 
-    faces: NDArray[np.object_]
-    """(F,) bounded faces, as shapely polygons that share their borders to the bit."""
-    winding: Ints
-    """(F,) winding number of the rings about each face."""
-    seams: bool
-    """Whether a side was left out, since different bodies pass it once each way."""
+    faces: NDArray[np.object_]  # (F,) bounded faces, as shapely polygons that share their borders to the bit
+    winding: Ints  # (F,) winding number of the rings about each face
+    seams: bool  # whether a side was left out, since different bodies pass it once each way
 
 
 def arrangement(layer: Layers, reach_mm: float, sheets: Index) -> Arrangement:

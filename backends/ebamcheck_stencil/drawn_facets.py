@@ -28,17 +28,16 @@ SAMPLES = 2**14  # facets by which the bands are laid
 FACETS_A_BLOCK = 65536  # fewest facets worth a thread
 # Distance along x and y, in lattice steps, that drivers may move a point in which they clip an edge
 CLIPPED_SLACK = 1.0
-ROUNDED_SHARE = (
-    2.0**-21
-)  # distance that such a point may be off by float32, as a share of the viewport's side
+# Distance that such a point may be off by float32, as a share of the viewport's side
+ROUNDED_SHARE = 2.0**-21
 HOLDS, COMES_NEAR = 1, 2  # what a facet can do with a pixel centre
 
 
 class DrawnFacets(NamedTuple):
     """Facets in the order in which they are drawn."""
 
+    # (F, 3) vertices of each: first the facets that hold a centre, then those that come near one
     faces: NDArray[np.int32]
-    """(F, 3) vertices of each: first the facets that hold a centre, then those that come near one."""
     holding: Bands
     near: Bands
 
@@ -56,12 +55,9 @@ class DrawnFacets(NamedTuple):
 class Bands(NamedTuple):
     """Consecutive facets, by bands of height from the top."""
 
-    tops: NDArray[np.float64]
-    """(B,) highest point of each band, falling."""
-    bottoms: NDArray[np.float64]
-    """(B,) lowest point of each band and those before it, falling."""
-    ends: NDArray[np.int64]
-    """(B + 1,) facets before each band, and all of them."""
+    tops: NDArray[np.float64]  # (B,) highest point of each band, falling
+    bottoms: NDArray[np.float64]  # (B,) lowest point of each band and those before it, falling
+    ends: NDArray[np.int64]  # (B + 1,) facets before each band, and all of them
 
     @property
     def size(self) -> int:

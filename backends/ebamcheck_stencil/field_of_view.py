@@ -38,8 +38,7 @@ class FieldOfView:
     """Grid of square pixels over a part, seen along z, margins included."""
 
     pixel_mm: float
-    low_mm: tuple[float, float]
-    """Least x and y of the part in build coordinates."""
+    low_mm: tuple[float, float]  # least x and y of the part in build coordinates
     width_px: int
     height_px: int
 

@@ -28,12 +28,9 @@ class Device:
 
     renderer: str
     gl_version: str
-    buffer_bytes: int
-    """Size of the largest shader storage buffer."""
-    texture_px: int
-    """Largest side of an image that can be drawn at once."""
-    viewport_px: int
-    """Largest side of a viewport, which must hold the whole field of view."""
+    buffer_bytes: int  # size of the largest shader storage buffer
+    texture_px: int  # largest side of an image that can be drawn at once
+    viewport_px: int  # largest side of a viewport, which must hold the whole field of view
     subpixel_bits: int
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from types import TracebackType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -100,9 +99,7 @@ class PreparedSections:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._mesh = None
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:

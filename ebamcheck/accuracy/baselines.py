@@ -213,8 +213,8 @@ class Change:
     old: float
     new: float
     allowed: float
+    # The layers behind it; None where no column explains it, or the layers cannot be matched
     growth: Growth | None = None
-    """The layers behind it; None where no column explains it, or the layers cannot be matched."""
 
     @property
     def worse(self) -> bool:

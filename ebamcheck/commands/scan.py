@@ -32,7 +32,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import simulators
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import write_program
-from ebamcheck.scan.order.simulation import entered, island_history
+from ebamcheck.scan.order.simulation import entered
 from ebamcheck.scan.plan.comparing import (
     RANDOM,
     SEEDS,
@@ -311,7 +311,7 @@ def order_pictures(
     figures: Mapping[str, tuple[float, float]],
     what: str,
 ) -> dict[str, str]:
-    """Texts by file name: two maps an order, its last temperatures and its animation.
+    """Texts by file name: two maps an order, and its last temperatures.
 
     All show the same frame with contour beads and path, and all temperatures of all orders have one scale: it ends at
     the hottest entry or at what most of a finished layer is under, whichever is more, and at the boiling point at last.
@@ -348,11 +348,6 @@ def order_pictures(
         title = f"{what}: temperature rise when the layer is done, {name}"
         files[f"{name}-field.svg"] = pictures.field_svg(
             partial(_rises, plane, at_end[name]), section, title, " K", scale.greatest, scenes[name], scale
-        )
-        order = np.argsort(result.rank)
-        history = island_history(compared.heat, order, result.start_s, result.end_s)
-        files[f"{name}.html"] = pictures.layer_animation(
-            islands, order, result.end_s, history, f"{what}, {name}", scale, scenes[name]
         )
     files["pareto.svg"] = pictures.pareto_svg(figures, f"{what}: {len(islands)} islands")
     return files

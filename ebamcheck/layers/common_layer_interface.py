@@ -59,8 +59,8 @@ class Header:
     layers: int | None = None
     models: dict[int, str] = field(default_factory=dict)
     labels: dict[str, Any] = field(default_factory=dict)
+    # Number of polylines, if this program wrote the file: the format itself does not give it
     polylines: int | None = None
-    """Number of polylines, if this program wrote the file: the format itself does not give it."""
 
 
 def read_header(data: bytes, path: Path) -> Header:
@@ -170,11 +170,8 @@ def place_error(path: Path, data: bytes, offset: int, message: str, binary: bool
 
 log = logging.getLogger(__name__)
 
-INTERNAL, EXTERNAL, OPEN_LINE = (
-    0,
-    1,
-    2,
-)  # directions of a polyline: clockwise (hole), counter-clockwise (outer), open
+# Directions of a polyline: clockwise (hole), counter-clockwise (outer), open
+INTERNAL, EXTERNAL, OPEN_LINE = 0, 1, 2
 
 
 class Gathered:
@@ -317,10 +314,8 @@ class SliceFile:
     """Content of a slice file."""
 
     layers: Layers
-    hatches: Ints
-    """(L,) number of hatch lines of each layer; they are only counted."""
-    models: Mapping[int, str]
-    """Names of the models by their identifiers; polylines of all models are joined."""
+    hatches: Ints  # (L,) number of hatch lines of each layer; they are only counted
+    models: Mapping[int, str]  # names of the models by their identifiers; polylines of all models are joined
     units_mm: float
     version: int
     binary: bool

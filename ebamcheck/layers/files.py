@@ -60,9 +60,8 @@ VERSION = "1"  # version of the table; a reader refuses any other
 
 LABELS = ("part", "direction", "backend", "settings")
 
-LARGEST_LIST = (
-    2**31 - 1
-)  # arrow's lists count their items in 32 bits; a longer stack is written as several blocks
+# Arrow's lists count their items in 32 bits; a longer stack is written as several blocks
+LARGEST_LIST = 2**31 - 1
 
 SMALLEST_BLOCK = 65536  # fewest points worth a thread that copies them
 
@@ -77,9 +76,8 @@ _KINDS = {
     "closed": pa.list_(pa.bool_()),
     **_EDGES,
 }
-CONTOUR_COLUMNS = [
-    name for name in _KINDS if name not in _EDGES
-]  # columns that every table of contours must have
+# Columns that every table of contours must have
+CONTOUR_COLUMNS = [name for name in _KINDS if name not in _EDGES]
 
 
 def to_arrow(layers: Layers) -> pa.RecordBatch:
@@ -333,10 +331,8 @@ FORMATS: Mapping[str, LayerFormat] = {
 }
 
 
-SUFFIX, BLOCK = (
-    ".blocks",
-    ".arrow",
-)  # suffixes of the folder of one stack's blocks, and of the file of one block
+# Suffixes of the folder of one stack's blocks, and of the file of one block
+SUFFIX, BLOCK = ".blocks", ".arrow"
 # Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing
 WORTH = 5.0
 

@@ -167,13 +167,10 @@ class LevelFace(NamedTuple):
     Areas that look up and down at one height are taken from each other: where a body stands on another, there is no face.
     """
 
-    z_mm: float
-    """Height in the part."""
+    z_mm: float  # height in the part
     area_mm2: float
-    up: bool
-    """Whether the solid lies under them."""
-    added_mm: float
-    """How far the metal goes beyond the solid there; negative: how much of it lacks."""
+    up: bool  # whether the solid lies under them
+    added_mm: float  # how far the metal goes beyond the solid there; negative: how much of it lacks
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,8 +300,7 @@ class NearHeight(NamedTuple):
     """A layer height with which the layers have the metal of the solid."""
 
     height_mm: float
-    share: float
-    """Metal added or left out, whichever is more, over that of the solid."""
+    share: float  # metal added or left out, whichever is more, over that of the solid
 
 
 def share_off(part: Part, config: Config) -> float:

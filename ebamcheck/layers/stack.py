@@ -36,11 +36,9 @@ KIND_COLOURS = {"outer": "#0072b2", "hole": "#d55e00", "open path": "#cc79a7"}
 class Ring:
     """One contour of a layer: an outer ring, a hole, or an open path."""
 
-    points: Floats
-    """(n, 2) mm, without a repeated end point."""
+    points: Floats  # (n, 2) mm, without a repeated end point
     closed: bool
-    area_mm2: float
-    """Positive for an outer ring, negative for a hole, 0 for an open path."""
+    area_mm2: float  # positive for an outer ring, negative for a hole, 0 for an open path
     length_mm: float
 
     @property

@@ -31,14 +31,10 @@ _log = logging.getLogger(__name__)
 class Facets(NamedTuple):
     """What a mesh file holds."""
 
-    corners: NDArray[np.float32] | NDArray[np.float64]
-    """(F, 3, 3) corners, in the file's own numbers."""
-    notes: list[str]
-    """Remarks from reading it."""
-    units: str = ""
-    """Unit that the file itself states, or that its format does; empty where neither says any."""
-    units_from: str = ""
-    """Which of the two does."""
+    corners: NDArray[np.float32] | NDArray[np.float64]  # (F, 3, 3) corners, in the file's own numbers
+    notes: list[str]  # remarks from reading it
+    units: str = ""  # unit that the file itself states, or that its format does; empty where neither says any
+    units_from: str = ""  # which of the two does
 
 
 def load(path: str | Path, units: str = "") -> Part:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Bools, kernel
 from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
@@ -18,7 +18,6 @@ from ebamcheck.showing import short_text
 
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat", "overlapping"]
 
-Bools = NDArray[np.bool_]
 
 # Figures of an inspection that `defects` counts
 COUNTS = (
@@ -46,8 +45,7 @@ class Inspection:
     bodies: int
     size_mm: tuple[float, float, float]
     lower_mm: tuple[float, float, float]
-    units: str
-    """Unit of the file's numbers, before they became mm, and where it comes from."""
+    units: str  # unit of the file's numbers, before they became mm, and where it comes from
     units_from: str
     volume_mm3: float
     open_edges: int

@@ -74,8 +74,7 @@ class Volume(NamedTuple):
     """Facets of an object that are no part of the solid."""
 
     first: int
-    last: int
-    """First and last facet; -1: to the end."""
+    last: int  # first and last facet; -1: to the end
     kind: str
 
 
@@ -83,14 +82,11 @@ class Volume(NamedTuple):
 class Outline:
     """What a 3MF file says of itself."""
 
-    unit: str = ""
-    """Its unit by our short name; empty: it states none."""
-    items: int = 0
-    """Build items."""
-    unprintable: list[int] = field(default_factory=list)
-    """Those of them that are marked as not to be printed."""
+    unit: str = ""  # its unit by our short name; empty: it states none
+    items: int = 0  # build items
+    unprintable: list[int] = field(default_factory=list)  # those of them that are marked as not to be printed
+    # What of each object is no part of the solid
     volumes: dict[Key, list[Volume]] = field(default_factory=dict)
-    """What of each object is no part of the solid."""
     marked: dict[tuple[Key, ...], str] = field(default_factory=dict)
     """Whole objects that are no part of the solid: wherever they stand (the object), or in one assembly (assembly, object)."""
     unpacked_bytes: int = 0
@@ -102,10 +98,9 @@ class _ModelPart:
 
     unit: str = ""
     objects: dict[str, list[Key]] = field(default_factory=dict)
+    # Object of each build item, and whether it is to be printed
     items: list[tuple[Key, bool]] = field(default_factory=list)
-    """Object of each build item, and whether it is to be printed."""
-    marked: dict[str, str] = field(default_factory=dict)
-    """Objects that Cura marks as no part of the solid."""
+    marked: dict[str, str] = field(default_factory=dict)  # objects that Cura marks as no part of the solid
 
 
 def outline_of(data: bytes | memoryview, name: str) -> Outline:

@@ -14,11 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Ints, kernel
 from ebamcheck.threads import run_blocks
 
 Index = NDArray[np.int32]
-Ints = NDArray[np.int64]
 
 NO_TWIN = -1
 
@@ -26,10 +25,8 @@ NO_TWIN = -1
 class EdgeGroups(NamedTuple):
     """Half-edges grouped by the undirected edge that they lie on."""
 
-    half_edges: Index
-    """(H,) half-edges, those of one edge next to each other; facets with a repeated corner have none."""
-    starts: Index
-    """(E + 1,) index in `half_edges` of the first of each edge."""
+    half_edges: Index  # (H,) half-edges, those of one edge next to each other; facets with a repeated corner have none
+    starts: Index  # (E + 1,) index in `half_edges` of the first of each edge
 
 
 @kernel
@@ -314,9 +311,12 @@ def _earliest(corners: Corners) -> Rows:
 
 
 @kernel
-def _bits(corners: Corners, keys: Keys, i: int, c: int) -> np.uint64:
-    """Bits of a coordinate; those of 0 for -0."""
-    return np.uint64(keys[i, c]) if corners[i, c] != 0.0 else np.uint64(0)
+def _bits(corners: Corners, keys: Keys, i: int) -> tuple[np.uint64, np.uint64, np.uint64]:
+    """Bits of the coordinates of a corner; those of 0 for -0."""
+    zero = np.uint64(0)
+    x = np.uint64(keys[i, 0]) if corners[i, 0] != 0.0 else zero
+    y = np.uint64(keys[i, 1]) if corners[i, 1] != 0.0 else zero
+    return x, y, np.uint64(keys[i, 2]) if corners[i, 2] != 0.0 else zero
 
 
 @kernel
@@ -335,7 +335,8 @@ def _choose(
     sizes = np.zeros(shares, np.int64)
     last = np.uint64(shares - 1)
     for i in range(start, stop):
-        mixed = _hash(_bits(corners, keys, i, 0), _bits(corners, keys, i, 1), _bits(corners, keys, i, 2))
+        x, y, z = _bits(corners, keys, i)
+        mixed = _hash(x, y, z)
         # The upper half chooses the share, the lower one the place in its table.
         s = np.int64((mixed >> np.uint64(40)) & last)
         share[i] = s
@@ -357,8 +358,7 @@ def _deal(
     for i in range(start, stop):
         at = places[share[i]]
         places[share[i]] += 1
-        for c in range(3):
-            dealt[at, c] = _bits(corners, keys, i, c)
+        dealt[at, 0], dealt[at, 1], dealt[at, 2] = _bits(corners, keys, i)
         dealt[at, 3] = i
 
 

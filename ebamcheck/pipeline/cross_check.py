@@ -45,7 +45,7 @@ def cross_check(
     job: Job,
     backends: Mapping[str, BackendSettings],
     resume: bool,
-    meanwhile: Callable[[], None] | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> CrossCheck:
     """Slice and compare; the layers are on disk afterwards.
 
@@ -91,7 +91,7 @@ def _slice(
     backends: Mapping[str, BackendSettings],
     borders: NDArray[np.int64],
     resume: bool,
-    meanwhile: Callable[[], None] | None,
+    meanwhile: Callable[[], object] | None,
 ) -> dict[str, Outcome]:
     chosen = job.config.slicing
     limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)

@@ -60,8 +60,8 @@ class FitVerdict:
     curves: Curves
     evidence: Evidence
     stack: StackEvidence | None  # none where the part or its edges are not known
+    # Errors of contours and curves against a finer mesh of the part; None without one
     reference: Mapping[str, Any] | None
-    """Errors of contours and curves against a finer mesh of the part; None without one."""
     farthest_mm: float = 0.0  # greatest distance between curves and their contours
     most_mm: float = math.inf  # how far the user lets curves lie from contours, whatever speaks for it
 

@@ -110,15 +110,11 @@ def _carried_out(
     backends = chosen_backends(job.config)
 
     def work(job: Job) -> RunResult:
-        checked = cross_check(job, backends, resume, _load_later_stages)
+        # What is needed when the layers are there takes half a second to load, in which the slicers work.
+        checked = cross_check(job, backends, resume, lambda: import_module(LATER_STAGES))
         from ebamcheck.pipeline.finishing import finish
 
         return finish(job, checked, begun, fine)
 
     kind, sha256 = job.kind, begun.part.sha256
     return carried_out(job, kind, sha256, backends, inputs, target, work, resume=resume, force=force)
-
-
-def _load_later_stages() -> None:
-    """Load what is needed when the layers are there: half a second, in which the slicers work."""
-    import_module(LATER_STAGES)

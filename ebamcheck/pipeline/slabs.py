@@ -131,8 +131,8 @@ class SlabRun:
 
     checked: CrossCheck
     inspection: Inspection
+    # Settings that each backend has filled in, with all that it declared
     settings: Mapping[str, Mapping[str, Any]]
-    """Settings that each backend has filled in, with all that it declared."""
 
 
 @dataclass(frozen=True, eq=False)

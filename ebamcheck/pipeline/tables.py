@@ -26,9 +26,8 @@ from ebamcheck.settings.config import Config
 from ebamcheck.writing.events import event_totals, process_events
 from ebamcheck.writing.tracks import Toolpath
 
-Table: TypeAlias = (
-    pd.DataFrame | pa.Table | Curves | ScanPlan | Layers
-)  # what stands in a file of figures of a run
+# What stands in a file of figures of a run
+Table: TypeAlias = pd.DataFrame | pa.Table | Curves | ScanPlan | Layers
 
 INDEXED = ("events.parquet",)  # tables for programs, which count layers from 0; those for people count from 1
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.kernels import Bools, Floats
+from ebamcheck.mesh.bodies import windings
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
 from ebamcheck.preflight.workload import RUN
@@ -128,10 +129,12 @@ def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
         if bool(shapely.intersects(outline, shadows).any()):
             return True
     # No facet in the zone: it is wholly within the metal, or wholly outside of it.
-    point, (x0, y0, x1, y1) = shapely.point_on_surface(outline), outline.bounds
+    middle, (x0, y0, x1, y1) = shapely.point_on_surface(outline), outline.bounds
     # Off the middle by shares that no drawing has: on the edge of two facets neither would count.
-    x, y = float(point.x) + OFF_MIDDLE[0] * (x1 - x0), float(point.y) + OFF_MIDDLE[1] * (y1 - y0)
-    return _winding(corners[near], z[near], x, y, max(zone.z_mm[0], 0.0)) > 0
+    x, y = float(middle.x) + OFF_MIDDLE[0] * (x1 - x0), float(middle.y) + OFF_MIDDLE[1] * (y1 - y0)
+    point = np.array([[x, y, max(zone.z_mm[0], 0.0) + float(part.bounds[0, 2])]])
+    facets = np.flatnonzero(near)
+    return bool(windings(point, corners, np.zeros(facets.size, np.int64), facets)[0] > 0)
 
 
 def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
@@ -139,21 +142,6 @@ def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
     low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
     found: Bools = (low[:, 0] <= x1) & (high[:, 0] >= x0) & (low[:, 1] <= y1) & (high[:, 1] >= y0)
     return found
-
-
-def _winding(corners: Floats, z: Floats, x: float, y: float, height: float) -> int:
-    """Winding number at a point: facets over it that face up, less those that face down."""
-    a, b, c = (corners[:, k, :2] for k in range(3))
-
-    def side(p: Floats, q: Floats) -> Floats:
-        found: Floats = (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
-        return found
-
-    s = np.stack([side(b, c), side(c, a), side(a, b)], axis=1)
-    whole = s.sum(axis=1)
-    over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
-    at = (s[over] * z[over]).sum(axis=1) / whole[over]
-    return int(np.sign(whole[over])[at > height].sum())
 
 
 # -- settings that cannot work together ------------------------------------------------------------

@@ -263,8 +263,7 @@ class PartOfRun(Form):
     name: str
     source: Annotated[str, AfterValidator(part_file)]
     sha256: Sha256
-    mesh_sha256: Sha256 | Literal[""]
-    """Empty in a check in slabs, in which the mesh is never whole."""
+    mesh_sha256: Sha256 | Literal[""]  # empty in a check in slabs, in which the mesh is never whole
     units: str
     units_from: str = ""
     direction: Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -330,8 +329,7 @@ class RecordForm(Form):
     findings: list[FindingForm] = []
     exit_code: Annotated[int, Field(ge=0, le=5)]
     files: dict[RunFile, Sha256]
-    timings: TimingsForm | None = None
-    """In the record of runs of earlier versions."""
+    timings: TimingsForm | None = None  # in the record of runs of earlier versions
 
     @model_validator(mode="after")
     def _slicers_of_the_run(self) -> Self:

@@ -44,8 +44,7 @@ class Signature:
     """One signature, as it was found."""
 
     file: str
-    state: str
-    """:data:`TRUSTED` (valid, by a key that is trusted), :data:`VALID` (by another key) or :data:`BROKEN`."""
+    state: str  # `TRUSTED` (valid, by a key that is trusted), `VALID` (by another key) or `BROKEN`
     name: str
     fingerprint: str
     text: str  # in words: who signed, with which key, or why it does not hold

@@ -331,11 +331,8 @@ ROLES = (
 """What the nodes of the handshake are called here, in the order in which their R parameters follow on ``machine.live_r``,
 where that of the time left (R5) is left out: the program alone uses it."""
 
-TEXT_ROLES = (
-    "name",
-    "sha256",
-    "map",
-)  # further nodes, of text, which a control has only where the settings name them
+# Further nodes, of text, which a control has only where the settings name them
+TEXT_ROLES = ("name", "sha256", "map")
 
 WARMTH_ROLES = ("surface_k", "after_s")  # the same of numbers, of a pyrometer
 

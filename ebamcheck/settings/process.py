@@ -261,9 +261,8 @@ class ProcessSettings(Section):
         return self
 
 
-PARABOLA = (
-    2.0 / 3.0
-)  # area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)
+# Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)
+PARABOLA = 2.0 / 3.0
 
 
 def bead_height_mm(

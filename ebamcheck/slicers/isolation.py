@@ -123,7 +123,7 @@ def slice_all(
     pool: WorkerPool | None = None,
     keep_blocks: bool = False,
     bounds_only: bool = False,
-    meanwhile: Callable[[], None] | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process; returns one outcome for every name, in the order given.
 
@@ -344,8 +344,8 @@ class Worker:
     why: str = ""
     peak_mb: float = 0.0
     mark: str = ""  # what it and its descendants carry in their environment
+    # It runs another distribution's code: its descendants are looked for outside of its group, too
     stranger: bool = False
-    """It runs another distribution's code: its descendants are looked for outside of its group, too."""
     heard_bytes: int = 0
     layers: int = 0  # layers that it was asked for
     done: int = 0

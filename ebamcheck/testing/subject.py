@@ -184,12 +184,11 @@ def generic_heights(part: Part, count: int) -> NDArray[np.float64]:
 class Differences(NamedTuple):
     """How layers differ from exact sections; one entry a layer."""
 
+    # Deepest point of the symmetric difference, measured from the exact contours
     depth_mm: NDArray[np.float64]
-    """Deepest point of the symmetric difference, measured from the exact contours."""
     topology_agrees: NDArray[np.bool_]
     """Whether rings and holes agree once features thinner than twice the limit are set aside."""
-    places: list[str]
-    """Height of the layer, and where its deepest point lies."""
+    places: list[str]  # height of the layer, and where its deepest point lies
 
 
 def differences(

@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -139,9 +138,7 @@ class LatticeStack:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._cut = None
         self._kept.clear()
 

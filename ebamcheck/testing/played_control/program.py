@@ -55,18 +55,13 @@ FAULT_S = 1.0  # time for which writes are refused or lost, or the server is awa
 class Panel:
     """State of a played control, for the threads of its server and its program: each value is set and read in one step."""
 
+    # R parameters by number; those that are not there are 0
     values: dict[int, float] = field(default_factory=dict)
-    """R parameters by number; those that are not there are 0."""
-    texts: dict[str, str] = field(default_factory=dict)
-    """Variables of text, by what they are."""
-    files: dict[str, bytes] = field(default_factory=dict)
-    """Files by their place."""
-    rights: str = "operate"
-    """`operate`, `refused`, or `lost`: what becomes of writes from outside."""
-    swap_next: bool = False
-    """Whether the next upload is kept as another file."""
-    break_next: bool = False
-    """Whether the server goes away in the middle of the next upload."""
+    texts: dict[str, str] = field(default_factory=dict)  # variables of text, by what they are
+    files: dict[str, bytes] = field(default_factory=dict)  # files by their place
+    rights: str = "operate"  # `operate`, `refused`, or `lost`: what becomes of writes from outside
+    swap_next: bool = False  # whether the next upload is kept as another file
+    break_next: bool = False  # whether the server goes away in the middle of the next upload
     overwritten: dict[int, float] = field(default_factory=dict)
     """R parameters that another client writes over as soon as they are written, once, and what it writes."""
 
