@@ -369,25 +369,17 @@ def _growth(new: Entry, old: Entry, column: str, tolerance: Tolerance) -> Growth
     now, before = new.measured.columns, old.measured.columns
     if column not in before or not _same_heights(now["z_mm"], before["z_mm"]):
         return None
-    grown = []
-    for k, (a, b) in enumerate(zip(before[column], now[column], strict=True)):
-        if abs(b) > abs(a) + tolerance.allowed(a):
-            grown.append(k)
+    was, became = before[column], now[column]
+    pairs = zip(was, became, strict=True)
+    grown = [k for k, (a, b) in enumerate(pairs) if abs(b) > abs(a) + tolerance.allowed(a)]
     if not grown:
         return None
-    by = [abs(now[column][k]) - abs(before[column][k]) for k in grown]
+    by = [abs(became[k]) - abs(was[k]) for k in grown]
     places = tuple(
-        Place(
-            int(now["layer"][k]),
-            now["z_mm"][k],
-            now["x_mm"][k],
-            now["y_mm"][k],
-            before[column][k],
-            now[column][k],
-        )
+        Place(int(now["layer"][k]), now["z_mm"][k], now["x_mm"][k], now["y_mm"][k], was[k], became[k])
         for k in grown[:FIRST_PLACES]
     )
-    return Growth(column, len(grown), len(now[column]), max(by), math.fsum(by) / len(by), places)
+    return Growth(column, len(grown), len(became), max(by), math.fsum(by) / len(by), places)
 
 
 def _same_heights(a: Any, b: Any) -> bool:

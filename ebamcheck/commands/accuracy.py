@@ -246,18 +246,13 @@ def _table(
         [t.name, t.available, t.bound_mm, t.measured_mm, t.seconds, t.device, choice.reasons[t.name]]
         for t in trials
     ]
-    chosen = (
-        f"primary: {choice.primary}; required: {', '.join(choice.required)}"
-        if choice.primary
-        else f"no slicer is accurate to {tolerance_mm:g} mm"
-    )
-    alone = (
-        ""
-        if choice.witness or not choice.primary
-        else "\nthere is no second slicer of that accuracy: a run needs two that agree"
-    )
+    chosen = f"no slicer is accurate to {tolerance_mm:g} mm"
+    if choice.primary:
+        chosen = f"primary: {choice.primary}; required: {', '.join(choice.required)}"
+        if not choice.witness:
+            chosen += "\nthere is no second slicer of that accuracy: a run needs two that agree"
     head = f"machine {machine_name()}: {workpiece.title}, {len(workpiece.timed)} layers"
-    return f"{head}\n{text_table(columns, rows)}\n\n{selection.RULES}\n\n{chosen}{alone}"
+    return f"{head}\n{text_table(columns, rows)}\n\n{selection.RULES}\n\n{chosen}"
 
 
 def conform_command(
@@ -306,14 +301,9 @@ TABLE, CASE = "judged.csv", "case"
 
 # Columns of the printed table, and their headings
 SHOWN = {
-    "rank": "rank",
-    "island": "island",
-    "entered_s": "entered, s",
-    "model_k": "model, K",
-    "thesis_k": "3DThesis, K",
-    "thesis_spot_k": "at the entry, K",
-    "thesis_hottest_k": "hottest, K",
-}
+    "rank": "rank", "island": "island", "entered_s": "entered, s", "model_k": "model, K",
+    "thesis_k": "3DThesis, K", "thesis_spot_k": "at the entry, K", "thesis_hottest_k": "hottest, K",
+}  # fmt: skip
 
 FIGURES = {
     "kendall_tau": "Kendall's tau of the islands",

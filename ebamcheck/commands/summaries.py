@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ebamcheck.backend import Slicer
@@ -14,7 +15,7 @@ from ebamcheck.commands.warm import warm_kernels
 from ebamcheck.installed import BrokenPlugin
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.strangers import StrangerSlicer
-from ebamcheck.plugins.trial import cube
+from ebamcheck.plugins.trial import TOLD_ATTRIBUTES, cube
 from ebamcheck.printable import printable
 from ebamcheck.result import Place, in_words
 from ebamcheck.showing.short_text import text_table
@@ -29,17 +30,8 @@ def backend_record(name: str) -> dict[str, Any]:
     slicer, probe = registry.slicer(name), registry.probe(name)
     error_mm, height_mm = _bounds_of_cube(slicer)
     return {
-        "name": name,
-        "summary": slicer.summary,
-        "available": probe.available,
-        "why": probe.why,
-        "hint": probe.hint,
-        "versions": dict(probe.versions),
-        "device": probe.device,
-        "exact": slicer.exact,
-        "priority": slicer.priority,
-        "coplanar_rule": slicer.coplanar_rule,
-        "inside_rule": slicer.inside_rule,
+        **{key: getattr(slicer, key) for key in TOLD_ATTRIBUTES},
+        **asdict(probe),
         "error_bound_mm": error_mm,
         "height_bound_mm": height_mm,
     }
@@ -61,13 +53,7 @@ def broken_record(plugin: BrokenPlugin) -> dict[str, Any]:
 def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[BrokenPlugin] = ()) -> str:
     """Table of the slicers, why some are not available, and which plugins were left out."""
     columns = [
-        "name",
-        "available",
-        "exact",
-        "device",
-        "plane rule",
-        "inside rule",
-        "bound mm",
+        *("name", "available", "exact", "device", "plane rule", "inside rule", "bound mm"),
         "versions",
         "summary",
     ]
@@ -88,6 +74,9 @@ def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[Broke
     return "\n\n".join([text_table(columns, rows), *missing, *unusable, bound])
 
 
+PAIR_FIGURES = ("max_depth_mm", "limit_mm", "max_hausdorff_mm", "min_iou")
+
+
 def run_summary(manifest: Mapping[str, Any]) -> str:
     """What a run came to: slicers, pairs, gates, findings and verdict."""
 
@@ -97,14 +86,7 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
         for name, b in manifest["backends"].items()
     ]  # fmt: skip
     pairs = [
-        [
-            f"{p['a']} / {p['b']}",
-            f"{p['agree']} of {p['gated']}",
-            p["max_depth_mm"],
-            p["limit_mm"],
-            p["max_hausdorff_mm"],
-            p["min_iou"],
-        ]
+        [f"{p['a']} / {p['b']}", f"{p['agree']} of {p['gated']}", *(p[figure] for figure in PAIR_FIGURES)]
         for p in manifest["comparison"]["pairs"]
     ]
     passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
@@ -220,7 +202,9 @@ def watched() -> Iterator[LineObserver | TerminalObserver]:
     if not may_be_terminal():
         yield LineObserver()
         return
-    with _terminal_bars() as bars:
+    from rich.console import Console
+
+    with _bars(Console(stderr=True)) as bars:
         observer = TerminalObserver(bars)
         yield observer
         observer.finish()
@@ -229,12 +213,6 @@ def watched() -> Iterator[LineObserver | TerminalObserver]:
 def may_be_terminal() -> bool:
     """Whether bars may be shown: what shows them takes a tenth of a second to load."""
     return sys.stderr.isatty() or any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE"))
-
-
-def _terminal_bars() -> Progress:
-    from rich.console import Console
-
-    return _bars(Console(stderr=True))
 
 
 def _bars(console: Console) -> Progress:

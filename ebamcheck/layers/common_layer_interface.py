@@ -351,13 +351,9 @@ def read_slice_file(path: str | Path) -> SliceFile:
         raise InputError(
             f"{path}: holds {gathered.polylines} polylines, its header says {header.polylines}: it is cut off"
         )
+    hatches = np.asarray(gathered.hatches, dtype=np.int64)
     return SliceFile(
-        layers=gathered.layers(),
-        hatches=np.asarray(gathered.hatches, dtype=np.int64),
-        models=header.models,
-        units_mm=header.units_mm,
-        version=header.version,
-        binary=header.binary,
+        gathered.layers(), hatches, header.models, header.units_mm, header.version, header.binary
     )
 
 
@@ -463,11 +459,8 @@ def _polylines(layers: Layers, layer: int, units_mm: float) -> Iterator[tuple[in
         points = layers.ring(r) / units_mm
         if not layers.closed[r]:
             yield OPEN_LINE, points
-        else:
-            yield (
-                EXTERNAL if layers.ring_areas[r] >= 0.0 else INTERNAL,
-                np.concatenate([points, points[:1]]),
-            )
+            continue
+        yield EXTERNAL if layers.ring_areas[r] >= 0.0 else INTERNAL, np.concatenate([points, points[:1]])
 
 
 def _text_records(layers: Layers, heights: Floats, units_mm: float) -> Iterator[bytes]:

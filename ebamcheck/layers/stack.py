@@ -116,9 +116,8 @@ class Layer:
         """Draw the contours on matplotlib axes, each kind of ring in its colour; `style` is of its lines."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
-        rings = self.rings
         groups = [
-            Lines([_outline(ring) for ring in rings if ring.kind == kind], colour)
+            Lines([_outline(ring) for ring in self.rings if ring.kind == kind], colour)
             for kind, colour in KIND_COLOURS.items()
         ]
         return plot_lines(groups, f"layer {self.index + 1}, z = {self.height_mm:.6g} mm", ax, **style)

@@ -71,27 +71,14 @@ class Inspection:
         return self.verdict == "sound"
 
     def __repr__(self) -> str:
-        facets, bodies = (
-            short_text.counted(self.facets, "facet"),
-            short_text.counted(self.bodies, "body", "bodies"),
-        )
-        return short_text.line(
-            "Inspection",
-            self.name,
-            self.verdict,
-            facets,
-            bodies,
-            short_text.size(self.size_mm),
-            f"{self.volume_mm3:.6g} mm3",
-        )
+        facets = short_text.counted(self.facets, "facet")
+        bodies = short_text.counted(self.bodies, "body", "bodies")
+        size, volume = short_text.size(self.size_mm), f"{self.volume_mm3:.6g} mm3"
+        return short_text.line("Inspection", self.name, self.verdict, facets, bodies, size, volume)
 
     def _repr_html_(self) -> str:
         """Show the result in a notebook."""
-        shown = {
-            name.replace("_", " "): value
-            for name, value in self.as_dict().items()
-            if name not in ("name", "notes")
-        }
+        shown = {n.replace("_", " "): v for n, v in self.as_dict().items() if n not in ("name", "notes")}
         return short_text.html(f"{self.name}: {self.verdict}", shown)
 
     def as_dict(self) -> dict[str, Any]:

@@ -117,7 +117,9 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
     axis, u, w, angle = np.empty(3), np.zeros(3), np.empty(3), np.empty(n)
     for k in range(3):
         axis[k] = vertices[high, k] - vertices[low, k]
-    _normalise(axis)
+    length = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+    for k in range(3):
+        axis[k] /= length
     # Two directions across the edge span the plane in which angles are measured.
     least = 0
     for k in range(1, 3):
@@ -127,7 +129,9 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
     along = u[0] * axis[0] + u[1] * axis[1] + u[2] * axis[2]
     for k in range(3):
         u[k] -= axis[k] * along
-    _normalise(u)
+    length = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    for k in range(3):
+        u[k] /= length
     w[0] = axis[1] * u[2] - axis[2] * u[1]
     w[1] = axis[2] * u[0] - axis[0] * u[2]
     w[2] = axis[0] * u[1] - axis[1] * u[0]
@@ -173,13 +177,6 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
             paired[i] = paired[k] = True
             result[fan[i]] = fan[k]
             result[fan[k]] = fan[i]
-
-
-@kernel
-def _normalise(vector: NDArray[np.float64]) -> None:
-    length = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
-    for k in range(3):
-        vector[k] = vector[k] / length
 
 
 def split_corners(faces: Index, twin: Index) -> Index:

@@ -333,16 +333,12 @@ def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
-            place = ", ".join(text for text in (check.where, check.place) if text)
-            yield _told(
-                "check-failed",
+            place, text = (
+                ", ".join(text for text in (check.where, check.place) if text),
                 f"{check.name}: {check.text}",
-                place,
-                check.value,
-                check.limit,
-                unit=check.unit,
-                remedy=check.remedy,
             )
+            said = {"unit": check.unit, "remedy": check.remedy}
+            yield _told("check-failed", text, place, check.value, check.limit, **said)
 
 
 def _lacks(text: str) -> bool:
@@ -361,11 +357,8 @@ def heat_findings(plan: ScanPlan, config: Config) -> Iterator[Check]:
     hot = np.flatnonzero(entry_k > solidus_k)
     if hot.size:
         k, boiling_k = int(np.nanargmax(entry_k)), config.material.boiling_k
-        beyond = (
-            f", up to over the boiling point of {boiling_k:g} K, where it ends"
-            if entry_k[k] > boiling_k
-            else ""
-        )
+        over = f", up to over the boiling point of {boiling_k:g} K, where it ends"
+        beyond = over if entry_k[k] > boiling_k else ""
         text = (
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
             f"enters them{beyond}"
@@ -447,13 +440,9 @@ def consumable_findings(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
+            place = f"layer {found.changes[0] + 1}"
             yield _told(
-                "consumable-change",
-                found.check().text,
-                f"layer {found.changes[0] + 1}",
-                found.total,
-                found.holds,
-                unit=found.unit,
+                "consumable-change", found.check().text, place, found.total, found.holds, unit=found.unit
             )
 
 

@@ -83,18 +83,9 @@ def check_in_slabs(
         }
         return finish(job, made.checked, slabs=SlabRecord(made.settings, figures))
 
-    return carried_out(
-        job,
-        "check in slabs",
-        file.outline.source_sha256,
-        backends,
-        [len(division)],
-        target,
-        work,
-        resume=resume,
-        force=force,
-        keep_layers=False,
-    )
+    what, sha256 = "check in slabs", file.outline.source_sha256
+    options = {"resume": resume, "force": force, "keep_layers": False}
+    return carried_out(job, what, sha256, backends, [len(division)], target, work, **options)
 
 
 def _as_it_stands(config: Config) -> None:

@@ -44,6 +44,7 @@ RELEASE: Mapping[str, Any] = {
     "deviations": [],
 }
 
+OF_PART = ("name", "source", "sha256", "mesh_sha256", "units", "direction")
 PLACED = ("place_at_mm", "rotate_deg")  # what a record says of its part only where the settings place it
 
 # What no gate of a run is about
@@ -68,16 +69,7 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
         "finished": manifest["timings"]["finished"],
         "part": {
             key: manifest["part"][key]
-            for key in (
-                "name",
-                "source",
-                "sha256",
-                "mesh_sha256",
-                "units",
-                "direction",
-                "place_at_mm",
-                "rotate_deg",
-            )
+            for key in (*OF_PART, *PLACED)
             if key in manifest["part"] or key not in PLACED
         },
         "heights": manifest["heights"],

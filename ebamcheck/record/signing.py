@@ -59,10 +59,7 @@ def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
     A file that is there already is refused, since a key that is overwritten is lost.
     """
     stem = Path(path)
-    private_path, public_path = (
-        stem.with_name(stem.name + PRIVATE_SUFFIX),
-        stem.with_name(stem.name + PUBLIC_SUFFIX),
-    )
+    private_path, public_path = (stem.with_name(stem.name + end) for end in (PRIVATE_SUFFIX, PUBLIC_SUFFIX))
     for file in (private_path, public_path):
         if file.exists():
             raise SettingsError(
@@ -200,12 +197,8 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
         said = {field: found[field] for field in SIGNED}
         if not all(isinstance(value, str) for value in said.values()):
             raise ValueError
-        if found["format"] != SIGNATURE_FORMAT or set(found) != {
-            "format",
-            *SIGNED,
-            "public_key",
-            "signature",
-        }:
+        keys = {"format", *SIGNED, "public_key", "signature"}
+        if found["format"] != SIGNATURE_FORMAT or set(found) != keys:
             raise ValueError
         Ed25519PublicKey.from_public_bytes(public).verify(signature, _message(said))
     except (InputError, ValueError, KeyError, TypeError, binascii.Error):
@@ -217,10 +210,8 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
     key = fingerprint(public)
     name, role, date = (printable(said[field]) for field in ("name", "role", "date"))
     if said["certificate_sha256"] != digest:
-        text = (
-            f"{name} signed another certificate than this one: it was changed since, or comes from elsewhere"
-        )
-        return Signature(path.name, BROKEN, name, key, text)
+        what = "another certificate than this one: it was changed since, or comes from elsewhere"
+        return Signature(path.name, BROKEN, name, key, f"{name} signed {what}")
     by = f"{name} ({role}) on {date} with key {key}"
     if public in trusted:
         return Signature(path.name, TRUSTED, name, key, f"signed by {by}, trusted as {trusted[public]}")

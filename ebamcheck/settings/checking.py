@@ -98,15 +98,11 @@ class _Place(NamedTuple):
     def told(self, unknown: bool = False) -> str:
         """Its name for a user, to whom types that were tried mean nothing; tables of a list are counted from 1."""
         last = len(self.path) - 1
-        return self._joined(
-            [
-                k
-                for n, k in enumerate(self.path[1:], 1)
-                if isinstance(k, int) or self.is_key(k) or (unknown and n == last)
-            ]
-        )
-
-    def _joined(self, behind: Sequence[int | str]) -> str:
+        behind = [
+            k
+            for n, k in enumerate(self.path[1:], 1)
+            if isinstance(k, int) or self.is_key(k) or (unknown and n == last)
+        ]
         names = [self.section] if self.section else []
         names += map(str, self.path[:1])
         if self.inner is not None and behind and isinstance(behind[0], int):
@@ -249,11 +245,7 @@ def _kind(annotation: Any, metadata: Sequence[Any] = ()) -> str:
         named = [_kind(one, metadata) for one in inside if one is not type(None)]
         return " or ".join(named)
     if origin is Literal:
-        return (
-            "one of " + ", ".join(value_text(value) for value in inside)
-            if len(inside) > 1
-            else value_text(inside[0])
-        )
+        return ("one of " if len(inside) > 1 else "") + ", ".join(map(value_text, inside))
     if origin is tuple:
         return _list(inside, metadata)
     if origin is dict or annotation is dict:
@@ -378,11 +370,8 @@ def _of_section(name: str, section: Section, explained: bool = True) -> list[str
     known = _written.get((id(section), explained))
     if known is not None and known[0] is section:
         return known[1]
-    lines = (
-        [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}", f"[{name}]"]
-        if explained
-        else [f"[{name}]"]
-    )
+    lines = [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}"] if explained else []
+    lines.append(f"[{name}]")
     tables: list[str] = []
     said = explanations(type(section)) if explained else {}
     for key in type(section).model_fields:
@@ -437,19 +426,12 @@ def told_beside(section: str, key: str) -> list[str]:
 
 def _tables(path: str, values: dict[str, Any]) -> list[str]:
     plain = {name: value for name, value in values.items() if not isinstance(value, dict)}
-    lines = (
-        [f"[{path}]", *(f"{name} = {value_text(value)}" for name, value in plain.items()), ""]
-        if plain
-        else []
-    )
-    for name, table in values.items():
-        if name in plain:
-            continue
-        lines += [
-            f"[{path}.{name}]",
-            *(f"{k} = {value_text(v)}" for k, v in table.items() if v is not None),
-            "",
-        ]
+    tables = {path: plain} if plain else {}
+    tables |= {f"{path}.{name}": table for name, table in values.items() if name not in plain}
+    lines = []
+    for name, table in tables.items():
+        rows = [f"{k} = {value_text(v)}" for k, v in table.items() if v is not None]
+        lines += [f"[{name}]", *rows, ""]
     return lines
 
 

@@ -58,10 +58,6 @@ from ebamcheck.slicers.worker import write_part
 from ebamcheck.threads import thread_count
 
 if TYPE_CHECKING:
-    # A pool is there to start before such imports, not after them.
-    import psutil
-
-    from ebamcheck.slicers.outcome import Failure
     from ebamcheck.slicers.worker import Order
 
 DEFAULT_LIMITS = Limits()
@@ -179,16 +175,10 @@ def _started(
     worker = pool.worker(name)
     worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
     file = target.absolute() / f"{name}.parquet"
-    worker.begin(
-        {
-            "backend": name,
-            "folder": str(pool.folder),
-            "file": str(file),
-            "settings": settings.model_dump(mode="json"),
-            "keep_blocks": keep_blocks,
-            "bounds_only": bounds_only,
-        }
-    )
+    worker.begin({
+        "backend": name, "folder": str(pool.folder), "file": str(file), "settings": settings.model_dump(mode="json"),
+        "keep_blocks": keep_blocks, "bounds_only": bounds_only,
+    })  # fmt: skip
     return worker
 
 

@@ -133,19 +133,13 @@ class Raised(Exception):
 
     def __init__(self, subject: Subject, part: Part, planes: NDArray[np.float64], error: Exception) -> None:
         self.model = part.name
-        height = subject.failing_height(part, planes)
-        span = (
-            f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm"
-            if len(planes)
-            else ""
-        )
-        where = f"z = {height:.9g} mm" if height is not None else span or "no heights"
-        frames = traceback.extract_tb(error.__traceback__)
-        code = (
-            f", raised in {frames[-1].name} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
-            if frames
-            else ""
-        )
+        height, where = subject.failing_height(part, planes), "no heights"
+        if height is not None:
+            where = f"z = {height:.9g} mm"
+        elif len(planes):
+            where = f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm"
+        last = [*traceback.extract_tb(error.__traceback__)][-1:]
+        code = "".join(f", raised in {f.name} ({Path(f.filename).name}:{f.lineno})" for f in last)
         chosen = subject.settings.model_dump()
         settings = ", ".join(f"{key}={value}" for key, value in chosen.items()) or "none"
         low, high = part.bounds.round(3).tolist()
@@ -195,14 +189,8 @@ def differences(
     reference: Layers, found: Layers, limit_mm: float, reference_exact: bool = True, found_exact: bool = False
 ) -> Differences:
     """Differences of layers from others at the same heights, whichever part they are of."""
-    table = compare(
-        reference,
-        found,
-        tolerance_mm=limit_mm,
-        exact_a=reference_exact,
-        exact_b=found_exact,
-        check_part=False,
-    )
+    a, b = reference_exact, found_exact
+    table = compare(reference, found, tolerance_mm=limit_mm, exact_a=a, exact_b=b, check_part=False)
     depth = table["depth_mm"].to_numpy(dtype=np.float64)
     places = [
         f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "")
