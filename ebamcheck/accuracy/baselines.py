@@ -258,14 +258,12 @@ class Difference:
 
     def record(self) -> dict[str, Any]:
         """The difference as strict JSON holds it."""
-        return {
-            "model": self.key.model,
-            "backend": self.key.backend,
-            "settings_hash": self.key.settings_hash,
+        changes = [_change_record(change) for change in self.changes]
+        return vars(self.key) | {
             "title": self.title,
             "verdict": self.verdict,
             "why": self.why,
-            "changes": [_change_record(change) for change in self.changes],
+            "changes": changes,
         }
 
 

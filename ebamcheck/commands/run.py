@@ -60,19 +60,11 @@ def run(
         from ebamcheck.pipeline import run_job
 
         with watched() as observer:
+            folder = output or Path(f"{source.stem}.run")
             result = run_job(
-                source,
-                output or Path(f"{source.stem}.run"),
-                config,
-                reference,
-                resume,
-                observer,
-                part_ready,
-                force=force,
-                from_layer=from_layer,
-                live=live,
-                workers=workers,
-            )
+                source, folder, config, reference, resume, observer, part_ready,
+                force=force, from_layer=from_layer, live=live, workers=workers,
+            )  # fmt: skip
     return _told(result, as_json)
 
 

@@ -57,13 +57,9 @@ class Ring:
         return len(self.points)
 
     def __repr__(self) -> str:
-        return short_text.line(
-            "Ring",
-            self.kind,
-            short_text.counted(len(self), "point"),
-            f"{self.length_mm:.6g} mm long",
-            f"{self.area_mm2:.6g} mm2" if self.closed else "",
-        )
+        area = f"{self.area_mm2:.6g} mm2" if self.closed else ""
+        points, length = short_text.counted(len(self), "point"), f"{self.length_mm:.6g} mm long"
+        return short_text.line("Ring", self.kind, points, length, area)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

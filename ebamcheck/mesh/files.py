@@ -88,14 +88,8 @@ def _part_of(read: Facets, path: Path, given: str) -> Part:
     vertices, faces = weld(read.corners)
     if units != "mm":
         vertices *= UNITS_MM[units]
-    part = Part(
-        vertices,
-        faces,
-        name=path.stem,
-        source=str(path),
-        units=units,
-        units_from=read.units_from or (FROM_SETTINGS if given else FROM_DEFAULT),
-    )
+    units_from = read.units_from or (FROM_SETTINGS if given else FROM_DEFAULT)
+    part = Part(vertices, faces, name=path.stem, source=str(path), units=units, units_from=units_from)
     notes += extent_notes(float(part.size.max()), units)
     for note in notes:
         _log.warning("%s: %s", path.name, note)

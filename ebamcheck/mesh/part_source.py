@@ -227,20 +227,9 @@ def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator
             place = entry.place_mm[0] + copy * step_x, entry.place_mm[1] + copy * step_y
             part = placing_of(turned, (*place, 0.0), entry.rotate_deg).moved(turned)
             name = entry.name or file.stem
-            yield (
-                Member(
-                    f"{name} {copy + 1}" if entry.copies > 1 else name,
-                    entry.file,
-                    turned.source_sha256,
-                    turned.units,
-                    turned.units_from,
-                    turned.direction,
-                    place,
-                    entry.rotate_deg,
-                    (0, len(part.faces)),
-                ),
-                part,
-            )
+            said = turned.source_sha256, turned.units, turned.units_from, turned.direction
+            named = f"{name} {copy + 1}" if entry.copies > 1 else name
+            yield Member(named, entry.file, *said, place, entry.rotate_deg, (0, len(part.faces))), part
 
 
 def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> PlatePart:

@@ -51,15 +51,10 @@ NOTES = ("/model_settings.config", "_model.config")
 CUT = "negative volume"
 # Kinds of volumes in the notes of PrusaSlicer, and of Bambu Studio and OrcaSlicer, that are no part of the solid
 MODIFIERS = {
-    "NegativeVolume": CUT,
-    "negative_part": CUT,
-    "ParameterModifier": "modifier",
-    "modifier_part": "modifier",
-    "SupportEnforcer": "support enforcer",
-    "support_enforcer": "support enforcer",
-    "SupportBlocker": "support blocker",
-    "support_blocker": "support blocker",
-}
+    "NegativeVolume": CUT, "negative_part": CUT, "ParameterModifier": "modifier", "modifier_part": "modifier",
+    "SupportEnforcer": "support enforcer", "support_enforcer": "support enforcer",
+    "SupportBlocker": "support blocker", "support_blocker": "support blocker",
+}  # fmt: skip
 # Metadata of objects by which Cura says the same
 CURA = {
     "cura:support_mesh": "support",

@@ -236,13 +236,9 @@ def unavailable_backends(config: Config) -> dict[str, Outcome]:
     if ALL in config.slicing.witnesses:
         asked += registry.witnesses()
     probes = {name: registry.probe(name) for name in asked}
-    return {
-        name: Outcome(
-            name, "unavailable", f"{probe.why}; {probe.hint}" if probe.hint else probe.why, probe=probe
-        )
-        for name, probe in probes.items()
-        if not probe.available
-    }
+    why = {name: f"{probe.why}; {probe.hint}" if probe.hint else probe.why for name, probe in probes.items()}
+    lacking = ((name, probe) for name, probe in probes.items() if not probe.available)
+    return {name: Outcome(name, "unavailable", why[name], probe=probe) for name, probe in lacking}
 
 
 def primary_backend(config: Config, names: Iterable[str]) -> str:

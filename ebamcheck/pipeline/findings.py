@@ -281,16 +281,9 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
         )
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
-        yield Check.finding(
-            "warning" if check.passed else "fault",
-            code,
-            check.text,
-            check.where,
-            check.value,
-            check.limit,
-            check.unit,
-            check.remedy or remedy,
-        )
+        severity: Severity = "warning" if check.passed else "fault"
+        measured = check.value, check.limit, check.unit
+        yield Check.finding(severity, code, check.text, check.where, *measured, check.remedy or remedy)
 
 
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
@@ -305,28 +298,17 @@ def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: 
         from_mm, to_mm = heights[feature.first], heights[feature.last]
         through = f", z = {from_mm:.3f} to {to_mm:.3f} mm," if feature.last > feature.first else ""
         bridged = "" if feature.is_wall or feature.is_set else ": it is bridged by the melt"
-        yield Check.finding(
-            severity,
-            "wall-under-bead" if feature.is_wall else "opening-under-bead",
-            f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}",
-            _at(feature.layer, heights, config, feature.x_mm, feature.y_mm),
-            feature.narrowest_mm,
-            feature.least_mm,
-            "mm",
-            TOO_THIN if feature.is_wall else HOLE,
-        )
+        code, remedy = ("wall-under-bead", TOO_THIN) if feature.is_wall else ("opening-under-bead", HOLE)
+        text = f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}"
+        place = _at(feature.layer, heights, config, feature.x_mm, feature.y_mm)
+        figures = feature.narrowest_mm, feature.least_mm, "mm"
+        yield Check.finding(severity, code, text, place, *figures, remedy)
     if (more := len(features) - MOST_NARROW) > 0:
         last = features[-1]
-        yield Check.finding(
-            "warning",
-            "wall-under-bead" if last.is_wall else "opening-under-bead",
-            f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm",
-            _at(last.layer, heights, config, last.x_mm, last.y_mm),
-            float(more),
-            0.0,
-            "features",
-            HOLE,
-        )
+        code = "wall-under-bead" if last.is_wall else "opening-under-bead"
+        text = f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm"
+        place = _at(last.layer, heights, config, last.x_mm, last.y_mm)
+        yield Check.finding("warning", code, text, place, float(more), 0.0, "features", HOLE)
 
 
 def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:

@@ -179,14 +179,8 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Check:
     limit = config.process.mass_tolerance
     made = of_gate(checks, "deposit")
     if not made:
-        return Check.gate(
-            "deposit",
-            False,
-            float("nan"),
-            limit,
-            "of the part",
-            "no program was written: there is no contour",
-        )
+        text = "no program was written: there is no contour"
+        return Check.gate("deposit", False, float("nan"), limit, "of the part", text)
     failed = [check for check in made if not check.passed]
     said = failed[0] if failed else made[0]
     more = (

@@ -219,16 +219,9 @@ def _temperatures(config: Config) -> Iterator[Check]:
         yield Check.preflight("material", "fault", text, remedy="give them in rising order", stops=(RUN,))
     limit = process.interpass_limit_k or material.interpass_limit_k
     if process.interpass != "off" and limit <= process.ambient_temperature_k:
-        yield Check.preflight(
-            "interpass limit",
-            "fault",
-            f"no bead may be entered over {limit:g} K, and the chamber has {process.ambient_temperature_k:g} K",
-            limit,
-            process.ambient_temperature_k,
-            "K",
-            "raise process.interpass_limit_k",
-            (RUN,),
-        )
+        ambient_k, remedy = process.ambient_temperature_k, "raise process.interpass_limit_k"
+        text = f"no bead may be entered over {limit:g} K, and the chamber has {ambient_k:g} K"
+        yield Check.preflight("interpass limit", "fault", text, limit, ambient_k, "K", remedy, (RUN,))
 
 
 # -- the unit of the file --------------------------------------------------------------------------
@@ -252,16 +245,11 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
     largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
     size = sizes(found.size_mm)
     if largest < few_mm:
-        yield Check.finding(
-            "warning",
-            "part-under-beads",
-            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads",
-            "part.units",
-            largest,
-            few_mm,
-            "mm",
-            f"check the unit of the file (--units){_in_other_units(found, config)}",
+        text = (
+            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads"
         )
+        remedy = f"check the unit of the file (--units){_in_other_units(found, config)}"
+        yield Check.finding("warning", "part-under-beads", text, "part.units", largest, few_mm, "mm", remedy)
     # Of a file in inches that is what one expects.
     if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
@@ -328,13 +316,11 @@ def _beyond_travel(found: Inspection, config: Config) -> Iterator[Check]:
         "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
     ):
         if extent > high - low:
-            yield Check.finding(
-                "warning",
-                "part-beyond-travel",
-                f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm",
+            text = f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm"
+            place, remedy = (
                 f"machine.travel_max_mm {axis}",
-                extent,
-                high - low,
-                "mm",
                 "check the unit of the file (--units), or turn the part",
+            )
+            yield Check.finding(
+                "warning", "part-beyond-travel", text, place, extent, high - low, "mm", remedy
             )

@@ -19,7 +19,7 @@ from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import facet_count, is_binary_stl
-from ebamcheck.result import Check
+from ebamcheck.result import Check, Level
 from ebamcheck.settings.config import Config
 
 RUN, CHECK = "run", "check"  # jobs: all the way to a program, or slicing and comparison alone
@@ -131,16 +131,10 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
             yield Check.preflight(f"work: {name}", "pass", text, figure, limit, unit)
             continue
         setting = {"memory": "most_memory_mb", "time": "most_time_s"}.get(name, f"most_{name}")
-        yield Check.preflight(
-            f"work: {name}",
-            "warning" if yes else "fault",
-            f"{text}, over {_amount(limit, unit)} (work.{setting})",
-            figure,
-            limit,
-            unit,
-            "give --yes to go on all the same, raise the setting, or take thicker layers or larger cells",
-            () if yes else EVERY,
-        )
+        text += f", over {_amount(limit, unit)} (work.{setting})"
+        remedy = "give --yes to go on all the same, raise the setting, or take thicker layers or larger cells"
+        level: Level = "warning" if yes else "fault"
+        yield Check.preflight(f"work: {name}", level, text, figure, limit, unit, remedy, () if yes else EVERY)
 
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:

@@ -148,15 +148,9 @@ def sign(
     folder = certificate.parent / SIGNATURES
     folder.mkdir(exist_ok=True)
     path = folder / f"{fingerprint(public)}{SIGNATURE_SUFFIX}"
-    write_json(
-        {
-            "format": SIGNATURE_FORMAT,
-            **said,
-            "public_key": base64.b64encode(public).decode(),
-            "signature": base64.b64encode(key.sign(_message(said))).decode(),
-        },
-        path,
-    )
+    bytes_of = {"public_key": public, "signature": key.sign(_message(said))}
+    coded = {name: base64.b64encode(data).decode() for name, data in bytes_of.items()}
+    write_json({"format": SIGNATURE_FORMAT, **said, **coded}, path)
     return path
 
 

@@ -135,13 +135,11 @@ def _near(key: str, kind: type[Section]) -> str:
 def _known(root: Any) -> dict[str, Any]:
     """Values of a file without the keys that are none of ours."""
     dropped = {text.partition(":")[0] for text in _unknown(root)}
-    return {
-        name: {key: value for key, value in table.items() if f"{name}.{key}" not in dropped}
-        if isinstance(table, dict)
-        else table
-        for name, table in root.unwrap().items()
-        if name not in dropped
-    }
+    kept = {name: table for name, table in root.unwrap().items() if name not in dropped}
+    for name, table in kept.items():
+        if isinstance(table, dict):
+            kept[name] = {key: value for key, value in table.items() if f"{name}.{key}" not in dropped}
+    return kept
 
 
 def _read(path: Path) -> str:

@@ -315,19 +315,9 @@ class OnTable(Section):
 Seconds = Annotated[float, Between(0.01, 1e6)]  # time to wait, s
 
 ROLES = (
-    "done",
-    "released",
-    "number",
-    "wait",
-    "waited",
-    "height",
-    "measured",
-    "begin_at",
-    "owner",
-    "digest",
-    "key",
-    "seal",
-)
+    "done", "released", "number", "wait", "waited", "height",
+    "measured", "begin_at", "owner", "digest", "key", "seal",
+)  # fmt: skip
 """What the nodes of the handshake are called here, in the order in which their R parameters follow on ``machine.live_r``,
 where that of the time left (R5) is left out: the program alone uses it."""
 

@@ -109,17 +109,12 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Che
     yield from _single_values(config, severity)
     energy, limits = line_energy_j_mm(config), config.process.line_energy_j_mm
     if (limit := _broken(energy, limits)) is not None:
-        yield Check.finding(
-            severity,
-            "process-limit",
+        text = (
             f"process.voltage_kv x current_ma / travel_speed_mm_s give {energy:.4g} J/mm, {_beyond(energy, limit)} {limit:g} J/mm "
-            "(process.line_energy_j_mm)",
-            "process.travel_speed_mm_s",
-            energy,
-            limit,
-            "J/mm",
-            "change the current or the travel speed",
+            "(process.line_energy_j_mm)"
         )
+        place, remedy = "process.travel_speed_mm_s", "change the current or the travel speed"
+        yield Check.finding(severity, "process-limit", text, place, energy, limit, "J/mm", remedy)
 
 
 def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
