@@ -24,7 +24,7 @@ from benchmarks.deposit import BACKENDS, MODEL_TOLERANCE_MM
 from benchmarks.machine import machine
 from benchmarks.scan_orders import markdown
 from ebamcheck.pipeline import RunResult, run_job
-from ebamcheck.plugins.model import Model, models
+from ebamcheck.plugins.registry import Model, models
 from ebamcheck.program import read_program
 from ebamcheck.settings.config import Config
 from ebamcheck.verification.verify import verify

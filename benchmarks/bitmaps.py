@@ -18,7 +18,7 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.plugins import registry
-from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
+from ebamcheck_stencil.crossings import as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.draw_once import DrawnOnce
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView, field_of_view
 from ebamcheck_stencil.literal import LiteralSlices

@@ -24,7 +24,7 @@ from benchmarks.scan_orders import markdown
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.mesh.files import load
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.scan.plan.stacking import plan_scan
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

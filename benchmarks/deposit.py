@@ -30,14 +30,14 @@ from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.curves import Curves
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.geometry.regions import eroded, split_thin, valid_polygons
-from ebamcheck.layer_numbers import indexed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.pipeline.gates import deposit_gate
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
+from ebamcheck.printable import indexed
 from ebamcheck.program import read_program, write_program
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.scan import ScanPlan

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 from benchmarks.faults.honest import LISTED, SETTINGS, SINUMERIK
 from benchmarks.faults.subjects import EVERY, TESSELLATION_MM, Subject
 from ebamcheck.pipeline import run_job
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.verification.verify import verify_against_part, verify_run

@@ -40,7 +40,7 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.pipeline.stages import bead_paths
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan, plan_stack
 from ebamcheck.scan.plan.stacking import beam_lines

@@ -20,7 +20,7 @@ from shapely.geometry.base import BaseGeometry
 from benchmarks.machine import machine
 from benchmarks.referee import referee_of, second_opinion
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.scan.plan.comparing import RANDOM, OrderComparison, compared_orders
 from ebamcheck.settings.config import Config
 

@@ -21,7 +21,7 @@ from benchmarks.scan_orders import DEFAULT_OUTPUT, MODELS, markdown
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.kernels import Ints
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.scan import LayerIslands, ScanPlan, plan_stack
 from ebamcheck.scan.order.orders import chosen_options, scan_order
 from ebamcheck.scan.plan.laying import lay_islands

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from ebamcheck.slicers.slicing import slice_part as slice
     from ebamcheck.verification.verify import verify as verify
 
+# Public names and where they live; they load when first used, so that `import ebamcheck` is instant
 _PUBLIC = {
     "Config": "ebamcheck.settings.config",
     "Curves": "ebamcheck.curves",
@@ -55,7 +56,6 @@ _PUBLIC = {
     "verify": "ebamcheck.verification.verify",
     "write_program": "ebamcheck.program",
 }
-"""Public names and where they live; they load when first used, so that ``import ebamcheck`` is instant."""
 
 __all__ = [*sorted(_PUBLIC), "__version__"]
 

@@ -1,29 +1,24 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all; and a file that a user names is a regular one: a folder, a pipe or a device is refused unopened."""
 
 from __future__ import annotations
 
 import os
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from ebamcheck.errors import SettingsError
+from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.scratch import owned_file, sweep_parts
 
+# Compression of the Parquet files of a run: coordinates hardly get smaller by a slower one
 COMPRESSION: Final = "lz4"
-"""Compression of the Parquet files of a run: coordinates hardly get smaller by a slower one."""
 
 
 def made_folder(path: Path) -> Path:
-    """Make a folder where there is none, and return it.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be made.
-    """
+    """Make a folder where there is none, and return it."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -38,13 +33,6 @@ def replacing(path: str | Path) -> Iterator[Path]:
     Where the block raises, the temporary file goes and what stood at `path` stays as it was; what a killed process
     left in that folder goes, too.
 
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written (no such folder, no permission, disk full).
-
-    Examples
-    --------
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     with replacing(Path(folder, "a.txt")) as temporary:
@@ -65,3 +53,34 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise SettingsError(f"{path}: cannot be written: {error.strerror or error}") from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+# What else may stand under a name: opening one of them blocks, never ends, or fails in another way each time
+KINDS = {
+    stat.S_IFDIR: "is a folder, not a file",
+    stat.S_IFIFO: "is a pipe, not a file: save what comes through it to a file first",
+    stat.S_IFCHR: "is a device, not a file",
+    stat.S_IFBLK: "is a device, not a file",
+    stat.S_IFSOCK: "is a socket, not a file",
+}
+
+
+def regular_file(path: str | Path, error: type[EbamcheckError] = InputError) -> Path:
+    """Return a path, without opening it, unless something else than a regular file, or a link to one, stands there: else raise `error`.
+
+    What is missing, or must not be looked at, is told by whoever opens it.
+
+    >>> regular_file("/dev/zero")
+    Traceback (most recent call last):
+    ebamcheck.errors.InputError: /dev/zero: is a device, not a file
+    """
+    path = Path(path)
+    try:
+        kind = stat.S_IFMT(path.stat().st_mode)
+    except OSError:
+        return path
+    except ValueError as found:  # a null byte
+        raise error(f"{path}: cannot be read: {found}") from None
+    if kind in KINDS:
+        raise error(f"{path}: {KINDS[kind]}")
+    return path

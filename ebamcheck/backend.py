@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from ebamcheck.layers.stack import Layers
     from ebamcheck.mesh.part import Part
 
-Progress = Callable[[int], None]
-"""Called with the number of layers finished since the last call."""
+Progress = Callable[[int], None]  # called with the number of layers finished since the last call
 
 CoplanarRule = Literal["half-open", "undefined"]
 """What a slicer makes of a vertex or face in the plane z = h.
@@ -61,10 +60,7 @@ class Prepared(Protocol):
         ...
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Free the index, the tree or the graphics context."""
         ...

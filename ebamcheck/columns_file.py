@@ -16,26 +16,24 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import COMPRESSION, replacing
+from ebamcheck.atomic_file import COMPRESSION, regular_file, replacing
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
 from ebamcheck.kernels import Ints
-from ebamcheck.regular_file import regular_file
 
 if TYPE_CHECKING:
     # Loaded only where a file is opened: it takes longer than the rest of Arrow.
     import pyarrow.parquet as pq
 
+# How Parquet holds numbers: coordinates hardly repeat, so that a dictionary would only cost time; checksums find flipped bits
 NUMBERS = {
     "compression": COMPRESSION,
     "use_dictionary": False,
     "write_statistics": False,
     "write_page_checksum": True,
 }
-"""How Parquet holds numbers: coordinates hardly repeat, so that a dictionary would only cost time; checksums find flipped bits."""
-
+# Flat values, and the starts of the lists of each level with the end of the last list, outermost level first
 Column = tuple[NDArray[Any] | pa.Array, *tuple[Ints, ...]]
-"""Flat values, and the starts of the lists of each level with the end of the last list, outermost level first."""
 
 
 def starts_of(sizes: NDArray[Any]) -> Ints:
@@ -77,13 +75,7 @@ def labelled(value: Any, what: str, version: str, names: tuple[str, ...]) -> dic
 
 
 def write_table(table: pa.Table, path: Path, **changed: Any) -> None:
-    """Write a Parquet file as :data:`NUMBERS` says, with options changed; it appears whole or not at all.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be written.
-    """
+    """Write a Parquet file as :data:`NUMBERS` says, with options changed; it appears whole or not at all."""
     import pyarrow.parquet as pq
 
     with replacing(path) as temporary:
@@ -113,13 +105,7 @@ def open_table(path: Path) -> pq.ParquetFile:
 def labels_of(
     schema: pa.Schema, what: str, version: str, names: tuple[str, ...], where: str
 ) -> dict[str, Any]:
-    """Labels that :func:`labelled` wrote; ``direction`` is a tuple, ``settings`` a dictionary, any other a text.
-
-    Raises
-    ------
-    InputError
-        If the version is another one, or a label is missing or of another type.
-    """
+    """Labels that :func:`labelled` wrote; ``direction`` is a tuple, ``settings`` a dictionary, any other a text."""
     metadata = schema.metadata or {}
     found = metadata.get(_key(what, "version"), b"").decode("utf-8", "replace")
     if found != version:

@@ -19,8 +19,8 @@ class ExitCode(IntEnum):
     DISK_FULL = 6
     MEMORY_FULL = 7
     INTERRUPTED = 130
+    # The reader of the output has gone (`| head`), which a shell tells of programs in this way
     NOBODY_READS = 141
-    """The reader of the output has gone (``| head``), which a shell tells of programs in this way."""
 
 
 class EbamcheckError(Exception):

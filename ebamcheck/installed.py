@@ -12,8 +12,7 @@ from importlib.metadata import entry_points as read_entry_points
 from typing import Any
 from weakref import WeakKeyDictionary
 
-HOUSE = "ebamcheck"
-"""The distribution whose plugins are imported in this process; every other one's are a stranger's."""
+HOUSE = "ebamcheck"  # the distribution whose plugins are imported in this process; every other one's are a stranger's
 
 _names: WeakKeyDictionary[Distribution, tuple[str, str]] = WeakKeyDictionary()
 

@@ -11,15 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import EbamcheckError, InputError
-from ebamcheck.regular_file import regular_file
 
-MOST_DIGITS = 20
-"""Digits of a whole number in a file that is read: those of 64 bits."""
-
+MOST_DIGITS = 20  # digits of a whole number in a file that is read: those of 64 bits
+# Lists and tables within each other in a file that is read; settings, records and certificates have ten
 MOST_NESTED = 40
-"""Lists and tables within each other in a file that is read; settings, records and certificates have ten."""
 
 
 def sha256_of_file(path: Path) -> str:
@@ -53,14 +50,7 @@ def plain(value: Any) -> Any:
 
 
 def read_json(path: Path, error: type[EbamcheckError] = InputError) -> Any:
-    """Read a JSON file strictly: what two readers could take in two ways is refused.
-
-    Raises
-    ------
-    EbamcheckError
-        `error`, if it is no regular file, not UTF-8 or not JSON; if it holds a key twice, NaN or infinities, a number beyond
-        64 bits or the range of floats, or more than :data:`MOST_NESTED` lists and tables within each other.
-    """
+    """Read a JSON file strictly: what two readers could take in two ways is refused."""
     try:
         data = regular_file(path, error).read_bytes()
         return parsed_json(data)

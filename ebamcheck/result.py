@@ -12,15 +12,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, Self, get_args
 
+# How much it matters: worth knowing; to be looked at before the program is used; nothing with it is validated
 Severity = Literal["note", "warning", "fault"]
-"""How much it matters: worth knowing; to be looked at before the program is used; nothing with it is validated."""
-
-Level = Literal["pass", "warning", "fault"]
-"""What a check of the preflight comes to."""
-
-SEVERITIES: tuple[Severity, ...] = get_args(Severity)[::-1]
-"""The gravest first, as they are listed."""
-
+Level = Literal["pass", "warning", "fault"]  # what a check of the preflight comes to
+SEVERITIES: tuple[Severity, ...] = get_args(Severity)[::-1]  # the gravest first, as they are listed
+# Every code that a finding may have, and what it stands for: the table of findings. Codes are stable
 CODES: Mapping[str, str] = {
     "backend-lost": "A slicer crashed, hung, ran out of memory or refused the part; the others went on.",
     "backend-unavailable": "A slicer or witness of this installation cannot run on this machine.",
@@ -66,7 +62,6 @@ CODES: Mapping[str, str] = {
     "wall-under-bead": "A wall is thinner than the least that beads can lay.",
     "wire-drawn-back": "Wire is drawn back at the end of each bead, and the program relies on the feeder to feed it forward again.",
 }
-"""Every code that a finding may have, and what it stands for: the table of findings. Codes are stable."""
 
 
 @dataclass(frozen=True)
@@ -75,8 +70,6 @@ class Place:
 
     Layers count from 0 here; whoever reads a place counts them from 1, as the program's files do.
 
-    Examples
-    --------
     >>> str(Place(layer=12, cut_mm=20.1, x_mm=3, y_mm=4.25))
     'layer 13, z = 20.100 mm, (3.000, 4.250)'
     >>> str(Place(layer=12, cut_mm=20.1, z_mm=21.0))
@@ -86,15 +79,12 @@ class Place:
     """
 
     file: str = ""
-    line: int = 0
-    """From 1; 0 where the whole file is meant."""
+    line: int = 0  # from 1; 0 where the whole file is meant
     layer: int | None = None
     x_mm: float = math.nan
     y_mm: float = math.nan
-    cut_mm: float = math.nan
-    """Height of the layer's cut in the part."""
-    z_mm: float = math.nan
-    """Z of the layer's top in the program."""
+    cut_mm: float = math.nan  # height of the layer's cut in the part
+    z_mm: float = math.nan  # Z of the layer's top in the program
 
     @classmethod
     def of_line(
@@ -127,37 +117,26 @@ class Place:
 class Check:
     """One check: what was measured, against which limit, and where it is worst.
 
-    Examples
-    --------
     >>> slow = Check("rapids", False, 3.0, 0.0, "moves", "MAIN.MPF:12", "3 rapids are slow", remedy="write G0")
     >>> slow.in_words()
     'rapids at MAIN.MPF:12: 3 rapids are slow; write G0'
     """
 
-    name: str
-    """Stable: of a finding its code, one of :data:`CODES`."""
+    name: str  # stable: of a finding its code, one of `CODES`
     passed: bool
-    value: float
-    """In `unit`; NaN where nothing was measured."""
-    limit: float
-    """What the value is held against; NaN where there is none."""
+    value: float  # in `unit`; NaN where nothing was measured
+    limit: float  # what the value is held against; NaN where there is none
     unit: str
-    where: str
-    """``FILE:line`` of the worst or first place; empty where the whole program is meant."""
-    text: str
-    """What is the case, in one sentence with its figure, without a full stop."""
-    layer: int | None = None
-    """Layer of the worst place, from 0, where there is one."""
-    x_mm: float | None = None
-    """Where the worst place is, to draw it."""
+    where: str  # `FILE:line` of the worst or first place; empty where the whole program is meant
+    text: str  # what is the case, in one sentence with its figure, without a full stop
+    layer: int | None = None  # layer of the worst place, from 0, where there is one
+    x_mm: float | None = None  # where the worst place is, to draw it
     y_mm: float | None = None
     place: str = ""
     """Of a check that fails: its layer as the program names it, and that height in part and program; of a finding its place, or the
     setting or slicer that it is about."""
-    remedy: str = ""
-    """Of a check that fails: what to do, without a full stop."""
-    severity: Severity = "fault"
-    """How much it matters that the check fails."""
+    remedy: str = ""  # of a check that fails: what to do, without a full stop
+    severity: Severity = "fault"  # how much it matters that the check fails
     stops: tuple[str, ...] = ()
     """Of a check of the preflight that is a fault: jobs that it ends before they begin; others go on, and their gates tell."""
 
@@ -272,8 +251,6 @@ CHECK_KEYS = (
 def check_record(check: Check) -> dict[str, Any]:
     """Check of a program; its layer is a number from 1.
 
-    Examples
-    --------
     >>> steep = Check("overhang", False, 80.0, 74.0, "deg", "MAIN_L0003.SPF:9", "too far", layer=2)
     >>> check_record(steep)["layer"], check_of_record(check_record(steep)) == steep
     (3, True)
@@ -335,8 +312,6 @@ def preflight_record(check: Check) -> dict[str, Any]:
 def finding_of_record(record: Mapping[str, Any]) -> Check:
     """Take a finding back.
 
-    Examples
-    --------
     >>> told = Check.finding("warning", "metal-excess", "too much", figure=float("inf"), unit="mm")
     >>> finding_of_record({**finding_records([told])[0], "figure": "Infinity"}) == told
     True
@@ -361,8 +336,6 @@ def _numbers(record: Mapping[str, Any]) -> dict[str, Any]:
 def in_words(record: Mapping[str, Any]) -> str:
     """Say a finding of ``run.json`` in one line: what, where, and what to do.
 
-    Examples
-    --------
     >>> in_words(finding_records([Check.finding("note", "metal-excess", "too much", "layer 1", remedy="mill it")])[0])
     'too much (layer 1): mill it'
     """

@@ -16,29 +16,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-MARK = ".scratch-"
-"""Stands in the name of every such folder, so that no other one is ever taken for one."""
+MARK = ".scratch-"  # stands in the name of every such folder, so that no other one is ever taken for one
 
 PREFIX = "ebamcheck"
 
-_PART = re.compile(r"\..+\.\d+-\d+\.part")
-"""Names of files in the making (:func:`ebamcheck.atomic_file.replacing`)."""
-
-_swept: set[Path] = set()
-"""Folders in which this process has looked for abandoned files."""
+_PART = re.compile(r"\..+\.\d+-\d+\.part")  # names of files in the making (`ebamcheck.atomic_file.replacing`)
+_swept: set[Path] = set()  # folders in which this process has looked for abandoned files
 
 
 @contextmanager
 def scratch_folder(prefix: str = PREFIX, parent: Path | None = None) -> Iterator[Path]:
-    """Give a folder that goes at the end; those that killed processes left under the same prefix go at once.
-
-    Parameters
-    ----------
-    prefix
-        Begins its name.
-    parent
-        Where it is made; the system's folder for temporary files if None.
-    """
+    """Give a folder that goes at the end; those that killed processes left under the same prefix go at once."""
     where = Path(tempfile.gettempdir()) if parent is None else parent
     sweep_folders(prefix, where)
     folder, lock = _locked_folder(prefix + MARK, where)

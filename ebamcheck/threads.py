@@ -19,8 +19,7 @@ _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _Scalar = TypeVar("_Scalar", bound="np.generic[Any]")
 
-ROWS_A_BLOCK = 2**18
-"""Fewest rows worth a thread."""
+ROWS_A_BLOCK = 2**18  # fewest rows worth a thread
 
 
 def thread_count() -> int:
@@ -77,8 +76,8 @@ def worker_threads(count: int | None = None) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count or thread_count(), initializer=_share_cores)
 
 
+# `shares_cores`: this thread is one of several that fill the cores, and spreads its blocks no further
 _THREAD = threading.local()
-"""``shares_cores``: this thread is one of several that fill the cores, and spreads its blocks no further."""
 
 
 def _share_cores() -> None:
@@ -98,8 +97,6 @@ if hasattr(os, "register_at_fork"):
 def joined(columns: Sequence[NDArray[_Scalar]]) -> NDArray[_Scalar]:
     """Join columns (n, ...) of one kind end to end, as ``np.concatenate`` does, on all threads.
 
-    Examples
-    --------
     >>> joined([np.array([1, 2]), np.array([3])])
     array([1, 2, 3])
     """

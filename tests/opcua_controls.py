@@ -12,15 +12,14 @@ from live_boxes import failed_checks
 
 from ebamcheck.live.building import Building
 from ebamcheck.live.publishing import LAYERS, read_journal
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import OpcuaSettings
 from ebamcheck.testing.played_control.program import Growth, Panel, PlayedProgram
 
 pytest.importorskip("asyncua", reason="needs the extra opcua: pip install 'ebamcheck[opcua]'")
 
 from ebamcheck.live.opcua.door import Door
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
-from ebamcheck.testing.played_control.desk import faults_of, played
-from ebamcheck.testing.played_control.server import PlayedServer
+from ebamcheck.testing.played_control.server import PlayedServer, faults_of, played
 
 LONGEST_S = 90.0
 """Time after which a build that does not end is taken for one that never does."""

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from ebamcheck.pipeline import cross_check, slabs
-from ebamcheck.slicers import worker_pool
+from ebamcheck.slicers import isolation
 from ebamcheck.slicers.cutting import cut_here
-from ebamcheck.slicers.isolation import DEFAULT_LIMITS
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import DEFAULT_LIMITS, WorkerPool
 
 
 def cut_all_here(
@@ -41,7 +40,7 @@ def slicers_here() -> Iterator[None]:
         for module in (cross_check, slabs):
             patch.setattr(module, "slice_all", cut_all_here)
         # A command starts them ahead.
-        for module in (worker_pool, slabs):
+        for module in (isolation, slabs):
             patch.setattr(module, "WorkerPool", lambda _ahead=(): WorkerPool())
         yield
 

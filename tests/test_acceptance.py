@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.acceptance import DEFAULTS, PAIRS, REMEDIES, apart, rendered, row
 from benchmarks.deposit import BACKENDS
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.config import Config
 
 CONFIG = Config().changed(slicing={"backends": BACKENDS})

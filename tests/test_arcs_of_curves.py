@@ -13,7 +13,7 @@ from scipy.interpolate import BSpline
 
 from ebamcheck.curves import ARC, LINE, SPLINE, Curves, fit
 from ebamcheck.curves.bezier import Arcs, arcs_through
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 
 MODELS = models()
 

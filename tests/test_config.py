@@ -14,7 +14,7 @@ import tomlkit
 from command_line import ebamcheck
 from pydantic import BaseModel
 
-from ebamcheck.accuracy.matrix import Case, Tolerance
+from ebamcheck.accuracy.measurement import Case, Tolerance
 from ebamcheck.errors import SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.registry import plugin

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from ebamcheck.commands.accuracy import conform_command
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.testing import CHECKS, Figure, SlicerSuite, Subject, conform, examine, markdown_table, solids
 from ebamcheck.testing.solids import house_rule, section, winding_rule
 from ebamcheck.testing.subject import generic_heights

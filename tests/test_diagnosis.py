@@ -12,7 +12,7 @@ from ebamcheck.comparison.place_causes import MeshFlaws
 from ebamcheck.comparison.whole_causes import KINDS, MOST_RINGS, MOST_SHEETS, Reader, sample
 from ebamcheck.layers.stack import from_polygons, from_rings
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.testing.solids import box, joined, mapped
 

@@ -20,7 +20,7 @@ import ebamcheck as api
 from ebamcheck.errors import BackendFailed, BackendMissing, SettingsError
 from ebamcheck.plugins import registry
 from ebamcheck.plugins import strangers as plugin_answers
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.slicers.isolation import Limits, slice_all
 from ebamcheck.slicers.slicing import Slicing
 

@@ -15,8 +15,8 @@ from parts import box
 
 import ebamcheck
 from ebamcheck.errors import SettingsError
+from ebamcheck.layers.contour_files import keeping_locale, slice_heights
 from ebamcheck.layers.files import read_layers
-from ebamcheck.layers.slices_3mf import keeping_locale, slice_heights
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.saving import CURVE_TOLERANCE_MM
 from ebamcheck_models import BLADE

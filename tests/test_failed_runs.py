@@ -10,7 +10,7 @@ from ebamcheck.checks.checks import OTHERWISE
 from ebamcheck.checks.rules import REMEDIES, layer_of, names_of, with_remedies
 from ebamcheck.commands.summaries import worst_line
 from ebamcheck.pipeline.gates import program_gate
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.result import Check, Place
 from ebamcheck.testing.accuracy import reference_models
 from ebamcheck.testing.conformance import CHECKS

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from ebamcheck.commands.main import app
 from ebamcheck.curves import METHODS, Curves
 from ebamcheck.errors import ExitCode
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.program import read_program
 
 CONTROLS = {

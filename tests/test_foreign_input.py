@@ -12,13 +12,13 @@ import pytest
 from command_line import ebamcheck, write_stl
 from parts import box
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.commands.command_group import ended_by
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.json_values import MOST_DIGITS, MOST_NESTED, parsed_json, read_json
 from ebamcheck.layers.files import read_layers
 from ebamcheck.printable import PrintableStream, printable
 from ebamcheck.program import read_program
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.config import load_config
 
 # -- files that are none -------------------------------------------------------------------------------

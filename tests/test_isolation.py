@@ -19,8 +19,7 @@ from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.layers.files import read_layers
 from ebamcheck.plugins import registry
 from ebamcheck.slicers.cutting import cut
-from ebamcheck.slicers.isolation import Limits, slice_all
-from ebamcheck.slicers.worker_pool import longest_first
+from ebamcheck.slicers.isolation import Limits, longest_first, slice_all
 
 HEIGHTS = np.linspace(0.1, 1.9, 40)
 

@@ -28,8 +28,8 @@ from ebamcheck.accuracy.heat_judge import (
     judge_layer,
     rises_k,
 )
+from ebamcheck.commands.accuracy import judge_command
 from ebamcheck.commands.command_group import guarded
-from ebamcheck.commands.judge import judge_command
 from ebamcheck.controls.thesis import INPUT, LINE_MODE, HeatPath
 from ebamcheck.errors import BackendFailed, BackendMissing, ExitCode, NothingCompared, SettingsError
 from ebamcheck.mesh.part import from_arrays

@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.testing import Subject, laws, protocol, solids, violations
 from ebamcheck.testing.subject import generic_heights
 

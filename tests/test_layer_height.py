@@ -10,9 +10,15 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
 from ebamcheck.checks.mesh_checks import solid_check
-from ebamcheck.layers.heights import cut_heights
-from ebamcheck.layers.layer_rule import OTHER_HEIGHTS, level_faces, moved_mm3, nearest_fitting, share_off
-from ebamcheck.plugins.model import models
+from ebamcheck.layers.heights import (
+    OTHER_HEIGHTS,
+    cut_heights,
+    level_faces,
+    moved_mm3,
+    nearest_fitting,
+    share_off,
+)
+from ebamcheck.plugins.registry import models
 from ebamcheck.preflight.report import chosen_height
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

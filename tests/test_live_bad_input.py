@@ -16,7 +16,7 @@ from ebamcheck.live.building import Building, answer_to
 from ebamcheck.live.making import LayerMaker, MadeLayer
 from ebamcheck.live.publishing import read_current
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import OpcuaSettings
 
 TOP_MM = 5.2
 

@@ -24,10 +24,10 @@ from ebamcheck.live.opcua.link import Link, LinkLost, LoginRefused, checked, ins
 from ebamcheck.live.publishing import read_journal
 from ebamcheck.live.relaying import finished_run
 from ebamcheck.settings.config import Config, load_config
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import OpcuaSettings
 from ebamcheck.showing.plotting import ExtraMissing
-from ebamcheck.testing.played_control.desk import desk_profile
 from ebamcheck.testing.played_control.program import planned_s, top_of
+from ebamcheck.testing.played_control.server import desk_profile
 
 SIZE = (30, 24, 5.2)
 

@@ -14,8 +14,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import concatenate
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck_manifold import ManifoldCut
-from ebamcheck_manifold.changes import MOST_REGIONS, _boxes
-from ebamcheck_manifold.cut import unpaired_edges
+from ebamcheck_manifold.cut import MOST_REGIONS, _boxes, unpaired_edges
 
 SLICER = ManifoldCut()
 SETTINGS = SLICER.Settings()

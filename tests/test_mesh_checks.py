@@ -20,7 +20,7 @@ from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.mesh import part as mesh_part
 from ebamcheck.mesh.part_source import Placing, read_part
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.base import UNITS_MM
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part

@@ -12,7 +12,7 @@ import shapely
 from command_line import FAST, WIDE, WIDE_TOML, ebamcheck, frame, started, write_stl
 from parts import BOX_FACES, box, moved, sphere
 
-from ebamcheck.commands.preflight import preflight_command, preflight_text
+from ebamcheck.commands.run import preflight_command, preflight_text
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.layers.heights import crossing_counts, heights_within, layer_heights
 from ebamcheck.mesh.files import load

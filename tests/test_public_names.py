@@ -14,7 +14,7 @@ import ebamcheck
 import ebamcheck.testing
 from ebamcheck.backend import Slicer
 from ebamcheck.nc.control import Control
-from ebamcheck.plugins.model import Model
+from ebamcheck.plugins.registry import Model
 from ebamcheck.result import Check
 
 PROTOCOLS = (Slicer, Model, Control, Check)

@@ -36,7 +36,7 @@ from ebamcheck.curves.regions.surfaces import surfaces
 from ebamcheck.curves.sides import NO_PLANE
 from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.mesh.part import Part
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.showing.pictures import regions_svg
 from ebamcheck.slicers.slicing import slice_part

@@ -20,35 +20,32 @@ from regression_plugin import ALLOWED_MM, BLOCK, BOUND_MM, ROUGH_MM
 from ebamcheck import installed
 from ebamcheck.accuracy import regression as job
 from ebamcheck.accuracy.baselines import Entry, Key, differences, read_baselines, write_baselines
-from ebamcheck.accuracy.matrix import (
-    LENGTH,
-    MATRIX,
-    Matrix,
-    Tolerance,
-    Tolerances,
-    default_tolerance,
-    read_matrix,
-    read_tolerances,
-    rounds,
-)
 from ebamcheck.accuracy.measurement import (
     LAYER_COLUMNS,
+    LENGTH,
+    MATRIX,
     METRICS,
     NAMES,
     REFUSED,
     TOLERANCE_NAMES,
+    Matrix,
     Measured,
+    Tolerance,
+    Tolerances,
+    default_tolerance,
     measure_outcome,
+    read_matrix,
+    read_tolerances,
     rounded,
+    rounds,
     summarised,
     truth_of,
 )
-from ebamcheck.accuracy.regression import accepted, run_regression, updated
-from ebamcheck.accuracy.report import record, trends
+from ebamcheck.accuracy.regression import accepted, record, run_regression, trends, updated
 from ebamcheck.commands.accuracy import regress, summary
 from ebamcheck.errors import BackendMissing, ExitCode, InputError, SettingsError
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.slicers.cutting import cut_here
 from ebamcheck.slicers.isolation import slice_all
 from ebamcheck_embree import Embree
@@ -193,7 +190,7 @@ def test_a_crash_is_a_finding_that_no_update_accepts(report, tmp_path):
 
 
 def test_junit_names_the_backend_in_the_class_and_counts_what_failed(report, tmp_path):
-    from ebamcheck.accuracy.report import write_junit
+    from ebamcheck.accuracy.regression import write_junit
 
     suite = ElementTree.parse(write_junit(report, tmp_path)).getroot()[0]
     cases = {case.get("classname"): case for case in suite}

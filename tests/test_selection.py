@@ -25,7 +25,7 @@ from ebamcheck.accuracy.selection import (
 from ebamcheck.commands.accuracy import select
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.pipeline import run_job
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.stages import MACHINE_VARIABLE, MachineChoice, for_this_machine, machine_name

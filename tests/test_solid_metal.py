@@ -10,10 +10,9 @@ from command_line import FAST, ebamcheck, write_stl
 from parts import box, join
 
 from ebamcheck.checks.mesh_checks import layer_borders, solid_check
-from ebamcheck.layers.heights import cut_heights
-from ebamcheck.layers.layer_rule import layer_rule, level_faces, section_areas
+from ebamcheck.layers.heights import cut_heights, layer_rule, level_faces, section_areas
 from ebamcheck.mesh.bodies import volumes_between
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 

@@ -68,7 +68,7 @@ def test_slice_loads_what_it_needs(part, tmp_path):
     found = loaded("slice", part, "-o", tmp_path / "cube.parquet")
     heavy = {"pandas", "rich", "shapely", "psutil", "trimesh", "OpenGL", "networkx"}
     assert sorted(found & heavy) == []
-    assert "ebamcheck.slicers.worker_pool" not in found, "its own kernels need no process of their own"
+    assert "ebamcheck.slicers.isolation" not in found, "its own kernels need no process of their own"
 
 
 def test_the_slicers_of_a_run_do_not_wait_for_the_stages_after_them():
@@ -90,7 +90,7 @@ def test_the_slicers_of_a_run_do_not_wait_for_the_stages_after_them():
 
 def test_slice_gives_other_backends_a_process_of_their_own(part, tmp_path):
     found = loaded("slice", part, "--backend", "embree", "-o", tmp_path / "cube.parquet")
-    assert "ebamcheck.slicers.worker_pool" in found
+    assert "ebamcheck.slicers.isolation" in found
     assert not may_run_here("embree")
 
 

@@ -22,12 +22,10 @@ from ebamcheck.errors import BackendMissing
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.part import from_arrays
 from ebamcheck_stencil import Stencil
-from ebamcheck_stencil.bitmaps import Flips, as_image, empty_bitmap, flip, flips_by_layer
-from ebamcheck_stencil.contours import Rings, layers_of
-from ebamcheck_stencil.crossings import Crossings
+from ebamcheck_stencil.crossings import Crossings, Flips, as_image, empty_bitmap, flip, flips_by_layer
 from ebamcheck_stencil.drawn_facets import _is_near_a_centre
 from ebamcheck_stencil.field_of_view import MARGIN_PX, SUBPIXELS, FieldOfView, field_of_view
-from ebamcheck_stencil.marching_squares import contours_of_layers
+from ebamcheck_stencil.marching_squares import Rings, contours_of_layers, layers_of
 from ebamcheck_stencil.openings import border, capped, is_closed
 from ebamcheck_stencil.slicer import inside_rule
 
@@ -112,7 +110,7 @@ def test_room_for_points_is_not_that_of_the_densest_layer_for_all():
     code = """
 import resource
 import numpy as np
-from ebamcheck_stencil.bitmaps import Flips
+from ebamcheck_stencil.crossings import Flips
 from ebamcheck_stencil.field_of_view import FieldOfView
 from ebamcheck_stencil.marching_squares import contours_of_layers
 

@@ -14,7 +14,7 @@ from parts import box, sphere
 import ebamcheck
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.stl import FACET, read_triangles
-from ebamcheck.mesh.welding import weld
+from ebamcheck.mesh.topology import weld
 
 
 def binary(triangles, header=b"", count=None, trailing=b""):

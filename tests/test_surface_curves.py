@@ -29,7 +29,7 @@ from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 

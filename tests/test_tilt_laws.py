@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from ebamcheck.checks.table import mounting_checks
 from ebamcheck.errors import SettingsError
-from ebamcheck.mesh.on_table import on_table
+from ebamcheck.mesh.part_source import on_table
 from ebamcheck.nc.table import NONE, frame_after, table_at
 from ebamcheck.nc.words import WordError
 from ebamcheck.program import read_program, write_program

@@ -10,7 +10,7 @@ from parts import box, join
 import ebamcheck
 from ebamcheck.errors import BackendFailed
 from ebamcheck.mesh.part import from_arrays
-from ebamcheck.mesh.welding import weld
+from ebamcheck.mesh.topology import weld
 from ebamcheck.pipeline.findings import set_aside_findings
 from ebamcheck.testing.solids import mapped, prism, turn
 

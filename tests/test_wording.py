@@ -7,7 +7,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from ebamcheck.accuracy.matrix import read_tolerances
+from ebamcheck.accuracy.measurement import read_tolerances
 from ebamcheck.commands.options import assignments
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.height_map import read_map

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ebamcheck.slicers.outside.programs import Program
+from ebamcheck.slicers.outside.lattices import Program
 from ebamcheck_cura import Cura
 from ebamcheck_prusa import Prusa
 from ebamcheck_slic3r import Slic3r

@@ -22,11 +22,12 @@ from ebamcheck.slicers.outside.lattices import (
     Lattice,
     LatticeStack,
     Placement,
+    Program,
+    ProgramSettings,
     coordinate_rounding_mm,
     height_rounding_mm,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 
 PROGRAM = Program(
     name="CuraEngine",
@@ -37,29 +38,26 @@ PROGRAM = Program(
     version_pattern=r"version (\d+\.\d+\S*)",
 )
 
+# Environment variable with the folder of Cura's definitions, if it is none of the usual ones
 DEFINITIONS = "EBAMCHECK_CURA_DEFINITIONS"
-"""Environment variable with the folder of Cura's definitions, if it is none of the usual ones."""
 
 USUAL_DEFINITIONS = ("/usr/share/cura/resources/definitions", "/usr/local/share/cura/resources/definitions")
 
 PRINTER = "fdmprinter.def.json"
 EXTRUDER = "fdmextruder.def.json"
 
-UNIT = 1e-3
-"""CuraEngine's unit of length, a micrometre, mm."""
+UNIT = 1e-3  # CuraEngine's unit of length, a micrometre, mm
 
 WORKING_SIZE = 2.0**20 * UNIT
 """Larger side of the part as CuraEngine gets it, mm: between half of this and this. From about 1.5 million units on, products of
 three lengths overflow in its test for nearly collinear points, and it drops corners."""
 
+# Largest height of the part as CuraEngine gets it, in its units: the product with a side stays within 64 bits
 TALLEST = 2**28
-"""Largest height of the part as CuraEngine gets it, in its units: the product with a side stays within 64 bits."""
-
+# Distance within which CuraEngine merges vertices (`vertex_meld_distance` in its source), in its units
 MERGE_UNITS = 30.0
-"""Distance within which CuraEngine merges vertices (``vertex_meld_distance`` in its source), in its units."""
-
+# Rounding to whole units (1), and the distance within which points of a path are merged or collinear (5), in its units
 OTHER_UNITS = 6.0
-"""Rounding to whole units (1), and the distance within which points of a path are merged or collinear (5), in its units."""
 
 
 class Cura:
@@ -101,13 +99,7 @@ class Cura:
         return height_rounding_mm(part) + units * 8.0 * float(part.size[2]) / TALLEST
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
-        """Look for the program; it runs when heights are known.
-
-        Raises
-        ------
-        BackendMissing
-            If CuraEngine or Cura's definitions are not installed.
-        """
+        """Look for the program; it runs when heights are known."""
         if not isinstance(settings, ProgramSettings):
             raise SettingsError(f"cura: settings are {type(settings).__name__}: give Cura.Settings")
         PROGRAM.path()

@@ -19,40 +19,29 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck_embree.grid import Lattice
 from ebamcheck_embree.scene import Facets, Mesh
 
+# The columns `starts`, `along`, `facet` and `paired` of `ebamcheck_embree.crossings.Borders`
 RayColumns = tuple[Ints, Floats, Facets, Bools]
-"""The columns `starts`, `along`, `facet` and `paired` of :class:`ebamcheck_embree.crossings.Borders`."""
-
-NO_FACET = -1
-"""Facet of a knot without a crossing, which lies at the middle or an end of its grid edge."""
-
-SADDLE = -1
-"""Cell of a link in a cell with four knots: no corner of the section is added to such a link."""
+NO_FACET = -1  # facet of a knot without a crossing, which lies at the middle or an end of its grid edge
+SADDLE = -1  # cell of a link in a cell with four knots: no corner of the section is added to such a link
 
 
 class RowKnots(NamedTuple):
     """Crossed grid edges of all rows: entering, leaving, entering, leaving along each row."""
 
-    starts: Ints
-    """(rows + 1,) first knot of each row."""
-    node: Ints
-    """(K,) column of the node at the right end of the crossed edge."""
-    along: Floats
-    """(K,) x of the knot, mm."""
+    starts: Ints  # (rows + 1,) first knot of each row
+    node: Ints  # (K,) column of the node at the right end of the crossed edge
+    along: Floats  # (K,) x of the knot, mm
     facet: Facets
 
 
 class ColumnKnots(NamedTuple):
     """Crossed grid edges between each row and the next."""
 
-    starts: Ints
-    """(rows + 1,) first knot between row j and row j + 1."""
-    node: Ints
-    """(K,) column on which the knot lies, ascending within each pair of rows."""
-    along: Floats
-    """(K,) y of the knot, mm."""
+    starts: Ints  # (rows + 1,) first knot between row j and row j + 1
+    node: Ints  # (K,) column on which the knot lies, ascending within each pair of rows
+    along: Floats  # (K,) y of the knot, mm
     facet: Facets
-    up: Bools
-    """(K,) whether the column enters the material there."""
+    up: Bools  # (K,) whether the column enters the material there
 
 
 @kernel

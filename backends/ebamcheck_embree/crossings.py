@@ -25,27 +25,19 @@ _LEAST_STEP = np.finfo(np.float32).tiny  # past a facet at coordinate 0, mm
 class Sections(NamedTuple):
     """Sections at several heights, facet by facet, so that a facet's segment at a height is found directly."""
 
-    first: Ints
-    """(F,) first height at which each facet is cut; its segments are those of consecutive heights from there."""
-    starts: Ints
-    """(F + 1,) first segment of each facet."""
-    segments: Floats
-    """(S, 4) start and end of each segment, mm; material on its left."""
+    first: Ints  # (F,) first height at which each facet is cut; its segments are those of consecutive heights from there
+    starts: Ints  # (F + 1,) first segment of each facet
+    segments: Floats  # (S, 4) start and end of each segment, mm; material on its left
 
 
 class Hits(NamedTuple):
     """Facets that rays pass, with place and direction; each ray has as many rows as it must have hits."""
 
-    starts: Ints
-    """(R + 1,) first row of each ray."""
-    known: Ints
-    """(R,) number of hits of each ray so far."""
-    along: Floats
-    """(H,) place on the ray, mm."""
-    sign: Ints
-    """(H,) +1 where the ray enters, -1 where it leaves."""
-    facet: Facets
-    """(H,) facet."""
+    starts: Ints  # (R + 1,) first row of each ray
+    known: Ints  # (R,) number of hits of each ray so far
+    along: Floats  # (H,) place on the ray, mm
+    sign: Ints  # (H,) +1 where the ray enters, -1 where it leaves
+    facet: Facets  # (H,) facet
 
 
 class Borders(NamedTuple):
@@ -54,12 +46,9 @@ class Borders(NamedTuple):
     starts: Ints
     along: Floats
     facet: Facets
-    paired: Bools
-    """(R,) whether borders come in pairs; false where a facet is missing."""
-    sound: Bools
-    """(R,) whether the winding ends at 0, as it does on a closed mesh whose facets all face out."""
-    simple: Bools
-    """(R,) whether the winding is 0 or 1 everywhere on the ray."""
+    paired: Bools  # (R,) whether borders come in pairs; false where a facet is missing
+    sound: Bools  # (R,) whether the winding ends at 0, as it does on a closed mesh whose facets all face out
+    simple: Bools  # (R,) whether the winding is 0 or 1 everywhere on the ray
 
 
 @kernel

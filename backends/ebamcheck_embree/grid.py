@@ -11,17 +11,13 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
 
+# First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows
 Lattice = tuple[float, float, float, int, int]
-"""First column's x and first row's y, mm, the cell, mm, and the numbers of columns and rows."""
-
-USUAL_CELL_MM = 0.1
-"""Cell for a part of usual size: the pixel of the paper (section 2.2)."""
-
+USUAL_CELL_MM = 0.1  # cell for a part of usual size: the pixel of the paper (section 2.2)
+# Cells along the longer side: at least the order of the paper's image, at most what bounds the cost of a layer
 COARSE_LINES, FINE_LINES = 1024, 4096
-"""Cells along the longer side: at least the order of the paper's image, at most what bounds the cost of a layer."""
-
+# Most lines of a grid: more come from a mistyped cell and would not fit into memory
 LARGEST_LINE_COUNT = 65_536
-"""Most lines of a grid: more come from a mistyped cell and would not fit into memory."""
 
 OFFSET_X, OFFSET_Y = 0.381966, 0.276393
 """Fractions of a cell by which the lines are offset from the part's box. Faces and vertices of a drawing lie at round

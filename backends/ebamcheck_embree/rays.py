@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from itertools import pairwise
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -32,11 +31,10 @@ from ebamcheck_embree.scene import Facets, Mesh, Scene, Singles, Slabs, UnderWay
 
 log = logging.getLogger(__name__)
 
+# Most segments of sections that a thread holds at once, unless a single section has more: at most 150 MB
 SEGMENTS_AT_ONCE = 1 << 22
-"""Most segments of sections that a thread holds at once, unless a single section has more: at most 150 MB."""
-
+# Least number of pieces of a stack per thread, if it has enough layers: they take unequal time
 PIECES_A_THREAD = 4
-"""Least number of pieces of a stack per thread, if it has enough layers: they take unequal time."""
 
 
 class InPlaneRays:
@@ -62,9 +60,7 @@ class InPlaneRays:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._released = True
 
     def slice(self, heights: Floats, progress: Progress | None = None) -> Layers:

@@ -14,14 +14,10 @@ from ebamcheck.kernels import Floats, Ints, kernel
 Singles = NDArray[np.float32]
 Facets = NDArray[np.int32]
 
-FACETS_A_SLAB = 8192
-"""Least mean number of facets in a slab: a tree of fewer is hardly faster."""
-
+FACETS_A_SLAB = 8192  # least mean number of facets in a slab: a tree of fewer is hardly faster
+# Least thickness of a slab, over the mean extent of facets across it: a facet then lies in 1.25 slabs on average
 FACETS_THROUGH_A_SLAB = 4.0
-"""Least thickness of a slab, over the mean extent of facets across it: a facet then lies in 1.25 slabs on average."""
-
-SLABS_KEPT = 8
-"""Slabs that are kept, the latest used: more than parallel threads need at once."""
+SLABS_KEPT = 8  # slabs that are kept, the latest used: more than parallel threads need at once
 
 
 class Mesh(NamedTuple):
@@ -34,14 +30,10 @@ class Mesh(NamedTuple):
 class UnderWay(NamedTuple):
     """Rays up one axis that have not met all their facets yet."""
 
-    ray: Ints
-    """(R,) number of each ray."""
-    origin: Singles
-    """(R, 3) origin of the next cast; at first outside the part."""
-    last: Facets
-    """(R,) facet that each ray met last, -1 at first."""
-    repeats: NDArray[np.int32]
-    """(R,) how often in a row each ray has met that facet again."""
+    ray: Ints  # (R,) number of each ray
+    origin: Singles  # (R, 3) origin of the next cast; at first outside the part
+    last: Facets  # (R,) facet that each ray met last, -1 at first
+    repeats: NDArray[np.int32]  # (R,) how often in a row each ray has met that facet again
 
 
 Take = Callable[[Facets, Singles, UnderWay], int]

@@ -20,8 +20,7 @@ nodes of the other side or points of the contour, all in one cell: no point of i
 than the radius of the circle around the cell."""
 
 SINGLE_EPS = 2.0**-24
-SINGLE_ROUNDINGS = 8.0
-"""Roundings of single precision between a facet and a ray that just misses it."""
+SINGLE_ROUNDINGS = 8.0  # roundings of single precision between a facet and a ray that just misses it
 
 
 class EmbreeSettings(BackendSettings):
@@ -68,15 +67,7 @@ class Embree:
         return single + 4.0 * np.finfo(np.float64).eps * float(np.abs(part.bounds[:, 2]).max())
 
     def prepare(self, part: Part, settings: BackendSettings) -> Prepared:
-        """Sort the facets into slabs, whose trees are built when they are cut.
-
-        Raises
-        ------
-        SettingsError
-            If the grid would not fit into memory.
-        BackendFailed
-            If the part's size is beyond single precision.
-        """
+        """Sort the facets into slabs, whose trees are built when they are cut."""
         checked = _own(settings)
         if not math.isfinite(float(np.float32(part.size.max(initial=0.0)) ** 2)):
             raise BackendFailed(

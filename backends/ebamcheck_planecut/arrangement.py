@@ -22,19 +22,15 @@ from ebamcheck_planecut.overlaps import NESTED_WRONG, kept_rings
 
 Index = NDArray[np.int32]
 
-SEVERAL = -1
-"""In place of the sheet of a vertex, point or side that several sheets share."""
+SEVERAL = -1  # in place of the sheet of a vertex, point or side that several sheets share
 
 
 class Arrangement(NamedTuple):
     """What the rings of a layer make of the plane."""
 
-    faces: NDArray[np.object_]
-    """(F,) bounded faces, as shapely polygons that share their borders to the bit."""
-    winding: Ints
-    """(F,) winding number of the rings about each face."""
-    seams: bool
-    """Whether a side was left out, since different bodies pass it once each way."""
+    faces: NDArray[np.object_]  # (F,) bounded faces, as shapely polygons that share their borders to the bit
+    winding: Ints  # (F,) winding number of the rings about each face
+    seams: bool  # whether a side was left out, since different bodies pass it once each way
 
 
 def arrangement(layer: Layers, reach_mm: float, sheets: Index) -> Arrangement:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from threading import Lock
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -23,11 +22,9 @@ from ebamcheck_planecut.sweep import Block, Columns, cut_block
 
 Sheets = Callable[[], NDArray[np.int32]]
 
-SMALLEST_BLOCK = 16
-"""Fewest layers worth a thread."""
-
+SMALLEST_BLOCK = 16  # fewest layers worth a thread
+# Most layers along a new direction that are cut without sorting its mesh: finding their facets takes no longer than sorting
 LONE_LAYERS = 8
-"""Most layers along a new direction that are cut without sorting its mesh: finding their facets takes no longer than sorting."""
 
 
 class PreparedCut:
@@ -57,12 +54,7 @@ class PreparedCut:
         """Return itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Hold nothing that needs freeing."""
 
     def turned(self, part: Part) -> PreparedCut:

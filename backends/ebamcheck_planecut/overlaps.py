@@ -18,8 +18,8 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
 CLEAN, NESTED_WRONG, TOUCHING = 0, 1, 2
 
+# Segments of a leaf: with fewer, the tree costs more than it saves; with more, overlapping leaves do
 SEGMENTS_A_LEAF = 8
-"""Segments of a leaf: with fewer, the tree costs more than it saves; with more, overlapping leaves do."""
 
 LEFT, RIGHT, DOWN, UP = 1, 2, 4, 8  # directions of segments, as bits
 SEVERAL_RINGS = -1
@@ -28,28 +28,19 @@ SEVERAL_RINGS = -1
 class OverlapSearch(NamedTuple):
     """Working memory to examine the rings of one layer: node 1 of the tree is its root, 2 n and 2 n + 1 are below node n."""
 
-    boxes: Floats
-    """(2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l."""
-    ways: NDArray[np.uint8]
-    """(2 M,) directions of the segments of each node."""
-    ring: NDArray[np.int32]
-    """(2 M,) ring of each node, or :data:`SEVERAL_RINGS`."""
-    first: Ints
-    """(M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins."""
+    boxes: Floats  # (2 M, 4) xmin, ymin, xmax, ymax of each node; leaf l is node M + l
+    ways: NDArray[np.uint8]  # (2 M,) directions of the segments of each node
+    ring: NDArray[np.int32]  # (2 M,) ring of each node, or `SEVERAL_RINGS`
+    first: Ints  # (M + 1,) first segment of each leaf, by the row of its first point; the leaf ends where the next begins
+    # Pairs of nodes waiting to be tested, and whether one follows the other along its ring
     stack: NDArray[np.int32]
-    """Pairs of nodes waiting to be tested, and whether one follows the other along its ring."""
+    # Segments that come this near to each other meet: what rounding may have moved them apart
     reach_mm: float
-    """Segments that come this near to each other meet: what rounding may have moved them apart."""
-    outward: Ints
-    """(R,) +1 for an outer ring, -1 for a hole."""
-    first_leaf: Ints
-    """(R,) first leaf of each ring."""
-    greatest_x: Floats
-    """(R,) right end of each ring."""
-    around: Ints
-    """(R,) rings that may enclose the one examined."""
-    keep: Bools
-    """(R,) whether a ring separates solid from void."""
+    outward: Ints  # (R,) +1 for an outer ring, -1 for a hole
+    first_leaf: Ints  # (R,) first leaf of each ring
+    greatest_x: Floats  # (R,) right end of each ring
+    around: Ints  # (R,) rings that may enclose the one examined
+    keep: Bools  # (R,) whether a ring separates solid from void
 
 
 @kernel
@@ -156,7 +147,8 @@ def _touching(search: OverlapSearch, leaves: int, points: Floats, ring_starts: I
     waiting = 1
     while waiting > 0:
         waiting -= 1
-        a, b, behind = stack[waiting, 0], stack[waiting, 1], stack[waiting, 2]
+        a, b = int(np.int64(stack[waiting, 0])), int(np.int64(stack[waiting, 1]))
+        behind = int(np.int64(stack[waiting, 2]))
         if a != b and (
             boxes[b, 0] - boxes[a, 2] > reach_mm
             or boxes[a, 0] - boxes[b, 2] > reach_mm
@@ -171,27 +163,23 @@ def _touching(search: OverlapSearch, leaves: int, points: Floats, ring_starts: I
         if a >= leaves and b >= leaves:
             if _leaves_meet(search, leaves, a, b, points, ring_starts):
                 return True
-        elif a == b:
-            waiting = _push(stack, waiting, 2 * a, 2 * a + 1, 1)
-            waiting = _push(stack, waiting, 2 * a, 2 * a, 0)
-            waiting = _push(stack, waiting, 2 * a + 1, 2 * a + 1, 0)
+            continue
+        if a == b:
+            stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = 2 * a, 2 * a + 1, 1
+            waiting += 1
+            halves = (2 * a, 2 * a, 0), (2 * a + 1, 2 * a + 1, 0)
         elif b >= leaves or (
             a < leaves
             and boxes[a, 2] - boxes[a, 0] + boxes[a, 3] - boxes[a, 1]
             >= boxes[b, 2] - boxes[b, 0] + boxes[b, 3] - boxes[b, 1]
         ):
-            waiting = _push(stack, waiting, 2 * a, b, 0)
-            waiting = _push(stack, waiting, 2 * a + 1, b, behind)
+            halves = (2 * a, b, 0), (2 * a + 1, b, behind)
         else:
-            waiting = _push(stack, waiting, a, 2 * b, behind)
-            waiting = _push(stack, waiting, a, 2 * b + 1, 0)
+            halves = (a, 2 * b, behind), (a, 2 * b + 1, 0)
+        for one, other, follows in halves:
+            stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = one, other, follows
+            waiting += 1
     return False
-
-
-@kernel
-def _push(stack: NDArray[np.int32], waiting: int, a: int, b: int, behind: int) -> int:
-    stack[waiting, 0], stack[waiting, 1], stack[waiting, 2] = a, b, behind
-    return waiting + 1
 
 
 @kernel

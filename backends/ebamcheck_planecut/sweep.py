@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.layers.canonical_form import DROPPED, next_distinct, ring_form
 from ebamcheck_planecut.overlaps import classify_layer, overlap_search
-from ebamcheck_planecut.sorted_mesh import Floats, Index, Ints, SortedMesh, facets_across, raise_plane
+from ebamcheck_planecut.sorted_mesh import Index, SortedMesh, facets_across, raise_plane
 
 
 class Columns(NamedTuple):
@@ -30,14 +30,10 @@ class Columns(NamedTuple):
 class Block(NamedTuple):
     """Columns of a block of layers other than its points."""
 
-    ring_starts: Ints
-    """(R + 1,) first row of each ring in the shared columns."""
-    layer_starts: Ints
-    """(L + 1,) first ring of each layer."""
-    closed: NDArray[np.bool_]
-    """(R,) false for an open path."""
-    dropped: Ints
-    """(L,) number of rings without area that were left out."""
+    ring_starts: Ints  # (R + 1,) first row of each ring in the shared columns
+    layer_starts: Ints  # (L + 1,) first ring of each layer
+    closed: NDArray[np.bool_]  # (R,) false for an open path
+    dropped: Ints  # (L,) number of rings without area that were left out
     kinds: NDArray[np.int8]
     """(L,) class of each layer by :func:`~ebamcheck_planecut.overlaps.classify_layer`; all clean if not requested."""
 
@@ -51,16 +47,11 @@ last."""
 class Tracks(NamedTuple):
     """Working memory for the rings and open paths of one layer."""
 
-    points: Floats
-    """(N, 2) mm."""
-    edge: Index
-    """(N, 2) the part's numbers of the lower and upper vertex of the edge that is cut."""
-    edge_t: Floats
-    """(N,) parameter on that edge, 0 at the lower vertex, 1 at the upper."""
-    starts: Ints
-    """(N + 1,) first row of each ring."""
-    closed: NDArray[np.bool_]
-    """(N,) false for an open path."""
+    points: Floats  # (N, 2) mm
+    edge: Index  # (N, 2) the part's numbers of the lower and upper vertex of the edge that is cut
+    edge_t: Floats  # (N,) parameter on that edge, 0 at the lower vertex, 1 at the upper
+    starts: Ints  # (N + 1,) first row of each ring
+    closed: NDArray[np.bool_]  # (N,) false for an open path
 
 
 @kernel
@@ -97,11 +88,9 @@ def cut_block(
     dropped = np.zeros(heights.size, np.int64)
     kinds = np.zeros(heights.size, np.int8)
     ring_starts[0] = row
-    count = 0
+    count = facets_across(mesh, under[0], active)
     for n in range(heights.size):
-        if n == 0:
-            count = facets_across(mesh, under[0], active)
-        else:
+        if n > 0:
             count = raise_plane(mesh, under[n - 1], under[n], active, count)
         traced = trace_layer(mesh, heights[n], under[n], active, count, seen, n + 1, track)
         a = layer_starts[n]
@@ -188,7 +177,7 @@ def trace_layer(
     for phase in range(FROM_ENTRY if mesh.around.is_open else RINGS, RINGS + 1):
         forwards = phase != FROM_EXIT
         for n in range(count):
-            seed = active[n]
+            seed = int(np.int64(active[n]))
             if seen[seed] == mark:
                 continue
             if phase != RINGS and _left_by(mesh, seed, under, not forwards)[2] >= 0:

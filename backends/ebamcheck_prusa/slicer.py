@@ -23,12 +23,13 @@ from ebamcheck.slicers.outside.lattices import (
     Lattice,
     LatticeStack,
     Placement,
+    Program,
+    ProgramSettings,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 
 PROGRAM = Program(
     name="PrusaSlicer",
@@ -39,23 +40,14 @@ PROGRAM = Program(
     version_pattern=r"PrusaSlicer-(\d+\.\d+\.\d\S*)",
 )
 
+# Larger side of the part as PrusaSlicer gets it, mm: between half of this and this. Its integers of 1e-6 mm have 32 bits
 WORKING_SIZE = 128.0
-"""Larger side of the part as PrusaSlicer gets it, mm: between half of this and this. Its integers of 1e-6 mm have 32 bits."""
-
-TALLEST = 1024.0
-"""Largest height of the part as PrusaSlicer gets it, mm, for the same reason."""
-
+TALLEST = 1024.0  # largest height of the part as PrusaSlicer gets it, mm, for the same reason
+# Layer heights are this times powers of two, mm: sums over many layers are exact, and rounded to steps of 1e-6 mm only once
 LENGTH_UNIT = 2.0**-20
-"""Layer heights are this times powers of two, mm: sums over many layers are exact, and rounded to steps of 1e-6 mm only once."""
-
-DEFAULT_PIXELS = 1024
-"""Default number of pixels along the larger side of the part: as in the paper's images."""
-
-LARGEST_IMAGE = 16384
-"""Most pixels along a side of an image: the program's memory grows with the square."""
-
-MARGIN_PIXELS = 4
-"""Empty pixels around the part."""
+DEFAULT_PIXELS = 1024  # default number of pixels along the larger side of the part: as in the paper's images
+LARGEST_IMAGE = 16384  # most pixels along a side of an image: the program's memory grows with the square
+MARGIN_PIXELS = 4  # empty pixels around the part
 
 CONTOUR_REACH = 0.87
 """Farthest, in pixels, that a point lies from the nearest point of the other kind if the contour is wrong about it.
@@ -100,17 +92,7 @@ class Prusa:
         return 3.0 * height_rounding_mm(part) + 8.0e-6 * float(part.size[2]) / TALLEST
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
-        """Look for the program; it runs when heights are known.
-
-        Raises
-        ------
-        BackendMissing
-            If PrusaSlicer is not installed.
-        BackendFailed
-            If the part is open or inside out, which PrusaSlicer would change in silence.
-        SettingsError
-            If the pixel is so small that an image would be too large.
-        """
+        """Look for the program; it runs when heights are known."""
         PROGRAM.path()
         refuse_what_is_mended(part, PROGRAM.name)
         cut = _Cut(part, _checked(settings))
@@ -191,6 +173,7 @@ class _Cut:
         return placement.layers(found, **self.labels)
 
 
+# Command line; with it the part stays where the file puts it
 ARGUMENTS = (
     "--datadir=.",
     "--loglevel=0",
@@ -200,7 +183,6 @@ ARGUMENTS = (
     "--output=part.sl1",
     "part.stl",
 )
-"""Command line; with it the part stays where the file puts it."""
 
 
 def _printer(layer: float, pixel: float, pixels: tuple[int, int]) -> str:

@@ -24,12 +24,13 @@ from ebamcheck.slicers.outside.lattices import (
     Lattice,
     LatticeStack,
     Placement,
+    Program,
+    ProgramSettings,
     coordinate_rounding_mm,
     height_rounding_mm,
     refuse_what_is_mended,
     scale_to,
 )
-from ebamcheck.slicers.outside.programs import Program, ProgramSettings
 from ebamcheck.threads import thread_count
 
 PROGRAM = Program(
@@ -45,21 +46,17 @@ WORKING_SIZE = 2.0**20
 """Larger side of the part as Slic3r gets it, mm: between half of this and this. Far below the limits of its 64-bit integers of
 1e-6 mm, which its offsets multiply by 1e5."""
 
-LAYER = 1.0
-"""Height of a layer as Slic3r gets it, mm; the highest that it cuts."""
-
+LAYER = 1.0  # height of a layer as Slic3r gets it, mm; the highest that it cuts
+# Radius of the closing that Slic3r applies to every slice, mm in its coordinates (`safety_offset` in its source)
 CLOSING = 0.0499
-"""Radius of the closing that Slic3r applies to every slice, mm in its coordinates (``safety_offset`` in its source)."""
 
 PLANE_ROUNDINGS = 10.0
 """Roundings to 32 bits that a crossing goes through: file, scale, difference of two ends, place along the edge (three),
 sum; times the square root of two for both coordinates."""
 
-HEIGHT_ROUNDINGS = 3.0
-"""The same for heights: file, scale of the vertex, scale of the plane."""
-
+HEIGHT_ROUNDINGS = 3.0  # the same for heights: file, scale of the vertex, scale of the plane
+# Messages of Slic3r when it leaves out loops or makes up a layer from its neighbours
 TROUBLE = ("overlapping or self-intersecting facets", "Unable to close this loop")
-"""Messages of Slic3r when it leaves out loops or makes up a layer from its neighbours."""
 
 
 class Slic3r:
@@ -90,15 +87,7 @@ class Slic3r:
         return HEIGHT_ROUNDINGS * height_rounding_mm(part)
 
     def prepare(self, part: Part, settings: BackendSettings) -> LatticeStack:
-        """Check the part; Slic3r itself runs when heights are known.
-
-        Raises
-        ------
-        BackendMissing
-            If Slic3r is not installed.
-        BackendFailed
-            If the part is open or inside out, which Slic3r would change in silence.
-        """
+        """Check the part; Slic3r itself runs when heights are known."""
         if not isinstance(settings, ProgramSettings):
             raise SettingsError(f"slic3r: settings are {type(settings).__name__}: give Slic3r.Settings")
         PROGRAM.path()
@@ -162,8 +151,8 @@ def _arguments() -> list[str]:
 
 # -- the exported SVG: contours and holes of each layer, in millimetres --------------------------------------
 
+# Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers
 HEIGHT_UNIT_MM = 1e6
-"""Unit of heights in the file, mm: Slic3r wrongly divides them by a million, as if they were its integers."""
 
 _LAYER = re.compile(rb'<g id="layer\d+"(?: slic3r:z="([^"]*)")?')
 _POLYGON = re.compile(rb'<polygon slic3r:type="(contour|hole)" points="([^"]*)"')

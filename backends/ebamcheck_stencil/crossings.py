@@ -5,12 +5,15 @@ from the very lattice triangle that was drawn, so it never leaves the facet, and
 surface stays closed: a pixel centre can be on the wrong side of a contour only if the lattice moved the
 contour over it. Overlapping bodies unite here, once for all heights: a crossing is where the winding number
 along the ray changes between 0 or less and 1 or more.
+
+A bitmap is a column of 64-bit words, a bit per pixel; a layer's bitmap is the one below it with the pixels flipped that change there.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +21,19 @@ from numpy.typing import NDArray
 from ebamcheck.kernels import kernel
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
-from ebamcheck_stencil.field_of_view import SUBPIXELS
+from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView
 
-SMALLEST_BLOCK = 65536
-"""Fewest fragments or pixels worth a thread."""
+SMALLEST_BLOCK = 65536  # fewest fragments or pixels worth a thread
 
 
 @dataclass(frozen=True)
 class Crossings:
     """Where rays enter and leave the solid, sorted by pixel and then by height."""
 
-    pixels: NDArray[np.uint32]
-    """(E,) ``row * stride + column`` in the field of view."""
-    heights: NDArray[np.float64]
-    """(E,) mm: the pixel changes from empty to solid or back above this height."""
+    pixels: NDArray[np.uint32]  # (E,) `row * stride + column` in the field of view
+    heights: NDArray[np.float64]  # (E,) mm: the pixel changes from empty to solid or back above this height
+    # Number of rays that do not leave the solid as often as they enter it: the surface is not closed
     unbalanced: int
-    """Number of rays that do not leave the solid as often as they enter it: the surface is not closed."""
 
 
 def join(parts: Sequence[Crossings]) -> Crossings:
@@ -102,34 +102,6 @@ def _measure(
 
 
 @kernel
-def _group(
-    fragments: NDArray[np.uint32],
-    heights: NDArray[np.float64],
-    signs: NDArray[np.int8],
-    start: int,
-    stop: int,
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int8]]:
-    """Bring the fragments of pixels ``start .. stop - 1`` into the order of their pixels (counting sort); also each pixel's first row."""
-    starts = np.zeros(stop - start + 1, np.int64)
-    for i in range(fragments.shape[0]):
-        pixel = np.int64(fragments[i, 0]) - start
-        if 0 <= pixel < stop - start:
-            starts[pixel + 1] += 1
-    for p in range(stop - start):
-        starts[p + 1] += starts[p]
-    place = starts[:-1].copy()
-    sorted_heights = np.empty(starts[-1])
-    sorted_signs = np.empty(starts[-1], np.int8)
-    for i in range(fragments.shape[0]):
-        pixel = np.int64(fragments[i, 0]) - start
-        if 0 <= pixel < stop - start:
-            sorted_heights[place[pixel]] = heights[i]
-            sorted_signs[place[pixel]] = signs[i]
-            place[pixel] += 1
-    return starts, sorted_heights, sorted_signs
-
-
-@kernel
 def _resolve(
     fragments: NDArray[np.uint32],
     fragment_heights: NDArray[np.float64],
@@ -142,7 +114,21 @@ def _resolve(
     All fragments are looked through for those of these pixels: on many threads that takes less than one thread
     takes to sort them all.
     """
-    starts, heights, signs = _group(fragments, fragment_heights, fragment_signs, start, stop)
+    # Into the order of their pixels, by counting.
+    starts = np.zeros(stop - start + 1, np.int64)
+    for i in range(fragments.shape[0]):
+        pixel = np.int64(fragments[i, 0]) - start
+        if 0 <= pixel < stop - start:
+            starts[pixel + 1] += 1
+    for p in range(stop - start):
+        starts[p + 1] += starts[p]
+    place = starts[:-1].copy()
+    heights, signs = np.empty(starts[-1]), np.empty(starts[-1], np.int8)
+    for i in range(fragments.shape[0]):
+        pixel = np.int64(fragments[i, 0]) - start
+        if 0 <= pixel < stop - start:
+            heights[place[pixel]], signs[place[pixel]] = fragment_heights[i], fragment_signs[i]
+            place[pixel] += 1
     out_pixels = np.empty(heights.size, np.uint32)
     out_heights = np.empty(heights.size)
     n = 0
@@ -178,3 +164,91 @@ def _resolve(
                 n += 1
         unbalanced += winding != 0
     return out_pixels[:n], out_heights[:n], unbalanced
+
+
+Words = NDArray[np.uint64]
+
+
+class Flips(NamedTuple):
+    """Pixels that change at each layer: ``pixels[starts[k] : starts[k + 1]]`` at layer `k`."""
+
+    starts: NDArray[np.int64]
+    pixels: NDArray[np.uint32]
+
+
+def empty_bitmap(view: FieldOfView) -> Words:
+    """A bitmap of the field with no pixel solid."""
+    return np.zeros(view.height_px * view.stride_px // WORD_BITS, np.uint64)
+
+
+def flips_by_layer(crossings: Crossings, heights: NDArray[np.float64]) -> Flips:
+    """Assign crossings to the first layer at or above them; those above the last layer are left out.
+
+    A crossing exactly at the height of a layer counts as below it, so a layer shows the section at z = h + 0.
+    """
+    return Flips(*_flips_by_layer(crossings.pixels, crossings.heights, heights))
+
+
+@kernel
+def _bucket(height: float, lowest: float, per_mm: float, buckets: int) -> int:
+    """Bucket of a height; it never falls where the height rises."""
+    place = (height - lowest) * per_mm
+    if not place > 0.0:
+        return 0
+    return int(min(place, float(buckets - 1)))
+
+
+@kernel
+def _flips_by_layer(
+    pixels: NDArray[np.uint32], crossing_heights: NDArray[np.float64], heights: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.uint32]]:
+    """Counting sort of crossings by layer; layers are looked up in equal buckets of height."""
+    count = heights.size
+    starts = np.zeros(count + 2, np.int64)
+    if count == 0:
+        return starts[:1].copy(), np.empty(0, np.uint32)
+    buckets = 2 * count
+    lowest = heights[0]
+    extent = heights[count - 1] - lowest
+    per_mm = buckets / extent if extent > 0.0 else 0.0
+    first = np.zeros(buckets + 1, np.int64)
+    for k in range(count):
+        first[_bucket(heights[k], lowest, per_mm, buckets) + 1] += 1
+    for b in range(buckets):
+        first[b + 1] += first[b]
+    layer = np.empty(pixels.size, np.int32)
+    for i in range(pixels.size):
+        height = crossing_heights[i]
+        b = _bucket(height, lowest, per_mm, buckets)
+        low, high = first[b], first[b + 1]
+        while low < high:
+            middle = (low + high) >> 1
+            if heights[middle] < height:
+                low = middle + 1
+            else:
+                high = middle
+        layer[i] = low
+        starts[low + 1] += 1
+    for k in range(count + 1):
+        starts[k + 1] += starts[k]
+    place = starts[:-1].copy()
+    flipped = np.empty(starts[count], np.uint32)
+    for i in range(pixels.size):
+        k = layer[i]
+        if k < count:
+            flipped[place[k]] = pixels[i]
+            place[k] += 1
+    return starts[: count + 1].copy(), flipped
+
+
+@kernel
+def flip(bitmap: Words, pixels: NDArray[np.uint32]) -> None:
+    """Flip pixels of a bitmap in place."""
+    for i in range(pixels.size):
+        bitmap[pixels[i] >> np.uint32(6)] ^= np.uint64(1) << np.uint64(pixels[i] & np.uint32(63))
+
+
+def as_image(bitmap: Words, view: FieldOfView) -> NDArray[np.bool_]:
+    """The bitmap as an image (height, width), row 0 at the least y."""
+    bits = np.unpackbits(bitmap.astype("<u8").view(np.uint8), bitorder="little")
+    return bits.reshape(view.height_px, view.stride_px)[:, : view.width_px].astype(np.bool_)

@@ -8,7 +8,6 @@ cut from them without drawing again.
 from __future__ import annotations
 
 import logging
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -19,27 +18,31 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import block_edges, run_blocks, run_in_order
-from ebamcheck_stencil.bitmaps import as_image, empty_bitmap, flip, flips_by_layer
-from ebamcheck_stencil.contours import Rings, layers_of
-from ebamcheck_stencil.crossings import Crossings, crossings_of_fragments, join
+from ebamcheck_stencil.crossings import (
+    Crossings,
+    as_image,
+    crossings_of_fragments,
+    empty_bitmap,
+    flip,
+    flips_by_layer,
+    join,
+)
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, Window, windows
-from ebamcheck_stencil.marching_squares import contours_of_layers
+from ebamcheck_stencil.marching_squares import Rings, contours_of_layers, layers_of
 
 if TYPE_CHECKING:
     import moderngl
 
 log = logging.getLogger(__name__)
 
-LAYERS_AT_ONCE = 256
-"""Most layers between two reports of progress."""
+LAYERS_AT_ONCE = 256  # most layers between two reports of progress
 
 BYTES_PER_FRAGMENT = 8
-FACETS_A_BLOCK = 65536
-"""Fewest facets worth a thread."""
+FACETS_A_BLOCK = 65536  # fewest facets worth a thread
+# Buffer size over the estimate by projected area, which is right to well below a percent; the counter shows an overflow
 ESTIMATE_SLACK = 1.05
-"""Buffer size over the estimate by projected area, which is right to well below a percent; the counter shows an overflow."""
+# Least size of the buffer, in fragments: the estimate is poor if facets are few and smaller than pixels
 SMALLEST_BUFFER = 4096
-"""Least size of the buffer, in fragments: the estimate is poor if facets are few and smaller than pixels."""
 
 VERTEX_SHADER = """
 #version 430
@@ -174,9 +177,7 @@ class DrawnOnce:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Free nothing: the context was released when the part had been drawn."""
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:

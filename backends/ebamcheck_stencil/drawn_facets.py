@@ -23,30 +23,21 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
 from ebamcheck_stencil.field_of_view import SUBPIXELS, FieldOfView
 
-BANDS = 256
-"""Bands of height, of about as many facets each: a layer's draw begins and ends with a band."""
-
-SAMPLES = 2**14
-"""Facets by which the bands are laid."""
-
-FACETS_A_BLOCK = 65536
-"""Fewest facets worth a thread."""
-
+BANDS = 256  # bands of height, of about as many facets each: a layer's draw begins and ends with a band
+SAMPLES = 2**14  # facets by which the bands are laid
+FACETS_A_BLOCK = 65536  # fewest facets worth a thread
+# Distance along x and y, in lattice steps, that drivers may move a point in which they clip an edge
 CLIPPED_SLACK = 1.0
-"""Distance along x and y, in lattice steps, that drivers may move a point in which they clip an edge."""
-
+# Distance that such a point may be off by float32, as a share of the viewport's side
 ROUNDED_SHARE = 2.0**-21
-"""Distance that such a point may be off by float32, as a share of the viewport's side."""
-
-HOLDS, COMES_NEAR = 1, 2
-"""What a facet can do with a pixel centre."""
+HOLDS, COMES_NEAR = 1, 2  # what a facet can do with a pixel centre
 
 
 class DrawnFacets(NamedTuple):
     """Facets in the order in which they are drawn."""
 
+    # (F, 3) vertices of each: first the facets that hold a centre, then those that come near one
     faces: NDArray[np.int32]
-    """(F, 3) vertices of each: first the facets that hold a centre, then those that come near one."""
     holding: Bands
     near: Bands
 
@@ -64,12 +55,9 @@ class DrawnFacets(NamedTuple):
 class Bands(NamedTuple):
     """Consecutive facets, by bands of height from the top."""
 
-    tops: NDArray[np.float64]
-    """(B,) highest point of each band, falling."""
-    bottoms: NDArray[np.float64]
-    """(B,) lowest point of each band and those before it, falling."""
-    ends: NDArray[np.int64]
-    """(B + 1,) facets before each band, and all of them."""
+    tops: NDArray[np.float64]  # (B,) highest point of each band, falling
+    bottoms: NDArray[np.float64]  # (B,) lowest point of each band and those before it, falling
+    ends: NDArray[np.int64]  # (B + 1,) facets before each band, and all of them
 
     @property
     def size(self) -> int:

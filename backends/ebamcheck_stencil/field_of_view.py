@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
 
-SUBPIXELS = 256
-"""Lattice steps in a pixel: the 8 bits of GL_SUBPIXEL_BITS that every desktop driver offers."""
-
-MARGIN_PX = 2
-"""Empty pixels kept around the part, so that every contour closes inside the field of view."""
+SUBPIXELS = 256  # lattice steps in a pixel: the 8 bits of GL_SUBPIXEL_BITS that every desktop driver offers
+MARGIN_PX = 2  # empty pixels kept around the part, so that every contour closes inside the field of view
 
 GRID_SHIFT_PX = (0.381966, 0.236068)
 """Place of the part's low corner within its pixel (golden-section fractions, different in x and y).
@@ -30,14 +27,10 @@ GRID_SHIFT_PX = (0.381966, 0.236068)
 Parts are drawn in round numbers: without the shift, pixel centres would lie on faces and 45 degree edges.
 """
 
-WORD_BITS = 64
-"""Rows of bitmaps are padded to whole words of this size."""
-
-FINEST_AUTOMATIC_MM = 0.1
-"""The paper's pixel (section 2.2)."""
+WORD_BITS = 64  # rows of bitmaps are padded to whole words of this size
+FINEST_AUTOMATIC_MM = 0.1  # the paper's pixel (section 2.2)
 FEWEST_AUTOMATIC_PX = 1024
-MOST_AUTOMATIC_PX = 4096
-"""Least and greatest number of pixels along the larger side, for an automatic pixel."""
+MOST_AUTOMATIC_PX = 4096  # least and greatest number of pixels along the larger side, for an automatic pixel
 
 
 @dataclass(frozen=True)
@@ -45,8 +38,7 @@ class FieldOfView:
     """Grid of square pixels over a part, seen along z, margins included."""
 
     pixel_mm: float
-    low_mm: tuple[float, float]
-    """Least x and y of the part in build coordinates."""
+    low_mm: tuple[float, float]  # least x and y of the part in build coordinates
     width_px: int
     height_px: int
 

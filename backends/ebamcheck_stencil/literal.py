@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -24,34 +23,26 @@ from ebamcheck.backend import Progress
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_blocks
-from ebamcheck_stencil.bitmaps import as_image, empty_bitmap
-from ebamcheck_stencil.contours import Rings, layers_of
+from ebamcheck_stencil.crossings import as_image, empty_bitmap
 from ebamcheck_stencil.drawn_facets import drawn_facets
 from ebamcheck_stencil.field_of_view import SUBPIXELS, WORD_BITS, FieldOfView, windows
-from ebamcheck_stencil.marching_squares import contours_of_bitmaps
+from ebamcheck_stencil.marching_squares import Rings, contours_of_bitmaps, layers_of
 from ebamcheck_stencil.stencil_target import PACKED_BITS, Drawing, StencilTarget
 
 if TYPE_CHECKING:
     import moderngl
 
+# Height of the far plane above the part, over the part's height: nothing may be clipped there
 DEPTH_SLACK = 1.0 / 64.0
-"""Height of the far plane above the part, over the part's height: nothing may be clipped there."""
 
 LAYERS_AT_ONCE = 16
+# Most layers, and about the most bytes of bitmaps, that are drawn before they are read back
 BYTES_AT_ONCE = 2**24
-"""Most layers, and about the most bytes of bitmaps, that are drawn before they are read back."""
-
-DRAWS_AT_WORK = 2
-"""Readings that the device is given at a time: it draws one while another is copied."""
-
-DRAWS_A_BLOCK = 8
-"""Readings whose contours are followed together: few layers are not worth all threads."""
-
-BLOCKS_AT_WORK = 2
-"""Blocks of bitmaps that are drawn or followed at a time."""
-
+DRAWS_AT_WORK = 2  # readings that the device is given at a time: it draws one while another is copied
+DRAWS_A_BLOCK = 8  # readings whose contours are followed together: few layers are not worth all threads
+BLOCKS_AT_WORK = 2  # blocks of bitmaps that are drawn or followed at a time
+# Distance from the near plane, as a share of the part's height, at which float32 may still put a facet on it
 BELOW_SLACK = 2.0**-22
-"""Distance from the near plane, as a share of the part's height, at which float32 may still put a facet on it."""
 
 VERTEX_SHADER = """
 #version 430
@@ -107,9 +98,7 @@ class LiteralSlices:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._context.release()
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:

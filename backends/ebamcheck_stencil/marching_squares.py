@@ -11,21 +11,25 @@ next, and few are marked, so that marks follow the changes, and only words that 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.kernels import kernel
-from ebamcheck_stencil.bitmaps import Flips, Words, flip
+from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.threads import run_blocks
+from ebamcheck_stencil.crossings import Flips, Words, flip
+from ebamcheck_stencil.field_of_view import FieldOfView
 
+# Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed
 SPARE_POINTS = 2**22
-"""Points for which room is made beyond those at hand, at least where more layers are to come; doubled as needed."""
 
 FIRST_POINTS = 4096
-FIRST_RINGS = 64
-"""Initial sizes of the output columns; they grow as needed."""
-
+FIRST_RINGS = 64  # initial sizes of the output columns; they grow as needed
+# Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it
 POINTS_PER_EDGE = 3
-"""Most points of contours for each pair of neighbours in a row of which exactly one is solid: itself, and both ends of a run along x after it."""
 
 _ONE = np.uint64(1)
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -40,7 +44,7 @@ _RIGHT_Y = np.array([-1, 0, 1, 0])
 def contours_of_layers(
     flips: Flips, start: int, stop: int, words: int, row_words: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Contours of layers ``start .. stop - 1``, whose bitmaps have so many words: columns of :class:`~ebamcheck_stencil.contours.Rings`.
+    """Contours of layers ``start .. stop - 1``, whose bitmaps have so many words: columns of :class:`~ebamcheck_stencil.marching_squares.Rings`.
 
     The changes of the layers begin with a bitmap of which no pixel is solid.
     """
@@ -50,7 +54,7 @@ def contours_of_layers(
     _mark_edges(bitmap, marks, busy)
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
-    rings = 1
+    rings = int(np.int64(1))
     counts = np.zeros(stop - start, np.int64)
     for layer in range(start, stop):
         changed = flips.pixels[flips.starts[layer] : flips.starts[layer + 1]]
@@ -77,7 +81,7 @@ def contours_of_bitmaps(
     )
     points = np.empty((FIRST_POINTS, 2), np.int32)
     ends = np.zeros(FIRST_RINGS, np.int64)
-    rings = 1
+    rings = int(np.int64(1))
     counts = np.zeros(len(bitmaps), np.int64)
     for layer in range(len(bitmaps)):
         _mark_edges(bitmaps[layer], marks, busy)
@@ -247,3 +251,73 @@ def _walk(
         points[size, 0], points[size, 1] = 2 * x + _RIGHT_X[direction], 2 * y + _RIGHT_Y[direction]
         size += 1
     return size
+
+
+# Side of a pixel over the largest coordinate, above which float64 keeps points apart and areas clear of rounding
+LEAST_PIXEL = 2.0**-40
+
+
+class Rings(NamedTuple):
+    """Rings of a block of layers, as marching squares finds them."""
+
+    points: NDArray[np.int32]  # (N, 2) half pixels from the centre of pixel (0, 0)
+    starts: NDArray[np.int64]  # (R + 1,) first point of each ring
+    least: NDArray[np.int64]  # (R,) row of each ring's lexicographically least point
+    counts: NDArray[np.int64]  # (L,) rings of each layer
+
+    def canonical_order(self) -> NDArray[np.int64]:
+        """Rings as they stand in :class:`Layers`: by layer, and there by their least points, of which no two are alike."""
+        layer = np.repeat(np.arange(len(self.counts)), self.counts)
+        return np.lexsort((self.points[self.least, 1], self.points[self.least, 0], layer))
+
+
+def layers_of(
+    heights: NDArray[np.float64], found: Sequence[Rings], view: FieldOfView, labels: dict[str, Any]
+) -> Layers:
+    """Make layers at heights (L,) of the rings of their blocks, in canonical form.
+
+    No point of a bitmap's contours is passed twice, and every ring encloses a pixel, so that the form is a matter
+    of order alone; unless pixels are so small, and the part so far from the origin, that points fall together in mm.
+    """
+    orders = [block.canonical_order() for block in found]
+    sizes = [np.diff(block.starts)[order] for block, order in zip(found, orders, strict=True)]
+    ring_starts = np.concatenate([[0], np.cumsum(np.concatenate(sizes))]).astype(np.int64)
+    first_rings = np.cumsum([0, *(len(order) for order in orders)]).tolist()
+    points = np.empty((int(ring_starts[-1]), 2))
+
+    def place(start: int, stop: int) -> None:
+        for k in range(start, stop):
+            block, first = found[k], first_rings[k]
+            _place(
+                block.points, block.starts, block.least, orders[k], ring_starts[first:], *view.affine, points
+            )
+
+    run_blocks(place, len(found))
+    layer_starts = np.concatenate([[0], np.cumsum(np.concatenate([block.counts for block in found]))])
+    closed = np.ones(len(ring_starts) - 1, np.bool_)
+    if view.pixel_mm < LEAST_PIXEL * float(np.abs(points).max(initial=0.0)):
+        return canonical(heights, points, ring_starts, layer_starts, closed, **labels)
+    return Layers(heights, points, ring_starts, layer_starts, closed, **labels)
+
+
+@kernel
+def _place(
+    half_pixels: NDArray[np.int32],
+    starts: NDArray[np.int64],
+    least: NDArray[np.int64],
+    order: NDArray[np.int64],
+    new_starts: NDArray[np.int64],
+    low_mm: NDArray[np.float64],
+    shift_px: NDArray[np.float64],
+    pixel_mm: float,
+    points: NDArray[np.float64],
+) -> None:
+    """Write the rings of a block in their order, each from its least point on, in mm as :meth:`FieldOfView.to_mm` gives them."""
+    for n in range(order.size):
+        r = order[n]
+        to = new_starts[n]
+        for a, b in ((least[r], starts[r + 1]), (starts[r], least[r])):
+            for i in range(a, b):
+                for axis in range(2):
+                    points[to, axis] = low_mm[axis] + (0.5 * half_pixels[i, axis] + shift_px[axis]) * pixel_mm
+                to += 1

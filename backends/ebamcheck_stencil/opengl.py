@@ -12,11 +12,9 @@ from ebamcheck.errors import BackendMissing
 if TYPE_CHECKING:
     import moderngl
 
-NEEDED_VERSION = 430
-"""OpenGL 4.3: shader storage buffers, which the draw-once form writes its fragments to."""
-
+NEEDED_VERSION = 430  # OpenGL 4.3: shader storage buffers, which the draw-once form writes its fragments to
+# Fewest subpixel bits of the rasteriser: it must keep the lattice of `ebamcheck_stencil.field_of_view.SUBPIXELS`
 NEEDED_SUBPIXEL_BITS = 8
-"""Fewest subpixel bits of the rasteriser: it must keep the lattice of :data:`ebamcheck_stencil.field_of_view.SUBPIXELS`."""
 
 INSTALL_HINT = (
     "on Debian or Ubuntu: apt-get install libegl1 libgl1 libgl1-mesa-dri "
@@ -30,12 +28,9 @@ class Device:
 
     renderer: str
     gl_version: str
-    buffer_bytes: int
-    """Size of the largest shader storage buffer."""
-    texture_px: int
-    """Largest side of an image that can be drawn at once."""
-    viewport_px: int
-    """Largest side of a viewport, which must hold the whole field of view."""
+    buffer_bytes: int  # size of the largest shader storage buffer
+    texture_px: int  # largest side of an image that can be drawn at once
+    viewport_px: int  # largest side of a viewport, which must hold the whole field of view
     subpixel_bits: int
 
 

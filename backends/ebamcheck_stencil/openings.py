@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ebamcheck.mesh.part import Part
 
+# Of the random numbers by which a surface is seen to be closed: the same part is always told the same
 WEIGHT_SEED = 7
-"""Of the random numbers by which a surface is seen to be closed: the same part is always told the same."""
 
 
 def is_closed(faces: NDArray[np.integer[Any]]) -> bool:

@@ -23,11 +23,10 @@ CONTOUR_REACH_PX = math.sqrt(10.0) / 4.0
 The worst is the middle of the cut in a cell with three solid corners and an empty one, or the reverse.
 """
 
+# Greatest distance, px, that a vertex, and with it a contour, moves onto the lattice
 LATTICE_MOVE_PX = math.sqrt(2.0) / (2.0 * SUBPIXELS)
-"""Greatest distance, px, that a vertex, and with it a contour, moves onto the lattice."""
-
+# The same for points made by clipping at the literal mode's near plane, which drivers may round down
 CLIP_MOVE_PX = math.sqrt(2.0) / SUBPIXELS
-"""The same for points made by clipping at the literal mode's near plane, which drivers may round down."""
 
 FLOAT32_STEP = 2.0**-23
 FLOAT64_STEP = 2.0**-52
@@ -112,15 +111,6 @@ class Stencil:
 
         Where rays meet an open surface (``unbalanced_pixels`` in the settings of the layers), the draw-once
         form caps its openings and draws again; the literal mode counts what is there, as the paper does.
-
-        Raises
-        ------
-        BackendMissing
-            If no OpenGL context can be opened.
-        BackendFailed
-            If the driver refuses the buffers.
-        SettingsError
-            If the pixel is too small for the driver's largest viewport or, in literal mode, a bitmap for its largest buffer.
         """
         from ebamcheck_stencil.draw_once import DrawnOnce, draw_crossings
         from ebamcheck_stencil.openings import capped

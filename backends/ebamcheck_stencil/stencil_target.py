@@ -15,24 +15,14 @@ from ebamcheck_stencil.field_of_view import FieldOfView, Window
 if TYPE_CHECKING:
     import moderngl
 
-INSIDE_COUNTS = (1, 2)
-"""Stencil values of solid pixels, as in the paper."""
-
-PACKED_BITS, WORD_BYTES = 32, 4
-"""Size of a word of GLSL; two of them are a word of a bitmap."""
-
-PADDING_WORDS = 1
-"""Most words without a pixel at the end of a bitmap's row."""
-
-PACKING_SIDE = 8
-"""Side of the square of words that a group of the compute shader packs."""
+INSIDE_COUNTS = (1, 2)  # stencil values of solid pixels, as in the paper
+PACKED_BITS, WORD_BYTES = 32, 4  # size of a word of GLSL; two of them are a word of a bitmap
+PADDING_WORDS = 1  # most words without a pixel at the end of a bitmap's row
+PACKING_SIDE = 8  # side of the square of words that a group of the compute shader packs
 
 COUNT_BITS = 8
-COUNTS_PACKED = PACKED_BITS // COUNT_BITS
-"""Bits of a stencil value, and values in a word."""
-
-WAIT_NS = 10**9
-"""Time after which it is asked anew whether a drawing is done."""
+COUNTS_PACKED = PACKED_BITS // COUNT_BITS  # bits of a stencil value, and values in a word
+WAIT_NS = 10**9  # time after which it is asked anew whether a drawing is done
 
 PACKING_SHADER = f"""
 #version 430

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from types import TracebackType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -19,17 +18,12 @@ from ebamcheck.layers.even_odd import INSIDE_RULE, directed_by_nesting
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.part import Part
 
+# Distance within which trimesh merges vertices, and takes a vertex as on the plane (`tol.merge`), in working units
 MERGE = 1e-8
-"""Distance within which trimesh merges vertices, and takes a vertex as on the plane (``tol.merge``), in working units."""
-
+# Parts are scaled to a size between 2**9 and 2**10, against which `MERGE` is negligible
 WORKING_SIZE_EXPONENT = 10
-"""Parts are scaled to a size between 2**9 and 2**10, against which :data:`MERGE` is negligible."""
-
-ALONG = 100.0
-"""Rings touch along a line, not in a point, from so many error bounds of it on."""
-
-BLOCK = 64
-"""Layers that trimesh cuts at a time, to report progress and bound memory."""
+ALONG = 100.0  # rings touch along a line, not in a point, from so many error bounds of it on
+BLOCK = 64  # layers that trimesh cuts at a time, to report progress and bound memory
 
 
 class TrimeshSettings(BackendSettings):
@@ -105,9 +99,7 @@ class PreparedSections:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._mesh = None
 
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:

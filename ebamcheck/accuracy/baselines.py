@@ -12,8 +12,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from ebamcheck.accuracy.matrix import Tolerance, Tolerances
-from ebamcheck.accuracy.measurement import LAYER_COLUMNS, MEASURED, METRICS, NAMES, REFUSED, Measured
+from ebamcheck.accuracy.measurement import (
+    LAYER_COLUMNS,
+    MEASURED,
+    METRICS,
+    NAMES,
+    REFUSED,
+    Measured,
+    Tolerance,
+    Tolerances,
+)
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import plain, read_json
@@ -133,8 +141,6 @@ def _text(model: str, entries: Iterable[Entry]) -> str:
 def strict_json(value: Any, indent: int = 0) -> str:
     """Strict JSON with sorted keys and one line for each column of numbers, so that a change is a readable diff.
 
-    Examples
-    --------
     >>> print(strict_json({"b": [1.5, 2.0], "a": {}}))
     {
       "a": {},
@@ -207,8 +213,8 @@ class Change:
     old: float
     new: float
     allowed: float
+    # The layers behind it; None where no column explains it, or the layers cannot be matched
     growth: Growth | None = None
-    """The layers behind it; None where no column explains it, or the layers cannot be matched."""
 
     @property
     def worse(self) -> bool:
@@ -252,14 +258,12 @@ class Difference:
 
     def record(self) -> dict[str, Any]:
         """The difference as strict JSON holds it."""
-        return {
-            "model": self.key.model,
-            "backend": self.key.backend,
-            "settings_hash": self.key.settings_hash,
+        changes = [_change_record(change) for change in self.changes]
+        return vars(self.key) | {
             "title": self.title,
             "verdict": self.verdict,
             "why": self.why,
-            "changes": [_change_record(change) for change in self.changes],
+            "changes": changes,
         }
 
 
@@ -363,25 +367,17 @@ def _growth(new: Entry, old: Entry, column: str, tolerance: Tolerance) -> Growth
     now, before = new.measured.columns, old.measured.columns
     if column not in before or not _same_heights(now["z_mm"], before["z_mm"]):
         return None
-    grown = []
-    for k, (a, b) in enumerate(zip(before[column], now[column], strict=True)):
-        if abs(b) > abs(a) + tolerance.allowed(a):
-            grown.append(k)
+    was, became = before[column], now[column]
+    pairs = zip(was, became, strict=True)
+    grown = [k for k, (a, b) in enumerate(pairs) if abs(b) > abs(a) + tolerance.allowed(a)]
     if not grown:
         return None
-    by = [abs(now[column][k]) - abs(before[column][k]) for k in grown]
+    by = [abs(became[k]) - abs(was[k]) for k in grown]
     places = tuple(
-        Place(
-            int(now["layer"][k]),
-            now["z_mm"][k],
-            now["x_mm"][k],
-            now["y_mm"][k],
-            before[column][k],
-            now[column][k],
-        )
+        Place(int(now["layer"][k]), now["z_mm"][k], now["x_mm"][k], now["y_mm"][k], was[k], became[k])
         for k in grown[:FIRST_PLACES]
     )
-    return Growth(column, len(grown), len(now[column]), max(by), math.fsum(by) / len(by), places)
+    return Growth(column, len(grown), len(became), max(by), math.fsum(by) / len(by), places)
 
 
 def _same_heights(a: Any, b: Any) -> bool:

@@ -35,10 +35,10 @@ from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.outside.programs import Program
+from ebamcheck.slicers.outside.lattices import Program
 
+# Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too
 BEADS = ("islands", "all")
-"""Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too."""
 
 BODIES = ("half-space", "box")
 """What 3DThesis heats: a half space, or the box around the section, whose sides (and base, where the process has an
@@ -48,6 +48,7 @@ PLACES = 64
 """Places over which the temperature of an island is averaged, about: eight across it, as heat just laid beside it falls off
 within two millimetres. The greatest means of ten plans lie within 10 % of those over 400 places, over 16 within 21 %."""
 
+# Columns of a judged layer; all temperatures in K
 COLUMNS = {
     "island": "number of the island in the plan",
     "rank": "its place in the order",
@@ -59,7 +60,6 @@ COLUMNS = {
     "thesis_spot_k": "rise where the beam enters it, by 3DThesis",
     "thesis_hottest_k": "rise at the hottest of the places of the island, by 3DThesis",
 }
-"""Columns of a judged layer; all temperatures in K."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,8 +288,8 @@ class _Thesis(Program):
         return super().path().absolute()
 
 
+# 3DThesis of Oak Ridge National Laboratory (Stump and Plotkowski 2019): it tells no version
 THESIS = _Thesis("3DThesis", "3DThesis", "EBAMCHECK_3DTHESIS", "", (), "")
-"""3DThesis of Oak Ridge National Laboratory (Stump and Plotkowski 2019): it tells no version."""
 
 
 def rises_k(

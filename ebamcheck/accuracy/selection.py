@@ -15,7 +15,7 @@ from tomlkit.items import Table
 
 from ebamcheck import __version__
 from ebamcheck.accuracy.measurement import Truth, measure_outcome, truth_of
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.backend import BackendSettings
 from ebamcheck.comparison import Comparison
 from ebamcheck.errors import SettingsError
@@ -25,8 +25,7 @@ from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline.cross_check import compared_layers
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import Model
-from ebamcheck.regular_file import regular_file
+from ebamcheck.plugins.registry import Model
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, slice_all
@@ -56,11 +55,10 @@ class Trial:
     exact: bool
     priority: int
     available: bool
-    why: str = ""
-    """Why it is not available or did not slice the part, or what its layers have wrong; empty if nothing."""
+    why: str = ""  # why it is not available or did not slice the part, or what its layers have wrong; empty if nothing
     bound_mm: float = float("nan")
+    # Depth of the symmetric difference with the exact section of the mesh, at most
     measured_mm: float = float("nan")
-    """Depth of the symmetric difference with the exact section of the mesh, at most."""
     seconds: float = float("nan")  # to prepare the part and slice the whole stack, median
     device: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -110,7 +108,11 @@ def try_backends(
     note(f"accuracy of {', '.join(settings)}")
     with scratch_folder() as folder:
         outcomes = slice_all(workpiece.part, workpiece.judged, settings, folder, limits)
-        comparison = _comparison(workpiece, config, outcomes)
+        done = {name: outcome for name, outcome in outcomes.items() if outcome.file is not None}
+        stacks = {name: outcome.read() for name, outcome in done.items()}
+        comparison = compared_layers(stacks, workpiece.part, bounds_of(done), config, count_evidence=False)
+        exact = [name for name in done if registry.slicer(name).exact]
+        reference = max(exact, key=lambda name: (registry.slicer(name).priority, name), default="")
         for name, outcome in outcomes.items():
             if outcome.file is None:
                 trials[name] = replace(trials[name], why=f"{outcome.failure}: {outcome.why}")
@@ -121,7 +123,7 @@ def try_backends(
                 trials[name],
                 why=failure or _fault(workpiece, outcome, comparison),
                 bound_mm=outcome.error_bound_mm,
-                measured_mm=_measured_mm(name, outcomes, comparison),
+                measured_mm=_measured_mm(name, reference, comparison),
                 seconds=seconds,
                 device=outcome.probe.device,
             )
@@ -141,20 +143,8 @@ def _seconds(
     return median(times), ""
 
 
-def _comparison(workpiece: Workpiece, config: Config, outcomes: Mapping[str, Outcome]) -> Comparison:
-    done = {name: o for name, o in outcomes.items() if o.file is not None}
-    stacks = {name: outcome.read() for name, outcome in done.items()}
-    return compared_layers(stacks, workpiece.part, bounds_of(done), config, count_evidence=False)
-
-
-def _reference(outcomes: Mapping[str, Outcome]) -> str:
-    exact = [n for n, o in outcomes.items() if o.file is not None and registry.slicer(n).exact]
-    return max(exact, key=lambda n: (registry.slicer(n).priority, n), default="")
-
-
-def _measured_mm(name: str, outcomes: Mapping[str, Outcome], comparison: Comparison) -> float:
+def _measured_mm(name: str, reference: str, comparison: Comparison) -> float:
     """Greatest depth against the reference on the layers that both have a rule for; NaN where there is none."""
-    reference = _reference(outcomes)
     if name == reference:
         return 0.0
     pairs: Any = comparison.pairs
@@ -215,8 +205,6 @@ class Choice:
 def choose(trials: Sequence[Trial], tolerance_mm: float) -> Choice:
     """Choose by :data:`RULES`.
 
-    Examples
-    --------
     >>> quick = Trial("quick", False, 1, True, bound_mm=0.2, measured_mm=0.1, seconds=1.0)
     >>> sound = Trial("sound", True, 9, True, bound_mm=0.0, measured_mm=0.0, seconds=5.0)
     >>> choose([quick, sound], tolerance_mm=0.1).reasons["quick"]

@@ -22,7 +22,7 @@ from ebamcheck.checks.checks import PLACE_MM, SAME_AREA, limit_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.geometry.regions import mean_width_mm, valid_polygons
 from ebamcheck.kernels import Bools, Floats, Ints
-from ebamcheck.layers.layer_rule import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
+from ebamcheck.layers.heights import LEVEL_MM, LayerRule, layer_rule, nearest_fitting, section_areas
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.bodies import volumes_between
 from ebamcheck.mesh.part import Part

@@ -21,8 +21,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import count_check, event_faults, limit_check, row_faults, worst_check
 from ebamcheck.kernels import Floats
-from ebamcheck.mesh.on_table import rigid_motion
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.part_source import rigid_motion
 from ebamcheck.nc.motions import RAPID, NCProgram, TableColumns
 from ebamcheck.nc.table import SAME_PLACE_MM, table_at
 from ebamcheck.nc.templates import NO_HEIGHT, carried_corners

@@ -1,4 +1,4 @@
-"""``ebamcheck regress``, ``select`` and ``conform``: how far slicers are from the truth, which suit this machine, and what the kit finds."""
+"""``ebamcheck regress``, ``select`` and ``conform``: how far slicers are from the truth, which suit this machine, what the kit finds; and ``judge``, the heat model beside 3DThesis."""
 
 from __future__ import annotations
 
@@ -7,14 +7,25 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import pandas as pd
 import typer
 from typer import Argument, Option
 
 from ebamcheck.accuracy import selection
 from ebamcheck.accuracy.baselines import UpdateMode, strict_json
-from ebamcheck.accuracy.matrix import Tolerances, read_tolerances
-from ebamcheck.accuracy.regression import Regression, accepted, default_baselines, run_regression, updated
-from ebamcheck.accuracy.report import HISTORY, record, write_junit, write_page
+from ebamcheck.accuracy.heat_judge import BEADS, BODIES, THESIS, JudgedLayer, LayerCase, judge_layer
+from ebamcheck.accuracy.measurement import Tolerances, read_tolerances
+from ebamcheck.accuracy.regression import (
+    HISTORY,
+    Regression,
+    accepted,
+    default_baselines,
+    record,
+    run_regression,
+    updated,
+    write_junit,
+    write_page,
+)
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.options import (
     DEFAULT_CONFIG,
@@ -24,11 +35,15 @@ from ebamcheck.commands.options import (
     assignments,
     names,
     print_json,
+    stack_of_run,
 )
+from ebamcheck.commands.summaries import watched
 from ebamcheck.errors import BackendMissing, ExitCode, SettingsError
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
+from ebamcheck.printable import index_of_number
+from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.checking import checked
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.stages import machine_name
@@ -231,18 +246,13 @@ def _table(
         [t.name, t.available, t.bound_mm, t.measured_mm, t.seconds, t.device, choice.reasons[t.name]]
         for t in trials
     ]
-    chosen = (
-        f"primary: {choice.primary}; required: {', '.join(choice.required)}"
-        if choice.primary
-        else f"no slicer is accurate to {tolerance_mm:g} mm"
-    )
-    alone = (
-        ""
-        if choice.witness or not choice.primary
-        else "\nthere is no second slicer of that accuracy: a run needs two that agree"
-    )
+    chosen = f"no slicer is accurate to {tolerance_mm:g} mm"
+    if choice.primary:
+        chosen = f"primary: {choice.primary}; required: {', '.join(choice.required)}"
+        if not choice.witness:
+            chosen += "\nthere is no second slicer of that accuracy: a run needs two that agree"
     head = f"machine {machine_name()}: {workpiece.title}, {len(workpiece.timed)} layers"
-    return f"{head}\n{text_table(columns, rows)}\n\n{selection.RULES}\n\n{chosen}{alone}"
+    return f"{head}\n{text_table(columns, rows)}\n\n{selection.RULES}\n\n{chosen}"
 
 
 def conform_command(
@@ -285,3 +295,83 @@ def conform_command(
     else:
         typer.echo("\n\n".join(c.table() for c in found))
     return ExitCode.PASS if all(c.passed for c in found) else ExitCode.OUT_OF_TOLERANCE
+
+
+TABLE, CASE = "judged.csv", "case"
+
+# Columns of the printed table, and their headings
+SHOWN = {
+    "rank": "rank", "island": "island", "entered_s": "entered, s", "model_k": "model, K",
+    "thesis_k": "3DThesis, K", "thesis_spot_k": "at the entry, K", "thesis_hottest_k": "hottest, K",
+}  # fmt: skip
+
+FIGURES = {
+    "kendall_tau": "Kendall's tau of the islands",
+    "spearman": "Spearman's rank correlation",
+    "thesis_over_model": "3DThesis over model, all rises",
+}
+
+
+def judge_command(
+    run: Annotated[Path, Argument(help="A finished run folder.")],
+    layer: Annotated[int, Option(help="Layer, counted from 1.")],
+    output: Annotated[
+        Path | None, Option("-o", "--output", help=f"Folder for {CASE}/ and {TABLE}; default: RUN.judge.")
+    ] = None,
+    beads: Annotated[
+        str, Option(help=f"Beads that heat in 3DThesis: {', '.join(BEADS)}; our model counts islands.")
+    ] = BEADS[0],
+    body: Annotated[
+        str, Option(help=f"What 3DThesis heats: {', '.join(BODIES)} around the section.")
+    ] = BODIES[0],
+    config_file: ConfigOption = None,
+    as_json: JsonOption = False,
+) -> ExitCode:
+    """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model.
+
+    Example: ebamcheck judge blade.run --layer 4
+    """
+    config, curves, plan, _ = stack_of_run(run, config_file)
+    index = index_of_number(layer, len(plan))
+    folder = made_folder(output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.judge"))
+    layers = RunFolder(run).read_layers(str(RunFolder(run).manifest()["primary"]))
+    section = layers.section(index)
+    case = LayerCase.of(plan, index, section, config, curves=curves, beads=beads, body=body)
+    case.write(folder / CASE, config)
+    THESIS.path()
+    with watched() as observer:
+        observer.stage("3DThesis", len(case.islands))
+        judged = judge_layer(case, config, observer.advance)
+    with replacing(folder / TABLE) as temporary:
+        judged.table.round(4).to_csv(temporary, index=False)
+    if as_json:
+        print_json(
+            {**judged.figures(), "layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
+        )
+    else:
+        _tell(judged, layer, body, config, folder)
+    return ExitCode.PASS
+
+
+def _tell(judged: JudgedLayer, layer: int, body: str, config: Config, folder: Path) -> None:
+    most_k = config.material.boiling_k - config.process.ambient_temperature_k
+    typer.echo(f"layer {layer}: rise of its {len(judged.table)} islands when the beam enters them\n")
+    rows = [[_cell(name, row[name], most_k) for name in SHOWN] for _, row in judged.table.iterrows()]
+    typer.echo(text_table(list(SHOWN.values()), rows) + "\n")
+    figures = judged.figures()
+    lines = [[what, f"{figures[name]:.2f}"] for name, what in FIGURES.items()]
+    for what, name in (("model", "model"), ("3DThesis", "thesis"), ("3DThesis at the entry", "thesis_spot")):
+        lines.append(
+            [f"greatest rise, {what}", _cell(f"{name}_max_k", figures[f"{name}_max_k"], most_k) + " K"]
+        )
+    typer.echo(text_table(["", ""], lines).strip("\n"))
+    typer.echo(f"\nBoth are linear and begin cold; 3DThesis heats a {body}. {folder / CASE} is its case.")
+
+
+def _cell(name: str, value: float, most_k: float) -> str:
+    """Write a number; over boiling, where both models end, only that it is over it."""
+    if not name.endswith("_k"):
+        return f"{value:.1f}" if name.endswith("_s") else f"{value:.0f}"
+    if pd.isna(value):
+        return "-"
+    return f"> {most_k:.0f}" if value > most_k else f"{value:.0f}"

@@ -30,13 +30,12 @@ COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin pac
 RESUMABLE = ("run", "check")  # commands that go on with what an interrupted one left behind
 
 
+# Commands that begin with all kernels compiled, beside those that show their progress
 MOST_KERNELS = frozenset(
     ["verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper"]
 )
-"""Commands that begin with all kernels compiled, beside those that show their progress."""
-
+# Commands that compile the few kernels that they need as they go
 FEW_KERNELS = frozenset(["slice_command", "inspect", "compare", "polar", "preflight_command"])
-"""Commands that compile the few kernels that they need as they go."""
 
 
 class CommandGroup(TyperGroup):

@@ -77,6 +77,7 @@ def _global(
     warnings.formatwarning = lambda message, *_args, **_kwargs: str(message)
 
 
+# Name and function of each command, and its example
 COMMANDS: tuple[tuple[str, Callable[..., Any], str], ...] = (
     ("run", run, "Example: ebamcheck run blade.stl -c ebamcheck.toml -o blade.run --reference blade-fine.stl"),
     ("check", check, "Example: ebamcheck check blade.stl --layer-height 0.2 --witnesses all -o blade.run"),
@@ -88,7 +89,6 @@ COMMANDS: tuple[tuple[str, Callable[..., Any], str], ...] = (
     ("verify", verify, "Examples: ebamcheck verify blade.run --trusted keys/; ebamcheck verify blade.run/program/MAIN.MPF --part blade.stl"),
     ("config", config_command, "Examples: ebamcheck config -o ebamcheck.toml; ebamcheck config --merge ebamcheck.toml"),
 )  # fmt: skip
-"""Name and function of each command, and its example."""
 
 for _name, _function, _example in COMMANDS:
     app.command(_name, epilog=_example)(guarded(_function))

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from ebamcheck.scan import ScanPlan
     from ebamcheck.settings.config import Config
 
+# Settings that are taken where none are named, if there are some in the working folder
 DEFAULT_CONFIG = Path("ebamcheck.toml")
-"""Settings that are taken where none are named, if there are some in the working folder."""
 
 ConfigOption = Annotated[
     Path | None,
@@ -179,8 +179,6 @@ def numbers(text: str, option: str) -> tuple[float, ...]:
 def assignments(texts: Iterable[str]) -> dict[str, Any]:
     """Settings given as NAME=VALUE; values are JSON where they can be, else text.
 
-    Examples
-    --------
     >>> assignments(["pixel_mm=0.1", "mode=literal"])
     {'pixel_mm': 0.1, 'mode': 'literal'}
     """

@@ -1,20 +1,26 @@
-"""``ebamcheck run``, ``check`` and ``verify``: the whole job, its cross-check alone, and a finished run or a program worked out again."""
+"""``ebamcheck run``, ``check``, ``verify`` and ``preflight``: the whole job, its cross-check alone, a finished run or a program worked out again,
+and what can be said before a job."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import typer
 from typer import Argument, Option
 
 from ebamcheck.commands import options
 from ebamcheck.errors import ExitCode, SettingsError
+from ebamcheck.showing.short_text import counted, text_table
 
 if TYPE_CHECKING:
     from ebamcheck.pipeline import RunResult
+    from ebamcheck.preflight.report import Preflight
+    from ebamcheck.result import Check
     from ebamcheck.settings.config import Config
-    from ebamcheck.slicers.worker_pool import WorkerPool
+    from ebamcheck.slicers.isolation import WorkerPool
 
 
 def run(
@@ -50,23 +56,15 @@ def run(
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     part_ready = options.begun(source, config, "run", yes)
     with _first_slicers(config) as workers:
-        from ebamcheck.commands.progress import watched
+        from ebamcheck.commands.summaries import watched
         from ebamcheck.pipeline import run_job
 
         with watched() as observer:
+            folder = output or Path(f"{source.stem}.run")
             result = run_job(
-                source,
-                output or Path(f"{source.stem}.run"),
-                config,
-                reference,
-                resume,
-                observer,
-                part_ready,
-                force=force,
-                from_layer=from_layer,
-                live=live,
-                workers=workers,
-            )
+                source, folder, config, reference, resume, observer, part_ready,
+                force=force, from_layer=from_layer, live=live, workers=workers,
+            )  # fmt: skip
     return _told(result, as_json)
 
 
@@ -110,7 +108,7 @@ def check(
         if wanted_slabs(source, config) == 1:
             part_ready = options.begun(source, config, "check", yes)
             workers = opened.enter_context(_first_slicers(config))
-        from ebamcheck.commands.progress import watched
+        from ebamcheck.commands.summaries import watched
         from ebamcheck.pipeline import check_job
 
         with watched() as observer:
@@ -122,7 +120,7 @@ def check(
 def _first_slicers(config: Config) -> WorkerPool:
     """Workers of the slicers: their interpreters come up while the rest of this one is loaded."""
     from ebamcheck.plugins import registry
-    from ebamcheck.slicers.worker_pool import WorkerPool, longest_first
+    from ebamcheck.slicers.isolation import WorkerPool, longest_first
 
     names = longest_first(config.slicing.backends or registry.house_slicers())
     return WorkerPool(names[: config.slicing.processes or None])
@@ -218,3 +216,64 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     else:
         print(f"\n{good} of {len(found)} published layers verify from their text alone")
     return ExitCode.PASS if found and good == len(found) else ExitCode.OUT_OF_TOLERANCE
+
+
+SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # levels as the table has them
+
+
+def preflight_command(
+    part: Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")] = None,
+    plate: options.PlateOption = None,
+    job: Annotated[str, Option(help="Job that is meant: run, or check without a program.")] = "run",
+    config_file: options.ConfigOption = None,
+    layer_height: options.LayerHeightOption = None,
+    units: options.UnitsOption = "",
+    direction: options.DirectionOption = "",
+    place: options.PlaceOption = "",
+    rotate: options.RotateOption = None,
+    fix_orientation: options.FixOption = False,
+    yes: options.YesOption = False,
+    as_json: options.JsonOption = False,
+) -> ExitCode:
+    """Look at mesh, units, machine, settings and the work to come; exit code 1 where something cannot work.
+
+    Example: ebamcheck preflight blade.stl -c ebamcheck.toml --place 100,50
+    """
+    from ebamcheck.preflight.report import ready
+    from ebamcheck.preflight.workload import EVERY
+
+    if job not in EVERY:
+        raise SettingsError(f"--job {job!r}: give one of {', '.join(EVERY)}")
+    config = options.placed_settings(
+        options.settings_of(config_file, units, direction, layer_height), place, rotate
+    )
+    if fix_orientation:
+        config = config.changed(part={"fix_orientation": True})
+    found = ready(options.part_or_plate(part, plate), config, job, yes).preflight
+    if as_json:
+        options.print_json(found.as_dict())
+    else:
+        typer.echo(preflight_text(found))
+    return found.exit_code
+
+
+def preflight_text(found: Preflight) -> str:
+    """Table of the checks, what to do about those that do not pass, and the verdict."""
+    remedies = [
+        f"{check.name}: {check.remedy}" for check in found.checks if check.level != "pass" and check.remedy
+    ]
+    faults = sum(check.level == "fault" for check in found.checks)
+    warned = sum(check.level == "warning" for check in found.checks)
+    blocks = [
+        text_table(["", "check", "figure", "limit", "unit", ""], [_row(check) for check in found.checks]),
+        "\n".join(remedies),
+        f"{len(found.checks)} checks: {counted(faults, 'fault')}, {counted(warned, 'warning')}",
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def _row(check: Check) -> Sequence[str]:
+    from ebamcheck.result import known
+
+    figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
+    return [SHOWN[check.level], check.name, *figures, check.unit, check.text]

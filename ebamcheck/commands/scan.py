@@ -20,7 +20,7 @@ from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands import options
-from ebamcheck.commands.progress import watched
+from ebamcheck.commands.summaries import watched
 from ebamcheck.errors import ExitCode, SettingsError, interruptible
 from ebamcheck.heat import ContourModes
 from ebamcheck.heat.island_heat import IslandHeat
@@ -32,7 +32,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import simulators
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import write_program
-from ebamcheck.scan.order.simulation import entered, island_history
+from ebamcheck.scan.order.simulation import entered
 from ebamcheck.scan.plan.comparing import (
     RANDOM,
     SEEDS,
@@ -56,12 +56,12 @@ ORDERS_TABLE, LAYERS_TABLE = "orders.json", "layers.csv"
 BUILT = "built_s"  # column: time from the start of the build to the end of a layer, with the waits between
 LEAST_HEIGHT_MM = 1e-3  # a layer at the very bottom of a part is exported so high over the plate
 
+# Figures of the printed table of orders, and their headings
 HEADINGS = {
     "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",
     "interval_p10_s": "interval p10, s", "interval_min_s": "min, s", "travel_mm": "travel, mm", "starts": "starts",
     "time_s": "time, s",
 }  # fmt: skip
-"""Figures of the printed table of orders, and their headings."""
 
 COMMON = 0.9  # share of the cells that the colours tell apart: the last islands are far hotter
 
@@ -311,7 +311,7 @@ def order_pictures(
     figures: Mapping[str, tuple[float, float]],
     what: str,
 ) -> dict[str, str]:
-    """Texts by file name: two maps an order, its last temperatures and its animation.
+    """Texts by file name: two maps an order, and its last temperatures.
 
     All show the same frame with contour beads and path, and all temperatures of all orders have one scale: it ends at
     the hottest entry or at what most of a finished layer is under, whichever is more, and at the boiling point at last.
@@ -348,11 +348,6 @@ def order_pictures(
         title = f"{what}: temperature rise when the layer is done, {name}"
         files[f"{name}-field.svg"] = pictures.field_svg(
             partial(_rises, plane, at_end[name]), section, title, " K", scale.greatest, scenes[name], scale
-        )
-        order = np.argsort(result.rank)
-        history = island_history(compared.heat, order, result.start_s, result.end_s)
-        files[f"{name}.html"] = pictures.layer_animation(
-            islands, order, result.end_s, history, f"{what}, {name}", scale, scenes[name]
         )
     files["pareto.svg"] = pictures.pareto_svg(figures, f"{what}: {len(islands)} islands")
     return files

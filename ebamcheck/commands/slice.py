@@ -64,7 +64,7 @@ def slice_command(
 
         pool = None
         if not may_run_here(name):
-            from ebamcheck.slicers.worker_pool import WorkerPool
+            from ebamcheck.slicers.isolation import WorkerPool
 
             # The worker's interpreter comes up while the part is read.
             pool = opened.enter_context(WorkerPool([name]))
@@ -85,16 +85,8 @@ def slice_command(
     if made.open_paths or not made.rings:
         what = "has open paths" if made.open_paths else "has no contour on any layer"
         _log.warning("%s %s: `ebamcheck inspect` tells whether its mesh is open or inside out", part, what)
-    counts = [
-        counted(number, one)
-        for number, one in (
-            (len(wanted), "layer"),
-            (made.rings, "ring"),
-            (made.open_paths, "open path"),
-            (made.points, "point"),
-        )
-    ]
-    print(f"{', '.join(counts)}: {output}")
+    counts = {"layer": len(wanted), "ring": made.rings, "open path": made.open_paths, "point": made.points}
+    print(f"{', '.join(counted(number, one) for one, number in counts.items())}: {output}")
     return ExitCode.PASS
 
 
@@ -117,8 +109,8 @@ def compare(
     from ebamcheck.atomic_file import replacing
     from ebamcheck.comparison import compare as compare_layers
     from ebamcheck.comparison.pairwise import check_comparable
-    from ebamcheck.layer_numbers import numbered
     from ebamcheck.layers.files import read_layers
+    from ebamcheck.printable import numbered
     from ebamcheck.showing.short_text import text_table
 
     if not tolerance >= 0.0:
@@ -135,16 +127,8 @@ def compare(
     if output is not None:
         with replacing(output) as temporary:
             table.to_csv(temporary, index=False)
-    shown = [
-        "layer",
-        "height_mm",
-        "area_difference_mm2",
-        "symmetric_difference_mm2",
-        "iou",
-        "hausdorff_mm",
-        "depth_mm",
-        "agrees",
-    ]
+    areas = ("area_difference_mm2", "symmetric_difference_mm2")
+    shown = ["layer", "height_mm", *areas, "iou", "hausdorff_mm", "depth_mm", "agrees"]
     if as_json:
         options.print_json(table.to_dict(orient="records"))
     else:
@@ -184,14 +168,9 @@ def inspect(
 
         listed = surfaces(loaded_part, options.settings_of(config_file, "", "", None).curves)
         if picture is not None:
-            picture.write_text(
-                regions_svg(
-                    loaded_part.triangles,
-                    [(s.kind, s.facets) for s in listed],
-                    f"Regions of {loaded_part.name}",
-                ),
-                encoding="utf-8",
-            )
+            kinds = [(surface.kind, surface.facets) for surface in listed]
+            drawn = regions_svg(loaded_part.triangles, kinds, f"Regions of {loaded_part.name}")
+            picture.write_text(drawn, encoding="utf-8")
     if as_json:
         figures = found.as_dict()
         options.print_json({**figures, "regions": [s.as_dict() for s in listed]} if regions else figures)
@@ -203,11 +182,7 @@ def inspect(
         figures["units"] = f"{found.units} ({found.units_from})"
         figures["lower_mm"] = ", ".join(f"{s:.6g}" for s in found.lower_mm)
         for key, value in figures.items():
-            typer.echo(
-                f"{key.replace('_', ' '):20} {value:.9g}"
-                if isinstance(value, float)
-                else f"{key.replace('_', ' '):20} {value}"
-            )
+            typer.echo(f"{key.replace('_', ' '):20} {f'{value:.9g}' if isinstance(value, float) else value}")
         for relation in found.relations:
             typer.echo(f"{'warning' if relation.lost else 'bodies':20} {relation.text}")
         if not found.union_known:

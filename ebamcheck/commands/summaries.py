@@ -1,18 +1,28 @@
-"""What commands tell on the terminal: the slicers there are, and what a run came to."""
+"""What commands tell on the terminal: the slicers there are, the progress of a job, and what a run came to."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 from ebamcheck.backend import Slicer
+from ebamcheck.commands.warm import warm_kernels
 from ebamcheck.installed import BrokenPlugin
 from ebamcheck.plugins import registry
 from ebamcheck.plugins.strangers import StrangerSlicer
-from ebamcheck.plugins.trial import cube
+from ebamcheck.plugins.trial import TOLD_ATTRIBUTES, cube
+from ebamcheck.printable import printable
 from ebamcheck.result import Place, in_words
 from ebamcheck.showing.short_text import text_table
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
 
 
 def backend_record(name: str) -> dict[str, Any]:
@@ -20,17 +30,8 @@ def backend_record(name: str) -> dict[str, Any]:
     slicer, probe = registry.slicer(name), registry.probe(name)
     error_mm, height_mm = _bounds_of_cube(slicer)
     return {
-        "name": name,
-        "summary": slicer.summary,
-        "available": probe.available,
-        "why": probe.why,
-        "hint": probe.hint,
-        "versions": dict(probe.versions),
-        "device": probe.device,
-        "exact": slicer.exact,
-        "priority": slicer.priority,
-        "coplanar_rule": slicer.coplanar_rule,
-        "inside_rule": slicer.inside_rule,
+        **{key: getattr(slicer, key) for key in TOLD_ATTRIBUTES},
+        **asdict(probe),
         "error_bound_mm": error_mm,
         "height_bound_mm": height_mm,
     }
@@ -52,13 +53,7 @@ def broken_record(plugin: BrokenPlugin) -> dict[str, Any]:
 def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[BrokenPlugin] = ()) -> str:
     """Table of the slicers, why some are not available, and which plugins were left out."""
     columns = [
-        "name",
-        "available",
-        "exact",
-        "device",
-        "plane rule",
-        "inside rule",
-        "bound mm",
+        *("name", "available", "exact", "device", "plane rule", "inside rule", "bound mm"),
         "versions",
         "summary",
     ]
@@ -79,6 +74,9 @@ def backends_text(records: Sequence[Mapping[str, Any]], left_out: Sequence[Broke
     return "\n\n".join([text_table(columns, rows), *missing, *unusable, bound])
 
 
+PAIR_FIGURES = ("max_depth_mm", "limit_mm", "max_hausdorff_mm", "min_iou")
+
+
 def run_summary(manifest: Mapping[str, Any]) -> str:
     """What a run came to: slicers, pairs, gates, findings and verdict."""
 
@@ -88,14 +86,7 @@ def run_summary(manifest: Mapping[str, Any]) -> str:
         for name, b in manifest["backends"].items()
     ]  # fmt: skip
     pairs = [
-        [
-            f"{p['a']} / {p['b']}",
-            f"{p['agree']} of {p['gated']}",
-            p["max_depth_mm"],
-            p["limit_mm"],
-            p["max_hausdorff_mm"],
-            p["min_iou"],
-        ]
+        [f"{p['a']} / {p['b']}", f"{p['agree']} of {p['gated']}", *(p[figure] for figure in PAIR_FIGURES)]
         for p in manifest["comparison"]["pairs"]
     ]
     passed = [["pass" if g["passed"] else "FAIL", g["name"], g["text"]] for g in manifest["gates"]]
@@ -158,3 +149,79 @@ def _disagreement(f: Mapping[str, Any]) -> str:
     where = f"({float(f['x_mm']):.3f}, {float(f['y_mm']):.3f}) of {place}"
     remedy = f"; {f['remedy']}" if f.get("remedy") else ""
     return f"{f['backend']} against {f['against']}: {cause}; {f['metric']} {size} at {where}{remedy}"
+
+
+class LineObserver:
+    """Shows what is noted of a run, line by line on standard error."""
+
+    def stage(self, name: str, total: int) -> None:
+        """Show nothing: a bar is for terminals."""
+
+    def advance(self, steps: int) -> None:
+        """Show nothing."""
+
+    def note(self, text: str) -> None:
+        """Print a line."""
+        print(f"ebamcheck: {printable(text)}", file=sys.stderr)
+
+
+class TerminalObserver:
+    """Shows the stages of a run on a terminal."""
+
+    def __init__(self, bars: Progress) -> None:
+        self._bars = bars
+        self._task: TaskID | None = None
+
+    def stage(self, name: str, total: int) -> None:
+        """Finish the bar of the last stage and begin one."""
+        self.finish()
+        self._task = self._bars.add_task(name, total=max(total, 1))
+
+    def advance(self, steps: int) -> None:
+        """Move the bar of the stage."""
+        if self._task is not None:
+            self._bars.advance(self._task, steps)
+
+    def note(self, text: str) -> None:
+        """Print a line above the bars."""
+        self._bars.console.print(
+            f"ebamcheck: {printable(text)}", markup=False, highlight=False, soft_wrap=True
+        )
+
+    def finish(self) -> None:
+        """Fill the bar of the last stage."""
+        if self._task is not None:
+            task = self._bars.tasks[self._task]
+            self._bars.update(self._task, completed=task.total)
+
+
+@contextmanager
+def watched() -> Iterator[LineObserver | TerminalObserver]:
+    """Show progress while the block runs, which begins with all kernels compiled."""
+    warm_kernels()
+    if not may_be_terminal():
+        yield LineObserver()
+        return
+    from rich.console import Console
+
+    with _bars(Console(stderr=True)) as bars:
+        observer = TerminalObserver(bars)
+        yield observer
+        observer.finish()
+
+
+def may_be_terminal() -> bool:
+    """Whether bars may be shown: what shows them takes a tenth of a second to load."""
+    return sys.stderr.isatty() or any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE"))
+
+
+def _bars(console: Console) -> Progress:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (
+        TextColumn("{task.description:>20}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
+    return Progress(*columns, console=console, disable=not console.is_terminal)

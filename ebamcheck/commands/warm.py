@@ -21,8 +21,8 @@ from ebamcheck.scratch import scratch_folder
 
 JOBS = "ebamcheck.commands.warm_jobs"
 
+# Folders of kernels that no command has asked for as long as this go: their sources have changed since
 _KEPT_S = 30.0 * 86400.0
-"""Folders of kernels that no command has asked for as long as this go: their sources have changed since."""
 
 
 def warm_command() -> ExitCode:
@@ -82,14 +82,9 @@ def _compile(mark: Path) -> None:
     _tell("compiling the kernels, once for this version: about a minute and a half on two cores")
     start = time.perf_counter()
     with scratch_folder() as folder:
-        workers = [
-            subprocess.Popen(
-                [sys.executable, "-m", JOBS, end, str(folder)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-            )
-            for end in ("first", "second")
-        ]
+        nowhere = subprocess.DEVNULL
+        commands = ([sys.executable, "-m", JOBS, end, str(folder)] for end in ("first", "second"))
+        workers = [subprocess.Popen(command, stdin=nowhere, stdout=nowhere) for command in commands]
         try:
             codes = [worker.wait() for worker in workers]
         finally:

@@ -57,8 +57,8 @@ def _orders(_folder: Path) -> None:
     plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
 
 
+# What each of two processes does, in a folder of its name: each begins at another end
 JOBS = {"first": (_sections, _program), "second": (_orders, _curves, _program)}
-"""What each of two processes does, in a folder of its name: each begins at another end."""
 
 
 @contextlib.contextmanager

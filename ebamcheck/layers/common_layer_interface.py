@@ -27,20 +27,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.geometry.rings import signed_areas
 from ebamcheck.json_values import parsed_json
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, canonical
 from ebamcheck.mesh.reading import is_number
-from ebamcheck.regular_file import regular_file
 
 VERSIONS = (100, 101, 200)
 USER_DATA = "ebamcheck.layers"
-HEADER_WITHIN_BYTES = (
-    65536  # A file whose header does not begin within this many bytes is another kind of file
-)
+# A file whose header does not begin within this many bytes is another kind of file
+HEADER_WITHIN_BYTES = 65536
 SHOWN_CHARACTERS = 40  # characters of a wrong value that a message quotes
 
 _COMMENT = re.compile(rb"//.*?//", re.DOTALL)
@@ -61,8 +59,8 @@ class Header:
     layers: int | None = None
     models: dict[int, str] = field(default_factory=dict)
     labels: dict[str, Any] = field(default_factory=dict)
+    # Number of polylines, if this program wrote the file: the format itself does not give it
     polylines: int | None = None
-    """Number of polylines, if this program wrote the file: the format itself does not give it."""
 
 
 def read_header(data: bytes, path: Path) -> Header:
@@ -172,8 +170,8 @@ def place_error(path: Path, data: bytes, offset: int, message: str, binary: bool
 
 log = logging.getLogger(__name__)
 
+# Directions of a polyline: clockwise (hole), counter-clockwise (outer), open
 INTERNAL, EXTERNAL, OPEN_LINE = 0, 1, 2
-"""Directions of a polyline: clockwise (hole), counter-clockwise (outer), open."""
 
 
 class Gathered:
@@ -316,10 +314,8 @@ class SliceFile:
     """Content of a slice file."""
 
     layers: Layers
-    hatches: Ints
-    """(L,) number of hatch lines of each layer; they are only counted."""
-    models: Mapping[int, str]
-    """Names of the models by their identifiers; polylines of all models are joined."""
+    hatches: Ints  # (L,) number of hatch lines of each layer; they are only counted
+    models: Mapping[int, str]  # names of the models by their identifiers; polylines of all models are joined
     units_mm: float
     version: int
     binary: bool
@@ -355,13 +351,9 @@ def read_slice_file(path: str | Path) -> SliceFile:
         raise InputError(
             f"{path}: holds {gathered.polylines} polylines, its header says {header.polylines}: it is cut off"
         )
+    hatches = np.asarray(gathered.hatches, dtype=np.int64)
     return SliceFile(
-        layers=gathered.layers(),
-        hatches=np.asarray(gathered.hatches, dtype=np.int64),
-        models=header.models,
-        units_mm=header.units_mm,
-        version=header.version,
-        binary=header.binary,
+        gathered.layers(), hatches, header.models, header.units_mm, header.version, header.binary
     )
 
 
@@ -467,11 +459,8 @@ def _polylines(layers: Layers, layer: int, units_mm: float) -> Iterator[tuple[in
         points = layers.ring(r) / units_mm
         if not layers.closed[r]:
             yield OPEN_LINE, points
-        else:
-            yield (
-                EXTERNAL if layers.ring_areas[r] >= 0.0 else INTERNAL,
-                np.concatenate([points, points[:1]]),
-            )
+            continue
+        yield EXTERNAL if layers.ring_areas[r] >= 0.0 else INTERNAL, np.concatenate([points, points[:1]])
 
 
 def _text_records(layers: Layers, heights: Floats, units_mm: float) -> Iterator[bytes]:

@@ -34,17 +34,9 @@ def oriented_by_nesting(layers: Layers) -> Layers:
     sizes = np.diff(layers.ring_starts)
     rows = np.arange(len(layers.points))
     mirrored = np.repeat(layers.ring_starts[:-1] + layers.ring_starts[1:] - 1, sizes) - rows
-    return canonical(
-        layers.heights,
-        layers.points[np.where(np.repeat(wrong, sizes), mirrored, rows)],
-        layers.ring_starts,
-        layers.layer_starts,
-        layers.closed,
-        part=layers.part,
-        direction=layers.direction,
-        backend=layers.backend,
-        settings=layers.settings,
-    )
+    points = layers.points[np.where(np.repeat(wrong, sizes), mirrored, rows)]
+    labels = {name: getattr(layers, name) for name in ("part", "direction", "backend", "settings")}
+    return canonical(layers.heights, points, layers.ring_starts, layers.layer_starts, layers.closed, **labels)
 
 
 def refuse_crossing(layers: Layers, tolerance_mm: float, name: str) -> None:

@@ -51,7 +51,7 @@ from ebamcheck.columns_file import (
 )
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.kernels import Ints
-from ebamcheck.layers import contour_files, slices_3mf, svg
+from ebamcheck.layers import contour_files, svg
 from ebamcheck.layers.common_layer_interface import read_cli, write_cli
 from ebamcheck.layers.stack import Layers, concatenate
 from ebamcheck.threads import run_blocks
@@ -60,8 +60,8 @@ VERSION = "1"  # version of the table; a reader refuses any other
 
 LABELS = ("part", "direction", "backend", "settings")
 
+# Arrow's lists count their items in 32 bits; a longer stack is written as several blocks
 LARGEST_LIST = 2**31 - 1
-"""Arrow's lists count their items in 32 bits; a longer stack is written as several blocks."""
 
 SMALLEST_BLOCK = 65536  # fewest points worth a thread that copies them
 
@@ -76,8 +76,8 @@ _KINDS = {
     "closed": pa.list_(pa.bool_()),
     **_EDGES,
 }
+# Columns that every table of contours must have
 CONTOUR_COLUMNS = [name for name in _KINDS if name not in _EDGES]
-"""Columns that every table of contours must have."""
 
 
 def to_arrow(layers: Layers) -> pa.RecordBatch:
@@ -319,23 +319,22 @@ class LayerFormat(NamedTuple):
     read: Callable[[str | Path], Layers]
 
 
+# Formats of layers, by suffix
 FORMATS: Mapping[str, LayerFormat] = {
     ".parquet": LayerFormat(write_parquet, read_parquet),
     ".cli": LayerFormat(write_cli, read_cli),
     ".svg": LayerFormat(svg.write_stack, svg.read_stack),
     ".dxf": LayerFormat(contour_files.write_dxf, contour_files.read_dxf),
     ".vtp": LayerFormat(contour_files.write_vtp, contour_files.read_vtp),
-    ".3mf": LayerFormat(slices_3mf.write_stack, slices_3mf.read_stack),
+    ".3mf": LayerFormat(contour_files.write_3mf, contour_files.read_3mf),
     ".csv": LayerFormat(contour_files.write_csv, contour_files.read_csv),
 }
-"""Formats of layers, by suffix."""
 
 
+# Suffixes of the folder of one stack's blocks, and of the file of one block
 SUFFIX, BLOCK = ".blocks", ".arrow"
-"""Suffixes of the folder of one stack's blocks, and of the file of one block."""
-
+# Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing
 WORTH = 5.0
-"""Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing."""
 
 
 class KeptBlocks:

@@ -28,19 +28,17 @@ if TYPE_CHECKING:
 UP = (0.0, 0.0, 1.0)  # slicing direction of a part that is not rotated
 RINGS_A_BLOCK = 256  # fewest rings worth a thread that brings them into canonical form
 
+# Okabe and Ito's colours, which colour-blind people can tell apart
 KIND_COLOURS = {"outer": "#0072b2", "hole": "#d55e00", "open path": "#cc79a7"}
-"""Okabe and Ito's colours, which colour-blind people can tell apart."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Ring:
     """One contour of a layer: an outer ring, a hole, or an open path."""
 
-    points: Floats
-    """(n, 2) mm, without a repeated end point."""
+    points: Floats  # (n, 2) mm, without a repeated end point
     closed: bool
-    area_mm2: float
-    """Positive for an outer ring, negative for a hole, 0 for an open path."""
+    area_mm2: float  # positive for an outer ring, negative for a hole, 0 for an open path
     length_mm: float
 
     @property
@@ -59,13 +57,9 @@ class Ring:
         return len(self.points)
 
     def __repr__(self) -> str:
-        return short_text.line(
-            "Ring",
-            self.kind,
-            short_text.counted(len(self), "point"),
-            f"{self.length_mm:.6g} mm long",
-            f"{self.area_mm2:.6g} mm2" if self.closed else "",
-        )
+        area = f"{self.area_mm2:.6g} mm2" if self.closed else ""
+        points, length = short_text.counted(len(self), "point"), f"{self.length_mm:.6g} mm long"
+        return short_text.line("Ring", self.kind, points, length, area)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -118,9 +112,8 @@ class Layer:
         """Draw the contours on matplotlib axes, each kind of ring in its colour; `style` is of its lines."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
-        rings = self.rings
         groups = [
-            Lines([_outline(ring) for ring in rings if ring.kind == kind], colour)
+            Lines([_outline(ring) for ring in self.rings if ring.kind == kind], colour)
             for kind, colour in KIND_COLOURS.items()
         ]
         return plot_lines(groups, f"layer {self.index + 1}, z = {self.height_mm:.6g} mm", ax, **style)

@@ -303,16 +303,17 @@ def _reduced(points: Floats, closed: bool, tolerance_mm: float) -> Floats:
 
     if len(points) < 4:
         return points
-    # A closed ring is cut at its first point and the one farthest from it, so that both stay.
+
+    def simplified(line: Floats) -> Floats:
+        if len(line) < 3:
+            return line
+        return np.asarray(
+            shapely.get_coordinates(shapely.LineString(line).simplify(tolerance_mm, preserve_topology=False))
+        )
+
     if not closed:
-        line = shapely.LineString(points).simplify(tolerance_mm, preserve_topology=False)
-        return np.asarray(shapely.get_coordinates(line))
+        return simplified(points)
+    # A closed ring is cut at its first point and the one farthest from it, so that both stay.
     far = int(np.argmax(np.hypot(*(points - points[0]).T)))
     halves = (points[: far + 1], np.concatenate([points[far:], points[:1]]))
-    kept = [
-        shapely.get_coordinates(shapely.LineString(half).simplify(tolerance_mm, preserve_topology=False))
-        if len(half) > 2
-        else half
-        for half in halves
-    ]
-    return np.concatenate([kept[0][:-1], kept[1][:-1]])
+    return np.concatenate([simplified(half)[:-1] for half in halves])

@@ -22,11 +22,11 @@ import numpy as np
 import pandas as pd
 from scipy import ndimage
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError
 from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal import Surface
 from ebamcheck.metal.surface import HALF, SPOT_BEADS
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.checking import checked, read_toml
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import HeightMapSettings
@@ -148,8 +148,6 @@ def _from_tiff(path: Path) -> Floats:
 def placed(grid: Floats, frame: HeightMapSettings, where: str) -> HeightMap:
     """Put a grid (rows, columns) at its place.
 
-    Examples
-    --------
     >>> frame = HeightMapSettings(origin_mm=(10.0, 20.0), step_mm=(1.0, 2.0), rows="up")
     >>> found = placed(np.array([[1.0, np.nan], [3.0, 4.0]]), frame, "")
     >>> found.x_mm, found.y_mm, found.height_mm

@@ -53,8 +53,6 @@ def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] =
 
     The wire is to have `room` for the least and greatest metal along the beads over that of the layer's height.
 
-    Examples
-    --------
     >>> speed_share(Config(), 1.7)
     1.0
     >>> speed_share(Config().changed(process={"wire_speed_max_mm_s": 30.0}), 1.7)
@@ -304,8 +302,6 @@ class HeightRule:
     def plan(self, base_mm: float) -> HeightPlan:
         """Plan the layers on what stands.
 
-        Examples
-        --------
         >>> slopes = Slopes(np.array([4.0, 10.0]), 0.1, np.zeros(100))
         >>> HeightRule(slopes, Limits(1.0, 2.0, 1.5)).plan(0.0).tops_mm.tolist()
         [1.3333333333333333, 2.6666666666666665, 4.0, 5.5, 7.0, 8.5, 10.0]

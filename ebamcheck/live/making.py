@@ -176,14 +176,10 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             "layer_height_mm": wanted.thickness_mm,
             "base_mm": wanted.base_mm,
         }
-        return sections.model_copy(
-            update={
-                "part": self._of_part,
-                "layers": sections.layers.model_copy(update=of_layer),
-                "scan": self._of_scan,
-                "machine": sections.machine.model_copy(update={"program_name": wanted.name}),
-            }
-        )
+        layers = sections.layers.model_copy(update=of_layer)
+        machine = sections.machine.model_copy(update={"program_name": wanted.name})
+        update = {"part": self._of_part, "layers": layers, "scan": self._of_scan, "machine": machine}
+        return sections.model_copy(update=update)
 
     def make(self, wanted: Wanted, before: Before, folder: Path) -> MadeLayer:
         """Make one layer on what stands; its program goes to `folder`, and is stamped as validated where every gate is open.
@@ -294,18 +290,8 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         under = self._under(config, self.primary)
         warm, passes = preheated(before.part, [section], 0, wanted.base_mm, config, under)
         power_of = stages.power_by_wire([section], config, before.surface, wanted.layer)
-        done, part, last = ordered_on(
-            warm,
-            before.last,
-            laid,
-            islands,
-            wanted.thickness_mm,
-            config,
-            order,
-            carry,
-            not before.laid,
-            power_of,
-        )
+        how = wanted.thickness_mm, config, order, carry, not before.laid, power_of
+        done, part, last = ordered_on(warm, before.last, laid, islands, *how)
         if done.heat is not None:
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:

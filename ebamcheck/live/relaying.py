@@ -26,9 +26,8 @@ from ebamcheck.live.before import Before, Ground
 from ebamcheck.live.height_map import MapCells, Reading, Refused, check_height
 from ebamcheck.live.heights import height_rule
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted
-from ebamcheck.mesh.on_table import on_table
 from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.part_source import read_part
+from ebamcheck.mesh.part_source import on_table, read_part
 from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.nc.templates import checked_tilt
 from ebamcheck.record.run_folder import MANIFEST, RunFolder

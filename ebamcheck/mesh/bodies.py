@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Floats, kernel
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
 
 if TYPE_CHECKING:
@@ -21,23 +21,20 @@ if TYPE_CHECKING:
 
     from ebamcheck.mesh.part import Mesh, Part
 
-Bools = NDArray[np.bool_]
 
+# How far within a body its points are taken, and how deep boxes must meet, over the size of the part: over the rounding of files
 ASIDE = 1e-6
-"""How far within a body its points are taken, and how deep boxes must meet, over the size of the part: over the rounding of files."""
-
+# Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part
 NO_VOLUME = 1e-12
-"""Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part."""
 
 SAME = 1e-6  # share by which volumes differ that are the same
 POINTS_OF_A_BODY = 4096  # most facets of a body at which it is looked whether it lies in another
 IN_FACET = (0.3512, 0.2871, 0.3617)  # where on a facet: on no line that a regular mesh has
 
+# Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any
 MOST_PAIRS = 20_000
-"""Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any."""
-
+# Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union
 MOST_CUT_FACETS = 2_000_000
-"""Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union."""
 
 MOST_LISTED = 100  # most relations that are listed
 
@@ -48,13 +45,11 @@ class Relation:
 
     body: int
     other: int
+    # `body` lies in `other`, is `other` once more, or overlaps it
     kind: Literal["inside", "doubled", "overlapping"]
-    """`body` lies in `other`, is `other` once more, or overlaps it."""
-    same_sense: bool
-    """Whether the facets of both look the same way: out of them, or into them."""
+    same_sense: bool  # whether the facets of both look the same way: out of them, or into them
     lower_mm: tuple[float, float, float]
-    upper_mm: tuple[float, float, float]
-    """Corners of the box of `body`."""
+    upper_mm: tuple[float, float, float]  # corners of the box of `body`
 
     @property
     def lost(self) -> bool:
@@ -79,13 +74,10 @@ class Relation:
 class Bodies:
     """Bodies of a part, and how they lie to each other: those first of which something may be lost."""
 
-    label: Index
-    """(F,) body of each facet, from 0; -1 for a facet with a repeated corner."""
-    volumes: Floats
-    """(B,) signed volume of each, mm3."""
+    label: Index  # (F,) body of each facet, from 0; -1 for a facet with a repeated corner
+    volumes: Floats  # (B,) signed volume of each, mm3
     relations: tuple[Relation, ...]
-    volume_mm3: float
-    """Volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum."""
+    volume_mm3: float  # volume of what is built (winding number > 0). Of a part that is open or inside out: the signed sum
     signed_mm3: float
     known: bool = True
     """Whether that is the volume of the union; else it is the signed sum, because there were too many or too odd bodies."""
@@ -240,7 +232,7 @@ class _Look:
         for body in inner.tolist():
             points = self._points(body)
             at, facet = tree.query(shapely.points(points[:, :2]))
-            yield float((_windings(points, corners, at, facet) != 0).mean()) if len(points) else 0.0
+            yield float((windings(points, corners, at, facet) != 0).mean()) if len(points) else 0.0
 
     def _points(self, body: int) -> Floats:
         """Points (N, 3) just within a body, on some of its facets."""
@@ -388,7 +380,7 @@ def _layers(solids: list[Manifold], count: int) -> list[Manifold]:
     return found
 
 
-def _windings(
+def windings(
     points: Floats, corners: Floats, at: NDArray[np.int64], facet: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Winding number (N,) at points: facets over it that look up, less those that look down; of pairs of a point and a facet."""

@@ -14,14 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.obj_and_ply import read_obj, read_ply
 from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, Part
 from ebamcheck.mesh.reading import how_to_read
 from ebamcheck.mesh.stl import read_triangles
 from ebamcheck.mesh.three_mf import read_3mf
-from ebamcheck.mesh.welding import weld
-from ebamcheck.regular_file import regular_file
+from ebamcheck.mesh.topology import weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
 OWN_READERS = {".obj": read_obj, ".ply": read_ply}
@@ -31,14 +31,10 @@ _log = logging.getLogger(__name__)
 class Facets(NamedTuple):
     """What a mesh file holds."""
 
-    corners: NDArray[np.float32] | NDArray[np.float64]
-    """(F, 3, 3) corners, in the file's own numbers."""
-    notes: list[str]
-    """Remarks from reading it."""
-    units: str = ""
-    """Unit that the file itself states, or that its format does; empty where neither says any."""
-    units_from: str = ""
-    """Which of the two does."""
+    corners: NDArray[np.float32] | NDArray[np.float64]  # (F, 3, 3) corners, in the file's own numbers
+    notes: list[str]  # remarks from reading it
+    units: str = ""  # unit that the file itself states, or that its format does; empty where neither says any
+    units_from: str = ""  # which of the two does
 
 
 def load(path: str | Path, units: str = "") -> Part:
@@ -92,14 +88,8 @@ def _part_of(read: Facets, path: Path, given: str) -> Part:
     vertices, faces = weld(read.corners)
     if units != "mm":
         vertices *= UNITS_MM[units]
-    part = Part(
-        vertices,
-        faces,
-        name=path.stem,
-        source=str(path),
-        units=units,
-        units_from=read.units_from or (FROM_SETTINGS if given else FROM_DEFAULT),
-    )
+    units_from = read.units_from or (FROM_SETTINGS if given else FROM_DEFAULT)
+    part = Part(vertices, faces, name=path.stem, source=str(path), units=units, units_from=units_from)
     notes += extent_notes(float(part.size.max()), units)
     for note in notes:
         _log.warning("%s: %s", path.name, note)

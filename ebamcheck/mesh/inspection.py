@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import kernel
+from ebamcheck.kernels import Bools, kernel
 from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
@@ -18,13 +18,12 @@ from ebamcheck.showing import short_text
 
 Verdict = Literal["sound", "inside-out", "open", "inconsistent", "non-manifold", "flat", "overlapping"]
 
-Bools = NDArray[np.bool_]
 
+# Figures of an inspection that `defects` counts
 COUNTS = (
     "vertices", "open_edges", "nonmanifold_edges", "inconsistent_edges",
     "duplicate_facets", "degenerate_facets", "zero_area_facets",
 )  # fmt: skip
-"""Figures of an inspection that :func:`defects` counts."""
 
 FACETS_AT_ONCE = 1 << 18  # facets of which the area is looked at together, to bound the working memory
 BOX_ROOM = 1e-9  # share by which a volume may be over that of its box: rounding of a block
@@ -46,8 +45,7 @@ class Inspection:
     bodies: int
     size_mm: tuple[float, float, float]
     lower_mm: tuple[float, float, float]
-    units: str
-    """Unit of the file's numbers, before they became mm, and where it comes from."""
+    units: str  # unit of the file's numbers, before they became mm, and where it comes from
     units_from: str
     volume_mm3: float
     open_edges: int
@@ -73,27 +71,14 @@ class Inspection:
         return self.verdict == "sound"
 
     def __repr__(self) -> str:
-        facets, bodies = (
-            short_text.counted(self.facets, "facet"),
-            short_text.counted(self.bodies, "body", "bodies"),
-        )
-        return short_text.line(
-            "Inspection",
-            self.name,
-            self.verdict,
-            facets,
-            bodies,
-            short_text.size(self.size_mm),
-            f"{self.volume_mm3:.6g} mm3",
-        )
+        facets = short_text.counted(self.facets, "facet")
+        bodies = short_text.counted(self.bodies, "body", "bodies")
+        size, volume = short_text.size(self.size_mm), f"{self.volume_mm3:.6g} mm3"
+        return short_text.line("Inspection", self.name, self.verdict, facets, bodies, size, volume)
 
     def _repr_html_(self) -> str:
         """Show the result in a notebook."""
-        shown = {
-            name.replace("_", " "): value
-            for name, value in self.as_dict().items()
-            if name not in ("name", "notes")
-        }
+        shown = {n.replace("_", " "): v for n, v in self.as_dict().items() if n not in ("name", "notes")}
         return short_text.html(f"{self.name}: {self.verdict}", shown)
 
     def as_dict(self) -> dict[str, Any]:

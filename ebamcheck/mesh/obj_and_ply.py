@@ -92,12 +92,12 @@ def _shown(text: bytes) -> str:
     return repr(text[:40].decode("ascii", "replace"))
 
 
+# NumPy types by the names of types in a header
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
     "double": "f8", "float64": "f8",
 }  # fmt: skip
-"""NumPy types by the names of types in a header."""
 
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 CORNERS = ("vertex_indices", "vertex_index")
@@ -123,8 +123,8 @@ class Element:
     properties: tuple[Property, ...]
 
 
+# By property: its numbers, element after element, and how many each element has
 Columns = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
-"""By property: its numbers, element after element, and how many each element has."""
 
 
 def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:

@@ -16,15 +16,7 @@ from ebamcheck.showing import short_text
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
-    """Triangles with common vertices.
-
-    Parameters
-    ----------
-    vertices
-        (V, 3) mm.
-    faces
-        (F, 3) rows of `vertices`, counter-clockwise seen from outside.
-    """
+    """Triangles: vertices (V, 3), mm, and faces (F, 3), rows of them, counter-clockwise seen from outside."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
@@ -60,9 +52,8 @@ class Mesh:
 
 
 SMALLEST_EXTENT_MM = 1.0
-LARGEST_EXTENT_MM = (
-    10_000.0  # range of usual extents: outside it, a wrong unit is more likely than such a part
-)
+# Range of usual extents: outside it, a wrong unit is more likely than such a part
+LARGEST_EXTENT_MM = 10_000.0
 
 MOST_ROWS = 8192
 """Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine
@@ -72,8 +63,7 @@ FROM_FILE = "from the file"
 FROM_FORMAT = "by default of 3MF"
 FROM_SETTINGS = "from --units (part.units)"
 FROM_DEFAULT = "by default"
-FROM_PARTS = "from each part of the plate"
-"""Where the unit of a part's file comes from."""
+FROM_PARTS = "from each part of the plate"  # where the unit of a part's file comes from
 
 Vector = tuple[float, float, float]
 
@@ -162,11 +152,6 @@ class Part(Mesh):
 
         The rotation is the smallest one that takes the direction to +z, so with ``(0, 0, 1)``
         the part is unchanged bit for bit. A part can be rotated once.
-
-        Raises
-        ------
-        SettingsError
-            If the direction is zero or not finite, or the part has been rotated already.
         """
         target = unit_vector(direction)
         if self.direction != (0.0, 0.0, 1.0):
@@ -210,13 +195,7 @@ def rotation_to_z(direction: Vector) -> NDArray[np.float64]:
 
 
 def from_arrays(vertices: ArrayLike, faces: ArrayLike, name: str = "part") -> Part:
-    """Make a part from arrays, for models and tests.
-
-    Raises
-    ------
-    InputError
-        If a coordinate is not finite, or a facet refers to a vertex that does not exist.
-    """
+    """Make a part from arrays, for models and tests."""
     points = np.ascontiguousarray(vertices, dtype=np.float64).reshape(-1, 3)
     index = np.ascontiguousarray(faces, dtype=np.int64).reshape(-1, 3)
     if not np.isfinite(points).all():

@@ -1,4 +1,4 @@
-"""From the file of a part, or of a plate with several, to the part as it is built: read, repaired, rotated and placed.
+"""From the file of a part, or of a plate with several, to the part as it is built: read, repaired, rotated, placed, and mounted on a table.
 
 Every part of a plate stands on it, with its lowest point at Z 0. All parts become one mesh, with the facets of one part
 after the other, so layers, islands, heat, program and gates are those of the whole plate. An example of ``plate.toml``::
@@ -34,6 +34,7 @@ from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import FROM_PARTS, Part, Vector
 from ebamcheck.settings.base import Angle, Between, Place, Section, known_as
 from ebamcheck.settings.checking import checked, read_toml
+from ebamcheck.settings.machine import OnTable
 from ebamcheck.settings.stages import Component, PartSettings
 
 if TYPE_CHECKING:
@@ -72,8 +73,6 @@ class Placing:
 def cosine_and_sine(angle_deg: float) -> tuple[float, float]:
     """Cosine and sine of an angle in degrees; of quarter turns exactly.
 
-    Examples
-    --------
     >>> cosine_and_sine(90.0), cosine_and_sine(-180.0)
     ((0.0, 1.0), (-1.0, 0.0))
     """
@@ -228,20 +227,9 @@ def _placed(path: Path, plate: Plate, units: str, direction: Vector) -> Iterator
             place = entry.place_mm[0] + copy * step_x, entry.place_mm[1] + copy * step_y
             part = placing_of(turned, (*place, 0.0), entry.rotate_deg).moved(turned)
             name = entry.name or file.stem
-            yield (
-                Member(
-                    f"{name} {copy + 1}" if entry.copies > 1 else name,
-                    entry.file,
-                    turned.source_sha256,
-                    turned.units,
-                    turned.units_from,
-                    turned.direction,
-                    place,
-                    entry.rotate_deg,
-                    (0, len(part.faces)),
-                ),
-                part,
-            )
+            said = turned.source_sha256, turned.units, turned.units_from, turned.direction
+            named = f"{name} {copy + 1}" if entry.copies > 1 else name
+            yield Member(named, entry.file, *said, place, entry.rotate_deg, (0, len(part.faces))), part
 
 
 def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> PlatePart:
@@ -342,3 +330,45 @@ def _placing(upright: Part, settings: PartSettings) -> Placing:
     if settings.place_at_mm is None and not settings.rotate_deg:
         return Placing()
     return placing_of(upright, settings.place_at_mm, settings.rotate_deg)
+
+
+RIGID_MM = 1e-6  # largest residual of the motion between two parts of the same file
+
+
+def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and shift (3,) that take one part to the other as p @ rotation + shift, from their vertices."""
+    if before.vertices.shape != now.vertices.shape:
+        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    middle = before.vertices.mean(axis=0)
+    turn, *_ = np.linalg.lstsq(before.vertices - middle, now.vertices - now.vertices.mean(axis=0), rcond=None)
+    u, _, v = np.linalg.svd(turn)
+    turn = np.asarray(u @ v, np.float64)
+    shift = now.vertices.mean(axis=0) - middle @ turn
+    scale = max(float(np.abs(before.bounds).max()), 1.0)
+    if np.abs(before.vertices @ turn + shift - now.vertices).max() > RIGID_MM * scale:
+        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    return turn, np.asarray(shift, np.float64)
+
+
+def on_table(before: Part, now: Part, built_mm: float = 0.0) -> OnTable:
+    """Mounting of a part that was built along one direction up to `built_mm` over the plate, and is turned to another.
+
+    `before` is the part on the table with all axes at 0, `now` the part in the program of the turned layer, each with Z from its lowest point.
+    """
+    turn, shift = rigid_motion(before, now)
+    zero = np.array([0.0, 0.0, before.bounds[0, 2]])
+    shift = zero @ turn + shift - np.array([0.0, 0.0, now.bounds[0, 2]])
+    low, high = before.bounds - zero
+
+    def triple(values: Floats) -> tuple[float, float, float]:
+        x, y, z = (np.asarray(values, np.float64) + 0.0).tolist()
+        return x, y, z
+
+    return OnTable(
+        direction=before.direction,
+        turn=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
+        shift_mm=triple(shift),
+        low_mm=triple(low),
+        high_mm=triple(high),
+        built_mm=built_mm,
+    )

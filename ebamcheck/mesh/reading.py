@@ -16,6 +16,7 @@ EXPORT = (
     "a second, four times finer one serves as --reference"
 )
 
+# Suffixes of formats of surfaces and solids, by the names of the formats
 SOLIDS = {
     "STEP": (".step", ".stp", ".p21", ".stpz"),
     "IGES": (".iges", ".igs"),
@@ -32,8 +33,7 @@ SOLIDS = {
     "OpenCASCADE": (".brep", ".brp"),
     "DXF or DWG": (".dxf", ".dwg"),
 }
-"""Suffixes of formats of surfaces and solids, by the names of the formats."""
-
+# Suffixes of mesh formats that are not read, by the names of the formats
 MESHES = {
     "glTF": (".gltf", ".glb"),
     "AMF": (".amf",),
@@ -45,7 +45,6 @@ MESHES = {
     "VTK": (".vtp", ".vtu", ".vtk"),
     "Nastran or Abaqus": (".nas", ".bdf", ".inp"),
 }
-"""Suffixes of mesh formats that are not read, by the names of the formats."""
 
 PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")  # suffixes of NC programs
 
@@ -53,8 +52,6 @@ PROGRAMS = (".gcode", ".g", ".nc", ".mpf", ".spf", ".ngc")  # suffixes of NC pro
 def how_to_read(suffix: str) -> str:
     """Say in one line why a file with this suffix is not read, and how to convert it.
 
-    Examples
-    --------
     >>> how_to_read(".stp")[:60]
     'holds exact surfaces (STEP), and slicers take a closed mesh:'
     """
@@ -73,8 +70,6 @@ def how_to_read(suffix: str) -> str:
 def fans(sizes: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangle fans (T, 3) from the first corner of each polygon, as rows of corners numbered polygon after polygon; `sizes` (P,) are 3 or more.
 
-    Examples
-    --------
     >>> fans(np.array([3, 4])).tolist()
     [[0, 1, 2], [3, 4, 5], [3, 5, 6]]
     """
@@ -118,8 +113,6 @@ def numbers_of(tokens: list[bytes], where: str) -> NDArray[np.float64]:
 def decimal_comma(token: str) -> str:
     """Say what to do where a number has a comma in place of its point; empty for any other token.
 
-    Examples
-    --------
     >>> decimal_comma("1,5"), decimal_comma("1.5x")
     (': it has a decimal comma: export the file with decimal points, or replace the commas', '')
     """

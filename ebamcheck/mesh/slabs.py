@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.bodies import ASIDE, NO_VOLUME, boxes_meeting, outermost
 from ebamcheck.mesh.files import extent_notes, told_if_unreadable
 from ebamcheck.mesh.inspection import Inspection, defects, inspection_of
@@ -37,8 +38,7 @@ from ebamcheck.mesh.stl import (
     refuse_truncated,
     trailing_bytes,
 )
-from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups
-from ebamcheck.mesh.welding import weld
+from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups, weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
 BLOCK = 1 << 18  # facets read at once: 13 MB
@@ -48,9 +48,6 @@ COLUMN_BLOCK = 1 << 22  # facets of which the heights are looked at together, to
 
 Singles = NDArray[np.float32]
 Index = NDArray[np.int32]
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,13 +56,10 @@ class FacetFile:
 
     path: Path
     low: Singles
-    high: Singles
-    """(F,) least and greatest z of each facet, in the file's unit."""
+    high: Singles  # (F,) least and greatest z of each facet, in the file's unit
     millimetres: float
-    outline: Part
-    """The part without its mesh: the corners of its box as vertices, its names, and the hash of the file."""
-    stamp: tuple[int, int]
-    """Size and modification time of the file when it was read."""
+    outline: Part  # the part without its mesh: the corners of its box as vertices, its names, and the hash of the file
+    stamp: tuple[int, int]  # size and modification time of the file when it was read
 
     def __len__(self) -> int:
         return len(self.low)
@@ -228,13 +222,11 @@ class Slab:
     facets: int
     points: int
     """Facets and vertices of `part` that are from the file, which come first; the others are cones, and the corners of the box."""
-    numbers: Index
-    """(facets,) numbers of these facets in the file, ascending."""
+    numbers: Index  # (facets,) numbers of these facets in the file, ascending
     lower_mm: float
+    # An item with its lowest point at `lower_mm <= z < upper_mm` is counted in this slab only
     upper_mm: float
-    """An item with its lowest point at ``lower_mm <= z < upper_mm`` is counted in this slab only."""
-    next_from_mm: float
-    """Facets that reach up to this height are also in the next slab."""
+    next_from_mm: float  # facets that reach up to this height are also in the next slab
 
     @property
     def own(self) -> Part:
@@ -249,16 +241,11 @@ class Division:
     """Facets of a file by the slabs that they reach into."""
 
     file: FacetFile
-    layers: Ints
-    """(S + 1,) first layer of each slab, and the number of layers."""
-    borders_mm: Floats
-    """(S + 1,) z between the slabs; the outermost are infinite."""
-    reach_mm: float
-    """Distance beyond its borders to which a slab has all facets."""
-    most_facets: int
-    """Facets of the largest slab."""
-    crossings: int
-    """Facets cut, summed over all layers: the number of points of their exact contours."""
+    layers: Ints  # (S + 1,) first layer of each slab, and the number of layers
+    borders_mm: Floats  # (S + 1,) z between the slabs; the outermost are infinite
+    reach_mm: float  # distance beyond its borders to which a slab has all facets
+    most_facets: int  # facets of the largest slab
+    crossings: int  # facets cut, summed over all layers: the number of points of their exact contours
 
     def __len__(self) -> int:
         return len(self.layers) - 1
@@ -330,8 +317,6 @@ def _reaching(file: FacetFile, heights: Floats, layers: Ints, reach_mm: float) -
 def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
     """First layer of each slab, and the number of layers (S + 1,); work is half the facets that begin, half those cut.
 
-    Examples
-    --------
     >>> slab_layers(np.array([6, 0, 0, 6]), np.array([4, 4, 4, 4]), 2).tolist()
     [0, 2, 4]
     """
@@ -349,15 +334,11 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
 class _Pieces:
     """Pieces of bodies in one slab; their numbers continue those of the slabs below."""
 
-    volumes: Floats
-    """(P,) mm3, of the facets counted in the slab, about the middle of the part's box."""
+    volumes: Floats  # (P,) mm3, of the facets counted in the slab, about the middle of the part's box
     lower: Floats
-    upper: Floats
-    """(P, 3) corners of the boxes of all facets."""
-    is_open: Bools
-    """(P,) whether they have an open edge that is counted in the slab."""
-    links: Ints
-    """(N, 2) pieces of the slab below and of this one that share a facet."""
+    upper: Floats  # (P, 3) corners of the boxes of all facets
+    is_open: Bools  # (P,) whether they have an open edge that is counted in the slab
+    links: Ints  # (N, 2) pieces of the slab below and of this one that share a facet
 
 
 class SlabInspection:

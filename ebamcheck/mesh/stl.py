@@ -32,6 +32,7 @@ _SOLID_BEHIND = re.compile(
     rb"(\bendsolid\b[^\r\n]*?)[ \t](?=solid\b[^\r\n]*?[ \t]" + _FACET_BEHIND + rb")", re.IGNORECASE
 )
 
+# First bytes of other files that people save as .stl, with what to tell them
 FOREIGN = (
     (b"version https://git-lfs", "a Git LFS pointer, not the file it stands for: run `git lfs pull`"),
     (b"\x1f\x8b", "a gzip archive: unpack it first"),
@@ -45,7 +46,6 @@ FOREIGN = (
     (b"3D Geometry File Format", f"a Rhino file, whatever its name: it {how_to_read('.3dm')}"),
     (b"**ABCDEFGHIJKLMNOPQRSTUVWXYZ", f"a Parasolid file, whatever its name: it {how_to_read('.x_t')}"),
 )
-"""First bytes of other files that people save as .stl, with what to tell them."""
 
 
 def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
@@ -143,19 +143,19 @@ def _names_ended(data: bytes) -> bytes:
 
 # -- ASCII: one compiled pass finds every number, one vectorised pass converts them ------------------
 
+# Words of one facet in order; an empty one is a number
 _WORDS = (
     b"facet", b"normal", b"", b"", b"", b"outer", b"loop",
     b"vertex", b"", b"", b"", b"vertex", b"", b"", b"", b"vertex", b"", b"", b"", b"endloop", b"endfacet",
 )  # fmt: skip
-"""Words of one facet in order; an empty one is a number."""
 
 _WORD_TABLE = np.zeros((len(_WORDS), 8), np.uint8)
 for _row, _word in enumerate(_WORDS):
     _WORD_TABLE[_row, : len(_word)] = np.frombuffer(_word, np.uint8)
 _WORD_SIZES = np.array([len(w) for w in _WORDS])
 _NUMBERS_PER_FACET = 9
+# Bytes of the shortest facet that can be written; bounds the number of facets before parsing
 _SHORTEST_FACET = 75
-"""Bytes of the shortest facet that can be written; bounds the number of facets before parsing."""
 
 _DONE, _WANT_SOLID, _WANT_WORD, _BAD_NUMBER, _CUT, _CONTROL = 0, 1, 2, 3, 4, 5
 

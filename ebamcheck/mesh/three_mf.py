@@ -29,8 +29,8 @@ from ebamcheck.settings.base import known_as
 MOST_ENTRIES = 10_000  # most files in the archive
 MOST_BYTES = 2 << 30  # most bytes of all files in it, unpacked: about twenty million facets
 
+# Meshes shrink to between a fifth and a fiftieth. An archive of more than that many bytes that shrinks far more holds no mesh
 MOST_RATIO, FREE_BYTES = 200, 256 << 20
-"""Meshes shrink to between a fifth and a fiftieth. An archive of more than that many bytes that shrinks far more holds no mesh."""
 
 MOST_COPIES = 100_000  # most placed meshes: more come from components that contain each other over and over
 CHUNK = 1 << 22  # bytes that are unpacked at a time
@@ -39,49 +39,37 @@ CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
 ROOT_MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 
+# Units that the format knows; without one it is the millimeter
 UNITS = ("micron", "millimeter", "centimeter", "inch", "foot", "meter")
-"""Units that the format knows; without one it is the millimeter."""
-
+# A number of the format. lib3mf reads `40mm` as 40, and `1_0` as 1
 NUMBER = r"[-+]?+(?:\d++\.?+\d*+|\.\d++)(?:[eE][-+]?+\d++)?+"
-"""A number of the format. lib3mf reads ``40mm`` as 40, and ``1_0`` as 1."""
-
+# Facets, and vertices of the usual form, nearly all of the text: a tag holds no other tag, so nothing else goes with them
 BULK = re.compile(r'<(?:triangle\s[^<>]*|vertex(?:\s++[xyz]="N")++\s*+)/>'.replace("N", NUMBER).encode())
-"""Facets, and vertices of the usual form, nearly all of the text: a tag holds no other tag, so nothing else goes with them."""
-
+# Ends of the names of the files in which Bambu Studio and OrcaSlicer, and PrusaSlicer and its kin, write what each volume is
 NOTES = ("/model_settings.config", "_model.config")
-"""Ends of the names of the files in which Bambu Studio and OrcaSlicer, and PrusaSlicer and its kin, write what each volume is."""
 
 CUT = "negative volume"
+# Kinds of volumes in the notes of PrusaSlicer, and of Bambu Studio and OrcaSlicer, that are no part of the solid
 MODIFIERS = {
-    "NegativeVolume": CUT,
-    "negative_part": CUT,
-    "ParameterModifier": "modifier",
-    "modifier_part": "modifier",
-    "SupportEnforcer": "support enforcer",
-    "support_enforcer": "support enforcer",
-    "SupportBlocker": "support blocker",
-    "support_blocker": "support blocker",
-}
-"""Kinds of volumes in the notes of PrusaSlicer, and of Bambu Studio and OrcaSlicer, that are no part of the solid."""
-
+    "NegativeVolume": CUT, "negative_part": CUT, "ParameterModifier": "modifier", "modifier_part": "modifier",
+    "SupportEnforcer": "support enforcer", "support_enforcer": "support enforcer",
+    "SupportBlocker": "support blocker", "support_blocker": "support blocker",
+}  # fmt: skip
+# Metadata of objects by which Cura says the same
 CURA = {
     "cura:support_mesh": "support",
     "cura:anti_overhang_mesh": "support blocker",
     "cura:infill_mesh": "modifier",
     "cura:cutting_mesh": "modifier",
 }
-"""Metadata of objects by which Cura says the same."""
-
-Key = tuple[str, str]
-"""An object: its model part, in lower case, and its number there."""
+Key = tuple[str, str]  # an object: its model part, in lower case, and its number there
 
 
 class Volume(NamedTuple):
     """Facets of an object that are no part of the solid."""
 
     first: int
-    last: int
-    """First and last facet; -1: to the end."""
+    last: int  # first and last facet; -1: to the end
     kind: str
 
 
@@ -89,14 +77,11 @@ class Volume(NamedTuple):
 class Outline:
     """What a 3MF file says of itself."""
 
-    unit: str = ""
-    """Its unit by our short name; empty: it states none."""
-    items: int = 0
-    """Build items."""
-    unprintable: list[int] = field(default_factory=list)
-    """Those of them that are marked as not to be printed."""
+    unit: str = ""  # its unit by our short name; empty: it states none
+    items: int = 0  # build items
+    unprintable: list[int] = field(default_factory=list)  # those of them that are marked as not to be printed
+    # What of each object is no part of the solid
     volumes: dict[Key, list[Volume]] = field(default_factory=dict)
-    """What of each object is no part of the solid."""
     marked: dict[tuple[Key, ...], str] = field(default_factory=dict)
     """Whole objects that are no part of the solid: wherever they stand (the object), or in one assembly (assembly, object)."""
     unpacked_bytes: int = 0
@@ -108,10 +93,9 @@ class _ModelPart:
 
     unit: str = ""
     objects: dict[str, list[Key]] = field(default_factory=dict)
+    # Object of each build item, and whether it is to be printed
     items: list[tuple[Key, bool]] = field(default_factory=list)
-    """Object of each build item, and whether it is to be printed."""
-    marked: dict[str, str] = field(default_factory=dict)
-    """Objects that Cura marks as no part of the solid."""
+    marked: dict[str, str] = field(default_factory=dict)  # objects that Cura marks as no part of the solid
 
 
 def outline_of(data: bytes | memoryview, name: str) -> Outline:
@@ -355,8 +339,8 @@ def _add_volumes(text: bytes, path: str, root: str, top: _ModelPart, found: Outl
     parser.Parse(text, True)
 
 
+# Processor time that lib3mf gets, at least and for its text: some ten times what it takes for sound files
 LEAST_SECONDS, BYTES_A_SECOND = 20, 2_000_000
-"""Processor time that lib3mf gets, at least and for its text: some ten times what it takes for sound files."""
 
 
 def read_3mf(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], list[str], str, str]:

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 MOST_FACETS = 30_000_000  # most facets of all placed meshes together
 
+# Farthest that a mesh is moved, in its own size: there the rounding of its place becomes coarser than that of its file
 FARTHEST = 2.0**28
-"""Farthest that a mesh is moved, in its own size: there the rounding of its place becomes coarser than that of its file."""
 
 MOST_MEMORY_BYTES = 8 << 30
 
+# Warnings of lib3mf (NMR_ErrorConst.h) after which it is not known what the file holds
 REFUSED = {
     0x801E: "its unit is none that 3MF knows",
     0x8092: "it requires an extension of 3MF that is not known",
@@ -30,8 +31,7 @@ REFUSED = {
     0x1048: "a model part is empty",
     0x80E7: "it is of a version of 3MF before the first",
 }
-"""Warnings of lib3mf (NMR_ErrorConst.h) after which it is not known what the file holds."""
-
+# Warnings that have nothing to do with the solid
 HARMLESS = {
     0x80B0,  # a UUID is missing: the extension for production asks for them
     0x80A0,  # or stands twice
@@ -41,10 +41,8 @@ HARMLESS = {
     0x8078, 0x805B, 0x2020, 0x80BB, 0x80BE,  # textures, colours and materials
     0x104B,  # an attachment
 }  # fmt: skip
-"""Warnings that have nothing to do with the solid."""
-
+# Types of objects, by their numbers in lib3mf
 KINDS = ("an object of type other", "part of the solid", "a support", "a solid support", "a surface")
-"""Types of objects, by their numbers in lib3mf."""
 
 MODEL = 1
 

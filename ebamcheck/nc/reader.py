@@ -12,13 +12,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.nc.control import Control, control, controls
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.nc.recorder import NO_CENTRE, Recorder, StateChange, Templates
 from ebamcheck.nc.templates import checked_templates
 from ebamcheck.nc.words import NUMBER, SKIP, SKIPPED, Block, Dialect, UnknownWord, WordError, read_block
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.config import Config
 
 AXES = ("X", "Y", "Z")

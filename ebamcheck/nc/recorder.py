@@ -10,6 +10,7 @@ from string import Formatter
 
 import numpy as np
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.codes import AUXILIARY, BEAM_VALUES, DWELL, SWITCHES, Action
@@ -19,7 +20,6 @@ from ebamcheck.nc.table import TableState, starts_in_frames
 from ebamcheck.nc.templates import Programmed
 from ebamcheck.nc.timeline import Events
 from ebamcheck.nc.words import NUMBER
-from ebamcheck.regular_file import regular_file
 
 NAN = float("nan")
 # Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none.

@@ -45,7 +45,7 @@ def cross_check(
     job: Job,
     backends: Mapping[str, BackendSettings],
     resume: bool,
-    meanwhile: Callable[[], None] | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> CrossCheck:
     """Slice and compare; the layers are on disk afterwards.
 
@@ -91,7 +91,7 @@ def _slice(
     backends: Mapping[str, BackendSettings],
     borders: NDArray[np.int64],
     resume: bool,
-    meanwhile: Callable[[], None] | None,
+    meanwhile: Callable[[], object] | None,
 ) -> dict[str, Outcome]:
     chosen = job.config.slicing
     limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
@@ -236,13 +236,9 @@ def unavailable_backends(config: Config) -> dict[str, Outcome]:
     if ALL in config.slicing.witnesses:
         asked += registry.witnesses()
     probes = {name: registry.probe(name) for name in asked}
-    return {
-        name: Outcome(
-            name, "unavailable", f"{probe.why}; {probe.hint}" if probe.hint else probe.why, probe=probe
-        )
-        for name, probe in probes.items()
-        if not probe.available
-    }
+    why = {name: f"{probe.why}; {probe.hint}" if probe.hint else probe.why for name, probe in probes.items()}
+    lacking = ((name, probe) for name, probe in probes.items() if not probe.available)
+    return {name: Outcome(name, "unavailable", why[name], probe=probe) for name, probe in lacking}
 
 
 def primary_backend(config: Config, names: Iterable[str]) -> str:

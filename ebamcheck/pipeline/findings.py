@@ -48,6 +48,7 @@ STEEP_DEG = 45.0  # overhang, from the vertical, over which hardly any process b
 MOST_NARROW = 8  # narrow features that are told one by one
 ROUNDING_MM = 1e-6  # sum of the roundings of heights, far under any layer
 
+# Code and remedy of each check of the metal that fails
 METAL: Mapping[str, tuple[str, str]] = {
     "metal outside": ("wall-under-bead", COARSE),
     "reach of metal": ("bead-out-of-section", COARSE),
@@ -71,17 +72,16 @@ METAL: Mapping[str, tuple[str, str]] = {
         f"{LESS_METAL}; else turn the cells and the hatch from layer to layer (scan.lattice_angle_deg, scan.layer_angle_deg), or {NARROWER}",
     ),
 }
-"""Code and remedy of each check of the metal that fails."""
-
+# Remedies where the metal of a check lacks, other than those of one that has too much
 LACKING: Mapping[str, str] = {
     name: f"look at {what} in deposit.csv, and whether beads are at the most wire of the feeder (process.wire_speed_max_mm_s)"
     for name, what in {"metal": "the layers with the least metal", "metal of layers": "that layer"}.items()
 } | {
     "surface": f"at a corner whose tip no round bead fills, allow for machining (process.machining_allowance_mm); {METAL['surface'][1]}"
 }
-"""Remedies where the metal of a check lacks, other than those of one that has too much."""
 
 
+# Severity, unit and remedy of each finding, by its code, where nothing else is said
 KINDS: Mapping[str, tuple[Severity, str, str]] = {
     "backend-lost": ("warning", "", ""),
     "backend-unavailable": ("note", "", ""),
@@ -105,7 +105,6 @@ KINDS: Mapping[str, tuple[Severity, str, str]] = {
     "thin-set-aside": ("note", "rings", "join bodies that nearly touch in the model, or move them apart"),
     "wire-drawn-back": ("warning", "mm", "make sure that the feeder does, or have it done by the codes of machine.wire_start"),
 }  # fmt: skip
-"""Severity, unit and remedy of each finding, by its code, where nothing else is said."""
 
 
 def _told(
@@ -282,16 +281,9 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
         )
         if lacks:
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
-        yield Check.finding(
-            "warning" if check.passed else "fault",
-            code,
-            check.text,
-            check.where,
-            check.value,
-            check.limit,
-            check.unit,
-            check.remedy or remedy,
-        )
+        severity: Severity = "warning" if check.passed else "fault"
+        measured = check.value, check.limit, check.unit
+        yield Check.finding(severity, code, check.text, check.where, *measured, check.remedy or remedy)
 
 
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
@@ -306,44 +298,29 @@ def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: 
         from_mm, to_mm = heights[feature.first], heights[feature.last]
         through = f", z = {from_mm:.3f} to {to_mm:.3f} mm," if feature.last > feature.first else ""
         bridged = "" if feature.is_wall or feature.is_set else ": it is bridged by the melt"
-        yield Check.finding(
-            severity,
-            "wall-under-bead" if feature.is_wall else "opening-under-bead",
-            f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}",
-            _at(feature.layer, heights, config, feature.x_mm, feature.y_mm),
-            feature.narrowest_mm,
-            feature.least_mm,
-            "mm",
-            TOO_THIN if feature.is_wall else HOLE,
-        )
+        code, remedy = ("wall-under-bead", TOO_THIN) if feature.is_wall else ("opening-under-bead", HOLE)
+        text = f"{feature.in_words()}{through} is narrower than {feature.than}{bridged}"
+        place = _at(feature.layer, heights, config, feature.x_mm, feature.y_mm)
+        figures = feature.narrowest_mm, feature.least_mm, "mm"
+        yield Check.finding(severity, code, text, place, *figures, remedy)
     if (more := len(features) - MOST_NARROW) > 0:
         last = features[-1]
-        yield Check.finding(
-            "warning",
-            "wall-under-bead" if last.is_wall else "opening-under-bead",
-            f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm",
-            _at(last.layer, heights, config, last.x_mm, last.y_mm),
-            float(more),
-            0.0,
-            "features",
-            HOLE,
-        )
+        code = "wall-under-bead" if last.is_wall else "opening-under-bead"
+        text = f"{more} more features of the part are narrower than beads can build, up to {last.narrowest_mm:.3g} mm"
+        place = _at(last.layer, heights, config, last.x_mm, last.y_mm)
+        yield Check.finding("warning", code, text, place, float(more), 0.0, "features", HOLE)
 
 
 def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
-            place = ", ".join(text for text in (check.where, check.place) if text)
-            yield _told(
-                "check-failed",
+            place, text = (
+                ", ".join(text for text in (check.where, check.place) if text),
                 f"{check.name}: {check.text}",
-                place,
-                check.value,
-                check.limit,
-                unit=check.unit,
-                remedy=check.remedy,
             )
+            said = {"unit": check.unit, "remedy": check.remedy}
+            yield _told("check-failed", text, place, check.value, check.limit, **said)
 
 
 def _lacks(text: str) -> bool:
@@ -362,11 +339,8 @@ def heat_findings(plan: ScanPlan, config: Config) -> Iterator[Check]:
     hot = np.flatnonzero(entry_k > solidus_k)
     if hot.size:
         k, boiling_k = int(np.nanargmax(entry_k)), config.material.boiling_k
-        beyond = (
-            f", up to over the boiling point of {boiling_k:g} K, where it ends"
-            if entry_k[k] > boiling_k
-            else ""
-        )
+        over = f", up to over the boiling point of {boiling_k:g} K, where it ends"
+        beyond = over if entry_k[k] > boiling_k else ""
         text = (
             f"{hot.size} of {len(plan)} layers have islands that the heat model finds above the solidus when the beam "
             f"enters them{beyond}"
@@ -448,13 +422,9 @@ def consumable_findings(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
+            place = f"layer {found.changes[0] + 1}"
             yield _told(
-                "consumable-change",
-                found.check().text,
-                f"layer {found.changes[0] + 1}",
-                found.total,
-                found.holds,
-                unit=found.unit,
+                "consumable-change", found.check().text, place, found.total, found.holds, unit=found.unit
             )
 
 

@@ -33,6 +33,7 @@ from ebamcheck.result import Place
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
+# Causes of `ebamcheck.curves.gate.CAUSES` in words
 WHY: Mapping[str, str] = {
     "sagitta": "the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
     "plane": "a planar facet would have moved",
@@ -40,7 +41,6 @@ WHY: Mapping[str, str] = {
     "turned": "it encloses nothing, or runs the other way",
     "nesting": "it lies in another ring than its contour",
 }
-"""Causes of :data:`ebamcheck.curves.gate.CAUSES` in words."""
 
 REMEDY: Mapping[str, str] = {
     "sagitta": "give a finer mesh, or set curves.method = 'chord'",
@@ -60,8 +60,8 @@ class FitVerdict:
     curves: Curves
     evidence: Evidence
     stack: StackEvidence | None  # none where the part or its edges are not known
+    # Errors of contours and curves against a finer mesh of the part; None without one
     reference: Mapping[str, Any] | None
-    """Errors of contours and curves against a finer mesh of the part; None without one."""
     farthest_mm: float = 0.0  # greatest distance between curves and their contours
     most_mm: float = math.inf  # how far the user lets curves lie from contours, whatever speaks for it
 

@@ -18,7 +18,7 @@ from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.comparison.naming import worst_of
 from ebamcheck.errors import ExitCode
 from ebamcheck.kernels import Floats
-from ebamcheck.layers.layer_rule import section_areas
+from ebamcheck.layers.heights import section_areas
 from ebamcheck.mesh.bodies import MOST_LISTED, bodies_of
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
@@ -179,14 +179,8 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Check:
     limit = config.process.mass_tolerance
     made = of_gate(checks, "deposit")
     if not made:
-        return Check.gate(
-            "deposit",
-            False,
-            float("nan"),
-            limit,
-            "of the part",
-            "no program was written: there is no contour",
-        )
+        text = "no program was written: there is no contour"
+        return Check.gate("deposit", False, float("nan"), limit, "of the part", text)
     failed = [check for check in made if not check.passed]
     said = failed[0] if failed else made[0]
     more = (

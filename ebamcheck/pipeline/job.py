@@ -19,7 +19,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.record.run_folder import RunFolder, RunInProgress, finished_run, start_run
 from ebamcheck.result import Check, gate_of_record
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import WorkerPool
 from ebamcheck.threads import worker_threads
 from ebamcheck.version import __version__
 
@@ -63,10 +63,10 @@ class Job:
     folder: RunInProgress = field(init=False)
     fingerprint: str = field(init=False)  # hash of part, settings and version: of what this is a run
     timings: dict[str, float] = field(default_factory=dict)
+    # Layer, from 1, at which a second program begins, to go on after a break; 1: none is written
     from_layer: int = 1
-    """Layer, from 1, at which a second program begins, to go on after a break; 1: none is written."""
+    # Workers for the slicers that were spawned early; None: they are when they are needed
     workers: WorkerPool | None = None
-    """Workers for the slicers that were spawned early; None: they are when they are needed."""
     live: bool = False  # whether a main program that waits between layers is written, too
     ended: Event = field(default_factory=Event)
     """Set where the run has ended by an error or an interrupt while work goes on beside it."""

@@ -34,18 +34,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
 from ebamcheck.version import __version__
 
+# Columns of the program's summary that add up over the layers
 TOTALS = (
-    "motions",
-    "contour_mm",
-    "hatch_mm",
-    "travel_mm",
-    "deposit_s",
-    "travel_s",
-    "pause_s",
-    "wire_mm",
-    "wire_kg",
-)
-"""Columns of the program's summary that add up over the layers."""
+    "motions", "contour_mm", "hatch_mm", "travel_mm", "deposit_s", "travel_s", "pause_s", "wire_mm", "wire_kg",
+)  # fmt: skip
 
 
 def manifest(
@@ -208,10 +200,7 @@ def _backend_record(job: Job, outcome: Outcome, figures: pd.DataFrame | None) ->
     return {
         "status": outcome.failure or "done",
         "why": outcome.why,
-        "summary": slicer.summary,
-        "exact": slicer.exact,
-        "coplanar_rule": slicer.coplanar_rule,
-        "inside_rule": slicer.inside_rule,
+        **{name: getattr(slicer, name) for name in ("summary", "exact", "coplanar_rule", "inside_rule")},
         "device": outcome.probe.device,
         "versions": dict(outcome.probe.versions),
         "error_bound_mm": outcome.error_bound_mm,

@@ -56,8 +56,8 @@ class ProgramResult:
     proof: ProgramProof
     files: ProgramFiles  # files of the program, marked validated where it is
     entry: Entry | None  # the program that begins at a layer; None where none is asked for
+    # Record of the main program that waits between layers; None where none is asked for
     live: Mapping[str, Any] | None
-    """Record of the main program that waits between layers; None where none is asked for."""
     gates: tuple[Check, ...]
     findings: tuple[Check, ...]
     tables: Mapping[str, Table]  # its files in a run folder beside the program

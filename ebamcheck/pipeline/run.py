@@ -17,7 +17,7 @@ from ebamcheck.preflight.report import Ready, ready
 from ebamcheck.preflight.workload import wanted_slabs
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import checked_window
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import WorkerPool
 from ebamcheck.writing.posts import check_entry
 
 LATER_STAGES = "ebamcheck.pipeline.finishing"  # module of what comes after the cross-check
@@ -110,15 +110,11 @@ def _carried_out(
     backends = chosen_backends(job.config)
 
     def work(job: Job) -> RunResult:
-        checked = cross_check(job, backends, resume, _load_later_stages)
+        # What is needed when the layers are there takes half a second to load, in which the slicers work.
+        checked = cross_check(job, backends, resume, lambda: import_module(LATER_STAGES))
         from ebamcheck.pipeline.finishing import finish
 
         return finish(job, checked, begun, fine)
 
     kind, sha256 = job.kind, begun.part.sha256
     return carried_out(job, kind, sha256, backends, inputs, target, work, resume=resume, force=force)
-
-
-def _load_later_stages() -> None:
-    """Load what is needed when the layers are there: half a second, in which the slicers work."""
-    import_module(LATER_STAGES)

@@ -34,8 +34,7 @@ from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
 from ebamcheck.preflight.report import Preflight
 from ebamcheck.preflight.workload import slab_workload, work_checks
 from ebamcheck.settings.config import Config
-from ebamcheck.slicers.isolation import Limits, Outcome, bounds_of, declared_bounds, slice_all
-from ebamcheck.slicers.worker_pool import WorkerPool
+from ebamcheck.slicers.isolation import Limits, Outcome, WorkerPool, bounds_of, declared_bounds, slice_all
 
 LEAST_REACH = 1e-6  # how far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding
 
@@ -84,18 +83,9 @@ def check_in_slabs(
         }
         return finish(job, made.checked, slabs=SlabRecord(made.settings, figures))
 
-    return carried_out(
-        job,
-        "check in slabs",
-        file.outline.source_sha256,
-        backends,
-        [len(division)],
-        target,
-        work,
-        resume=resume,
-        force=force,
-        keep_layers=False,
-    )
+    what, sha256 = "check in slabs", file.outline.source_sha256
+    options = {"resume": resume, "force": force, "keep_layers": False}
+    return carried_out(job, what, sha256, backends, [len(division)], target, work, **options)
 
 
 def _as_it_stands(config: Config) -> None:
@@ -132,8 +122,8 @@ class SlabRun:
 
     checked: CrossCheck
     inspection: Inspection
+    # Settings that each backend has filled in, with all that it declared
     settings: Mapping[str, Mapping[str, Any]]
-    """Settings that each backend has filled in, with all that it declared."""
 
 
 @dataclass(frozen=True, eq=False)

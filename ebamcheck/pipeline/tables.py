@@ -16,18 +16,18 @@ from ebamcheck.comparison import Comparison
 from ebamcheck.curves import Curves
 from ebamcheck.kernels import Floats
 from ebamcheck.kinematics import side_by_side
-from ebamcheck.layer_numbers import numbered
 from ebamcheck.layers.files import write_parquet
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
+from ebamcheck.printable import numbered
 from ebamcheck.program import program_summary
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.events import event_totals, process_events
 from ebamcheck.writing.tracks import Toolpath
 
+# What stands in a file of figures of a run
 Table: TypeAlias = pd.DataFrame | pa.Table | Curves | ScanPlan | Layers
-"""What stands in a file of figures of a run."""
 
 INDEXED = ("events.parquet",)  # tables for programs, which count layers from 0; those for people count from 1
 

@@ -151,8 +151,6 @@ def _watched(process: subprocess.Popen[bytes], said: Path, time_s: float, memory
 def code_in_words(code: int) -> str:
     """A return code of :class:`subprocess.Popen` in words.
 
-    Examples
-    --------
     >>> code_in_words(7), code_in_words(-11)
     ('with code 7', 'by SIGSEGV')
     """

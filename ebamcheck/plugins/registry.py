@@ -1,4 +1,4 @@
-"""Discovery of slicers, models, report writers, controls and scan orders by entry point.
+"""Discovery of slicers, models (solids in closed form), report writers, controls and scan orders by entry point.
 
 A plugin that does not load warns and is left out; it never stops the others. Those of this distribution are imported
 here. A stranger's is tried in a process of its own first; a slicer of a stranger never comes into this one, unless
@@ -8,20 +8,27 @@ here. A stranger's is tried in a process of its own first; a slicer of a strange
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.metadata import EntryPoint
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, Protocol, cast, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from ebamcheck.backend import BackendSettings, Probe, Slicer
 from ebamcheck.errors import BackendMissing, SettingsError
 from ebamcheck.installed import BrokenPlugin, broken, entry_points, is_house, sorted_out
+from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.processes import one_line
 from ebamcheck.plugins.strangers import Answer, StrangerSlicer, ask, slicer_answer, stranger
 from ebamcheck.plugins.trial import SLICER_ATTRIBUTES as SLICER_ATTRIBUTES
 from ebamcheck.plugins.trial import checked_settings, checked_slicer, lineage, probed
 from ebamcheck.showing.short_text import did_you_mean
+
+if TYPE_CHECKING:
+    import shapely
 
 BACKENDS = "ebamcheck.backends"
 MODELS = "ebamcheck.models"
@@ -32,11 +39,8 @@ ORDERS = "ebamcheck.orders"
 COMMANDS = "ebamcheck.commands"
 IMPORTED = (MODELS, REPORTS, CONTROLS, CHECKS, ORDERS, COMMANDS)  # groups whose plugins are no slicers
 AT_ONCE = 4  # strangers that are asked side by side
-_STRAYS = (
-    Exception,
-    SystemExit,
-    GeneratorExit,
-)  # what a plugin may raise that is not the user's own interrupt
+# What a plugin may raise that is not the user's own interrupt
+_STRAYS = (Exception, SystemExit, GeneratorExit)
 
 
 class BrokenPluginWarning(UserWarning):
@@ -259,3 +263,62 @@ def slicer_settings(name: str, values: Mapping[str, Any]) -> BackendSettings:
     if isinstance(found, StrangerSlicer):
         return found.checked(values)
     return checked_settings(name, found.Settings, values)
+
+
+@runtime_checkable
+class Model(Protocol):
+    """A solid known in closed form, in mm.
+
+    >>> model = models(["sphere"])["sphere"]
+    >>> part = model.tessellate(0.01)
+    >>> bool(part.volume < model.volume < part.volume + 0.02 * model.area(0.0) * 4)
+    True
+    """
+
+    @property
+    def name(self) -> str:
+        """Key in the entry point group ``ebamcheck.models``, and the name of its parts."""
+        ...
+
+    @property
+    def summary(self) -> str:
+        """What it is, in one line."""
+        ...
+
+    @property
+    def bounds(self) -> NDArray[np.float64]:
+        """Least and greatest corner, (2, 3) mm."""
+        ...
+
+    @property
+    def volume(self) -> float:
+        """Exact volume, mm3."""
+        ...
+
+    @property
+    def euler_number(self) -> int:
+        """Vertices - edges + faces of any mesh of the surface."""
+        ...
+
+    def section(self, z: float, tolerance_mm: float = ...) -> Sequence[shapely.Polygon]:
+        """Solid regions at height `z` (that of z + 0 at a step), rings as dense as the tolerance asks."""
+        ...
+
+    def area(self, z: float) -> float:
+        """Exact area of the section at height `z`, mm2."""
+        ...
+
+    def tessellate(self, tolerance_mm: float) -> Part:
+        """Return a closed, outward mesh no point of which is farther than the tolerance from the surface."""
+        ...
+
+
+def models(names: Sequence[str] | None = None) -> dict[str, Model]:
+    """Find the installed models, all or those named, by name."""
+    found = {name: m for name, m in load_plugins(MODELS).items() if isinstance(m, Model)}
+    if names is None:
+        return found
+    unknown = [name for name in names if name not in found]
+    if unknown:
+        raise SettingsError(f"unknown model {unknown[0]!r}: installed are {', '.join(found) or 'none'}")
+    return {name: found[name] for name in names}

@@ -102,6 +102,7 @@ class _ProbeTold(_Told):
     device: Line
 
 
+# What each value has to be, in a user's words
 KINDS: Mapping[str, str] = {
     "name": "a line of text",
     "summary": "a line of text",
@@ -115,7 +116,6 @@ KINDS: Mapping[str, str] = {
     "versions": "texts by name",
     "device": "a line of text",
 }
-"""What each value has to be, in a user's words."""
 
 
 class Answer(BaseModel):

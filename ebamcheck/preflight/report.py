@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.kernels import Floats
-from ebamcheck.layers.heights import cut_heights
-from ebamcheck.layers.layer_rule import nearest_fitting, share_off
+from ebamcheck.layers.heights import cut_heights, nearest_fitting, share_off
 from ebamcheck.mesh.inspection import Inspection, inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part

@@ -10,6 +10,7 @@ import numpy as np
 
 from ebamcheck.errors import EbamcheckError
 from ebamcheck.kernels import Bools, Floats
+from ebamcheck.mesh.bodies import windings
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.part import Part
 from ebamcheck.preflight.workload import RUN
@@ -22,8 +23,8 @@ from ebamcheck.settings.process_window import outside_window, unusual_layers
 if TYPE_CHECKING:
     from shapely.geometry.base import BaseGeometry
 
+# Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number
 OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)
-"""Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number."""
 
 ROUNDING_MM = 1e-6  # placed boxes are rounded to about this
 
@@ -128,10 +129,12 @@ def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
         if bool(shapely.intersects(outline, shadows).any()):
             return True
     # No facet in the zone: it is wholly within the metal, or wholly outside of it.
-    point, (x0, y0, x1, y1) = shapely.point_on_surface(outline), outline.bounds
+    middle, (x0, y0, x1, y1) = shapely.point_on_surface(outline), outline.bounds
     # Off the middle by shares that no drawing has: on the edge of two facets neither would count.
-    x, y = float(point.x) + OFF_MIDDLE[0] * (x1 - x0), float(point.y) + OFF_MIDDLE[1] * (y1 - y0)
-    return _winding(corners[near], z[near], x, y, max(zone.z_mm[0], 0.0)) > 0
+    x, y = float(middle.x) + OFF_MIDDLE[0] * (x1 - x0), float(middle.y) + OFF_MIDDLE[1] * (y1 - y0)
+    point = np.array([[x, y, max(zone.z_mm[0], 0.0) + float(part.bounds[0, 2])]])
+    facets = np.flatnonzero(near)
+    return bool(windings(point, corners, np.zeros(facets.size, np.int64), facets)[0] > 0)
 
 
 def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
@@ -139,21 +142,6 @@ def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
     low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
     found: Bools = (low[:, 0] <= x1) & (high[:, 0] >= x0) & (low[:, 1] <= y1) & (high[:, 1] >= y0)
     return found
-
-
-def _winding(corners: Floats, z: Floats, x: float, y: float, height: float) -> int:
-    """Winding number at a point: facets over it that face up, less those that face down."""
-    a, b, c = (corners[:, k, :2] for k in range(3))
-
-    def side(p: Floats, q: Floats) -> Floats:
-        found: Floats = (q[:, 0] - p[:, 0]) * (y - p[:, 1]) - (q[:, 1] - p[:, 1]) * (x - p[:, 0])
-        return found
-
-    s = np.stack([side(b, c), side(c, a), side(a, b)], axis=1)
-    whole = s.sum(axis=1)
-    over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
-    at = (s[over] * z[over]).sum(axis=1) / whole[over]
-    return int(np.sign(whole[over])[at > height].sum())
 
 
 # -- settings that cannot work together ------------------------------------------------------------
@@ -231,16 +219,9 @@ def _temperatures(config: Config) -> Iterator[Check]:
         yield Check.preflight("material", "fault", text, remedy="give them in rising order", stops=(RUN,))
     limit = process.interpass_limit_k or material.interpass_limit_k
     if process.interpass != "off" and limit <= process.ambient_temperature_k:
-        yield Check.preflight(
-            "interpass limit",
-            "fault",
-            f"no bead may be entered over {limit:g} K, and the chamber has {process.ambient_temperature_k:g} K",
-            limit,
-            process.ambient_temperature_k,
-            "K",
-            "raise process.interpass_limit_k",
-            (RUN,),
-        )
+        ambient_k, remedy = process.ambient_temperature_k, "raise process.interpass_limit_k"
+        text = f"no bead may be entered over {limit:g} K, and the chamber has {ambient_k:g} K"
+        yield Check.preflight("interpass limit", "fault", text, limit, ambient_k, "K", remedy, (RUN,))
 
 
 # -- the unit of the file --------------------------------------------------------------------------
@@ -264,16 +245,11 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
     largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
     size = sizes(found.size_mm)
     if largest < few_mm:
-        yield Check.finding(
-            "warning",
-            "part-under-beads",
-            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads",
-            "part.units",
-            largest,
-            few_mm,
-            "mm",
-            f"check the unit of the file (--units){_in_other_units(found, config)}",
+        text = (
+            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads"
         )
+        remedy = f"check the unit of the file (--units){_in_other_units(found, config)}"
+        yield Check.finding("warning", "part-under-beads", text, "part.units", largest, few_mm, "mm", remedy)
     # Of a file in inches that is what one expects.
     if found.units not in ("in", "ft") and round_in_inches(found.size_mm):
         inches = sizes(np.array(found.size_mm) / INCH_MM)
@@ -309,8 +285,6 @@ def of_bodies(found: Inspection) -> Iterator[Check]:
 def sizes(size: np.typing.ArrayLike) -> str:
     """Extents as text.
 
-    Examples
-    --------
     >>> sizes([100.0, 50.8, 25.4])
     '100 x 50.8 x 25.4'
     """
@@ -342,13 +316,11 @@ def _beyond_travel(found: Inspection, config: Config) -> Iterator[Check]:
         "XYZ", found.size_mm, machine.travel_min_mm, machine.travel_max_mm, strict=True
     ):
         if extent > high - low:
-            yield Check.finding(
-                "warning",
-                "part-beyond-travel",
-                f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm",
+            text = f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm"
+            place, remedy = (
                 f"machine.travel_max_mm {axis}",
-                extent,
-                high - low,
-                "mm",
                 "check the unit of the file (--units), or turn the part",
+            )
+            yield Check.finding(
+                "warning", "part-beyond-travel", text, place, extent, high - low, "mm", remedy
             )

@@ -19,7 +19,7 @@ from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import crossing_counts
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.slabs import facet_count, is_binary_stl
-from ebamcheck.result import Check
+from ebamcheck.result import Check, Level
 from ebamcheck.settings.config import Config
 
 RUN, CHECK = "run", "check"  # jobs: all the way to a program, or slicing and comparison alone
@@ -31,11 +31,10 @@ START_S = 6.0  # start of the interpreter and of the slicers' processes
 SLICE_S, COMPARE_S, FIT_S = 3e-6, 8e-6, 3e-5  # time a point and method, a point and pair, and a point
 ISLAND_S = 0.012  # time an island of partition, filling and thermal order
 BEAD_S = 1.4e-4  # time a millimetre of bead of writing, reading back and laying a program
+# Memory of the job itself, of each method's process, of a facet and of a point, each a method
 BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
-"""Memory of the job itself, of each method's process, of a facet and of a point, each a method."""
-
+# Islands of an ordinary layer, and fewest and most beads across one (`ebamcheck.scan.islands.lattice`)
 ZONES, BEADS_ACROSS = 60, (4, 12)
-"""Islands of an ordinary layer, and fewest and most beads across one (:mod:`ebamcheck.scan.islands.lattice`)."""
 
 CUT = 0.3  # islands that the border cuts off, over those that fit along it
 
@@ -132,16 +131,10 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
             yield Check.preflight(f"work: {name}", "pass", text, figure, limit, unit)
             continue
         setting = {"memory": "most_memory_mb", "time": "most_time_s"}.get(name, f"most_{name}")
-        yield Check.preflight(
-            f"work: {name}",
-            "warning" if yes else "fault",
-            f"{text}, over {_amount(limit, unit)} (work.{setting})",
-            figure,
-            limit,
-            unit,
-            "give --yes to go on all the same, raise the setting, or take thicker layers or larger cells",
-            () if yes else EVERY,
-        )
+        text += f", over {_amount(limit, unit)} (work.{setting})"
+        remedy = "give --yes to go on all the same, raise the setting, or take thicker layers or larger cells"
+        level: Level = "warning" if yes else "fault"
+        yield Check.preflight(f"work: {name}", level, text, figure, limit, unit, remedy, () if yes else EVERY)
 
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
@@ -157,8 +150,6 @@ def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
 def _amount(figure: float, unit: str) -> str:
     """Write a count, a time or an amount of memory as people say it.
 
-    Examples
-    --------
     >>> _amount(1234567.0, "points"), _amount(5400.0, "s"), _amount(95.0, "s"), _amount(2300.0, "MB")
     ('1,234,567', '1.5 hours', '1.6 minutes', '2.3 GB')
     """

@@ -32,6 +32,7 @@ CERTIFICATE = "certificate.json"
 
 PROFILE = ("machine", "process", "material", "kinematics")  # sections of machine and process
 
+# What a person adds when the run is released (`ebamcheck sign`), and its empty values. The seal covers it
 RELEASE: Mapping[str, Any] = {
     "part_number": "",
     "revision": "",
@@ -42,10 +43,11 @@ RELEASE: Mapping[str, Any] = {
     "date": "",
     "deviations": [],
 }
-"""What a person adds when the run is released (`ebamcheck sign`), and its empty values. The seal covers it."""
 
+OF_PART = ("name", "source", "sha256", "mesh_sha256", "units", "direction")
 PLACED = ("place_at_mm", "rotate_deg")  # what a record says of its part only where the settings place it
 
+# What no gate of a run is about
 NOT_PROVED = (
     "that the mesh is the part that was drawn: it is compared with nothing but itself",
     "what the codes of the machine maker do on the machine",
@@ -53,7 +55,6 @@ NOT_PROVED = (
     "distortion, residual stress, porosity, microstructure",
     "that the machine's calibration, axes and wire feed are what its profile says",
 )
-"""What no gate of a run is about."""
 
 
 def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -68,16 +69,7 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
         "finished": manifest["timings"]["finished"],
         "part": {
             key: manifest["part"][key]
-            for key in (
-                "name",
-                "source",
-                "sha256",
-                "mesh_sha256",
-                "units",
-                "direction",
-                "place_at_mm",
-                "rotate_deg",
-            )
+            for key in (*OF_PART, *PLACED)
             if key in manifest["part"] or key not in PLACED
         },
         "heights": manifest["heights"],
@@ -222,6 +214,7 @@ def _convention(config: Config) -> str:
     )
 
 
+# What each gate proves where it has passed, and what is not proved where it is shut; of another one its own text says it
 PROVED: Mapping[str, str] = {
     "input": "the part is a closed solid",
     "agreement": "independent slicers find the same contours on every layer",
@@ -232,7 +225,6 @@ PROVED: Mapping[str, str] = {
     "program": "the program's path, read back from its text, is that of the part, within the limits of machine and process",
     "entry": "the program that begins at a layer is the end of the whole one, and starts safely by itself",
 }
-"""What each gate proves where it has passed, and what is not proved where it is shut; of another one its own text says it."""
 
 DRY_RUN = "a dry run on the control, with beam and wire off"
 CODES_OF_THE_MAKER = "the machine maker's codes in place of the default ones for beam and wire"
@@ -288,8 +280,6 @@ def _consumables(manifest: Mapping[str, Any]) -> str:
 def counted(findings: list[Mapping[str, Any]]) -> str:
     """Count findings by severity, the gravest first.
 
-    Examples
-    --------
     >>> counted([{"severity": "note"}, {"severity": "warning"}, {"severity": "note"}])
     '1 warning, 2 notes'
     """

@@ -23,8 +23,6 @@ PRINTED = 60  # characters of a name or value that a message quotes
 def file_inside(name: str) -> str:
     """Return the name of a file inside of a run folder, as ``run.json`` lists it; raises :class:`ValueError` for another.
 
-    Examples
-    --------
     >>> file_inside("program/MAIN.MPF")
     'program/MAIN.MPF'
     """
@@ -265,8 +263,7 @@ class PartOfRun(Form):
     name: str
     source: Annotated[str, AfterValidator(part_file)]
     sha256: Sha256
-    mesh_sha256: Sha256 | Literal[""]
-    """Empty in a check in slabs, in which the mesh is never whole."""
+    mesh_sha256: Sha256 | Literal[""]  # empty in a check in slabs, in which the mesh is never whole
     units: str
     units_from: str = ""
     direction: Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -332,8 +329,7 @@ class RecordForm(Form):
     findings: list[FindingForm] = []
     exit_code: Annotated[int, Field(ge=0, le=5)]
     files: dict[RunFile, Sha256]
-    timings: TimingsForm | None = None
-    """In the record of runs of earlier versions."""
+    timings: TimingsForm | None = None  # in the record of runs of earlier versions
 
     @model_validator(mode="after")
     def _slicers_of_the_run(self) -> Self:

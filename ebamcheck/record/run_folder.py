@@ -19,12 +19,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import read_json, write_json
 from ebamcheck.layers import files as layer_files
 from ebamcheck.layers.stack import Layers
 from ebamcheck.record.form import FORMAT_VERSION, RecordForm, TimingsForm, in_form
-from ebamcheck.regular_file import regular_file
 
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"  # marks an unfinished folder; a finished run has it in its record

@@ -23,10 +23,10 @@ from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import read_json, write_json
 from ebamcheck.printable import printable
-from ebamcheck.regular_file import regular_file
 from ebamcheck.result import Check
 
 SIGNATURES = "signatures"  # folder of the signatures, beside the certificate
@@ -44,8 +44,7 @@ class Signature:
     """One signature, as it was found."""
 
     file: str
-    state: str
-    """:data:`TRUSTED` (valid, by a key that is trusted), :data:`VALID` (by another key) or :data:`BROKEN`."""
+    state: str  # `TRUSTED` (valid, by a key that is trusted), `VALID` (by another key) or `BROKEN`
     name: str
     fingerprint: str
     text: str  # in words: who signed, with which key, or why it does not hold
@@ -60,10 +59,7 @@ def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
     A file that is there already is refused, since a key that is overwritten is lost.
     """
     stem = Path(path)
-    private_path, public_path = (
-        stem.with_name(stem.name + PRIVATE_SUFFIX),
-        stem.with_name(stem.name + PUBLIC_SUFFIX),
-    )
+    private_path, public_path = (stem.with_name(stem.name + end) for end in (PRIVATE_SUFFIX, PUBLIC_SUFFIX))
     for file in (private_path, public_path):
         if file.exists():
             raise SettingsError(
@@ -152,15 +148,9 @@ def sign(
     folder = certificate.parent / SIGNATURES
     folder.mkdir(exist_ok=True)
     path = folder / f"{fingerprint(public)}{SIGNATURE_SUFFIX}"
-    write_json(
-        {
-            "format": SIGNATURE_FORMAT,
-            **said,
-            "public_key": base64.b64encode(public).decode(),
-            "signature": base64.b64encode(key.sign(_message(said))).decode(),
-        },
-        path,
-    )
+    bytes_of = {"public_key": public, "signature": key.sign(_message(said))}
+    coded = {name: base64.b64encode(data).decode() for name, data in bytes_of.items()}
+    write_json({"format": SIGNATURE_FORMAT, **said, **coded}, path)
     return path
 
 
@@ -201,12 +191,8 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
         said = {field: found[field] for field in SIGNED}
         if not all(isinstance(value, str) for value in said.values()):
             raise ValueError
-        if found["format"] != SIGNATURE_FORMAT or set(found) != {
-            "format",
-            *SIGNED,
-            "public_key",
-            "signature",
-        }:
+        keys = {"format", *SIGNED, "public_key", "signature"}
+        if found["format"] != SIGNATURE_FORMAT or set(found) != keys:
             raise ValueError
         Ed25519PublicKey.from_public_bytes(public).verify(signature, _message(said))
     except (InputError, ValueError, KeyError, TypeError, binascii.Error):
@@ -218,10 +204,8 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
     key = fingerprint(public)
     name, role, date = (printable(said[field]) for field in ("name", "role", "date"))
     if said["certificate_sha256"] != digest:
-        text = (
-            f"{name} signed another certificate than this one: it was changed since, or comes from elsewhere"
-        )
-        return Signature(path.name, BROKEN, name, key, text)
+        what = "another certificate than this one: it was changed since, or comes from elsewhere"
+        return Signature(path.name, BROKEN, name, key, f"{name} signed {what}")
     by = f"{name} ({role}) on {date} with key {key}"
     if public in trusted:
         return Signature(path.name, TRUSTED, name, key, f"signed by {by}, trusted as {trusted[public]}")

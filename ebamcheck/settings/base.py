@@ -72,6 +72,7 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
 
 
+# Other names of each unit
 UNIT_NAMES = {
     "mm": ("millimetre", "millimetres", "millimeter", "millimeters"),
     "cm": ("centimetre", "centimetres", "centimeter", "centimeters"),
@@ -80,7 +81,6 @@ UNIT_NAMES = {
     "in": ("inch", "inches", '"'),
     "ft": ("foot", "feet"),
 }
-"""Other names of each unit."""
 
 _KNOWN = {name: unit for unit, names in UNIT_NAMES.items() for name in (unit, *names)}
 
@@ -88,8 +88,6 @@ _KNOWN = {name: unit for unit, names in UNIT_NAMES.items() for name in (unit, *n
 def known_as(name: Any) -> Any:
     """Short name of a unit; what is no name of one comes back as it is.
 
-    Examples
-    --------
     >>> known_as("Inches"), known_as(" MM "), known_as("furlong")
     ('in', 'mm', 'furlong')
     """
@@ -106,5 +104,5 @@ def unit_named(name: str) -> str:
     return str(unit)
 
 
+# Millimetres in one unit of a model's file
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4, "ft": 304.8}
-"""Millimetres in one unit of a model's file."""

@@ -23,8 +23,8 @@ from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import EbamcheckError, SettingsError
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Between, Section
 from ebamcheck.settings.stages import MachineChoice
 from ebamcheck.showing.short_text import did_you_mean
@@ -98,15 +98,11 @@ class _Place(NamedTuple):
     def told(self, unknown: bool = False) -> str:
         """Its name for a user, to whom types that were tried mean nothing; tables of a list are counted from 1."""
         last = len(self.path) - 1
-        return self._joined(
-            [
-                k
-                for n, k in enumerate(self.path[1:], 1)
-                if isinstance(k, int) or self.is_key(k) or (unknown and n == last)
-            ]
-        )
-
-    def _joined(self, behind: Sequence[int | str]) -> str:
+        behind = [
+            k
+            for n, k in enumerate(self.path[1:], 1)
+            if isinstance(k, int) or self.is_key(k) or (unknown and n == last)
+        ]
         names = [self.section] if self.section else []
         names += map(str, self.path[:1])
         if self.inner is not None and behind and isinstance(behind[0], int):
@@ -166,6 +162,7 @@ def _told(place: _Place, first: Mapping[str, Any]) -> str:
 
 # -- settings in words -----------------------------------------------------------------------------
 
+# What is filled in where it stands in braces in a template of the machine
 PLACEHOLDERS: Mapping[str, str] = {
     "power_w": "power of the beam, W",
     "voltage_kv": "accelerating voltage, kV",
@@ -178,8 +175,7 @@ PLACEHOLDERS: Mapping[str, str] = {
     "height_mm": "Z of the layer, mm",
     "defocus": "focus of the beam, in the machine's own unit; in set_focus alone",
 }
-"""What is filled in where it stands in braces in a template of the machine."""
-
+# Templates of the machine's blocks, with an example each
 TEMPLATES: Mapping[str, str] = {
     "beam_on": '["M60 ; beam on"]',
     "beam_off": '["M61 ; beam off"]',
@@ -194,8 +190,7 @@ TEMPLATES: Mapping[str, str] = {
     "layer_begin": '["MSG(\\"LAYER {layer} AT {height_mm}\\")"]',
     "layer_end": '["M77"]',
 }
-"""Templates of the machine's blocks, with an example each."""
-
+# Examples of settings whose default does not show what they take; each is TOML
 EXAMPLES: Mapping[str, str] = {
     **{f"machine.{name}": example for name, example in TEMPLATES.items()},
     "machine.beam_codes": '["M60: on", "M61: off", "H2: current_ma"]',
@@ -210,7 +205,6 @@ EXAMPLES: Mapping[str, str] = {
     "slicing.required": '["planecut"]',
     "slicing.witnesses": '["all"]',
 }
-"""Examples of settings whose default does not show what they take; each is TOML."""
 
 _NUMBERS = "a list of numbers"
 
@@ -228,8 +222,6 @@ def example_of(section: str, key: str, info: FieldInfo) -> str:
 def wanted(section: str, key: str, info: FieldInfo) -> str:
     """What a setting takes.
 
-    Examples
-    --------
     >>> from ebamcheck.settings.machine import MachineSettings
     >>> wanted("machine", "beam_on", MachineSettings.model_fields["beam_on"])
     'a list of blocks, such as ["M60 ; beam on"]'
@@ -253,11 +245,7 @@ def _kind(annotation: Any, metadata: Sequence[Any] = ()) -> str:
         named = [_kind(one, metadata) for one in inside if one is not type(None)]
         return " or ".join(named)
     if origin is Literal:
-        return (
-            "one of " + ", ".join(value_text(value) for value in inside)
-            if len(inside) > 1
-            else value_text(inside[0])
-        )
+        return ("one of " if len(inside) > 1 else "") + ", ".join(map(value_text, inside))
     if origin is tuple:
         return _list(inside, metadata)
     if origin is dict or annotation is dict:
@@ -371,8 +359,8 @@ def as_toml(config: Config) -> str:
     return "\n".join(lines)
 
 
+# Lines of sections that were written last. Sections do not change, and settings that differ in one share the others
 _written: dict[tuple[int, bool], tuple[Section, list[str]]] = {}
-"""Lines of sections that were written last. Sections do not change, and settings that differ in one share the others."""
 
 MOST_WRITTEN = 64
 
@@ -382,11 +370,8 @@ def _of_section(name: str, section: Section, explained: bool = True) -> list[str
     known = _written.get((id(section), explained))
     if known is not None and known[0] is section:
         return known[1]
-    lines = (
-        [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}", f"[{name}]"]
-        if explained
-        else [f"[{name}]"]
-    )
+    lines = [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}"] if explained else []
+    lines.append(f"[{name}]")
     tables: list[str] = []
     said = explanations(type(section)) if explained else {}
     for key in type(section).model_fields:
@@ -417,8 +402,8 @@ def _explained(description: str) -> tuple[str, ...]:
     return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
 
 
+# Value and text of each key as it was written last: a section that differs in one value shares the others
 _texts: dict[str, tuple[Any, str]] = {}
-"""Value and text of each key as it was written last: a section that differs in one value shares the others."""
 
 
 def _same_text(key: str, value: Any) -> str:
@@ -441,19 +426,12 @@ def told_beside(section: str, key: str) -> list[str]:
 
 def _tables(path: str, values: dict[str, Any]) -> list[str]:
     plain = {name: value for name, value in values.items() if not isinstance(value, dict)}
-    lines = (
-        [f"[{path}]", *(f"{name} = {value_text(value)}" for name, value in plain.items()), ""]
-        if plain
-        else []
-    )
-    for name, table in values.items():
-        if name in plain:
-            continue
-        lines += [
-            f"[{path}.{name}]",
-            *(f"{k} = {value_text(v)}" for k, v in table.items() if v is not None),
-            "",
-        ]
+    tables = {path: plain} if plain else {}
+    tables |= {f"{path}.{name}": table for name, table in values.items() if name not in plain}
+    lines = []
+    for name, table in tables.items():
+        rows = [f"{k} = {value_text(v)}" for k, v in table.items() if v is not None]
+        lines += [f"[{name}]", *rows, ""]
     return lines
 
 

@@ -13,9 +13,8 @@ from pydantic import SerializationInfo, SerializerFunctionWrapHandler, model_ser
 
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.checking import checked, read_toml
-from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
+from ebamcheck.settings.machine import KinematicsSettings, MachineSettings, OpcuaSettings
 from ebamcheck.settings.materials import MaterialSettings
-from ebamcheck.settings.opcua import OpcuaSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.settings.stages import (
     ComparisonSettings,

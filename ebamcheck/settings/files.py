@@ -12,9 +12,8 @@ import tomlkit
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Item
 
-from ebamcheck.atomic_file import replacing
+from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import SettingsError
-from ebamcheck.regular_file import regular_file
 from ebamcheck.settings.base import Section
 from ebamcheck.settings.checking import WIDTH, as_toml, explanations, told_beside, value_text
 from ebamcheck.settings.config import Config, validated
@@ -136,13 +135,11 @@ def _near(key: str, kind: type[Section]) -> str:
 def _known(root: Any) -> dict[str, Any]:
     """Values of a file without the keys that are none of ours."""
     dropped = {text.partition(":")[0] for text in _unknown(root)}
-    return {
-        name: {key: value for key, value in table.items() if f"{name}.{key}" not in dropped}
-        if isinstance(table, dict)
-        else table
-        for name, table in root.unwrap().items()
-        if name not in dropped
-    }
+    kept = {name: table for name, table in root.unwrap().items() if name not in dropped}
+    for name, table in kept.items():
+        if isinstance(table, dict):
+            kept[name] = {key: value for key, value in table.items() if f"{name}.{key}" not in dropped}
+    return kept
 
 
 def _read(path: Path) -> str:
@@ -163,8 +160,6 @@ MISSING = "nothing"  # stands for the value of a setting that one side lacks
 def differences(one: Config, other: Config) -> list[str]:
     """Settings whose values differ, in their order: ``SECTION.NAME is VALUE, not OTHER VALUE``.
 
-    Examples
-    --------
     >>> differences(Config().changed(scan={"seed": 4}), Config())
     ['scan.seed is 4, not 0']
     """

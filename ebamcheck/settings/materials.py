@@ -119,8 +119,8 @@ def _points() -> dict[str, Any]:
 
 Property = Annotated[float, Between(0.001, 1e6)]  # value of a property of a material in SI units
 
+# Temperatures and values of a material, by rising temperature; two points of one temperature make a jump
 DataPoints = Annotated[tuple[tuple[Temperature, Property], ...], Field(min_length=2)]
-"""Temperatures and values of a material, by rising temperature; two points of one temperature make a jump."""
 
 
 OF_ANY_MATERIAL = ("name", "melt_mixing")  # settings that a preset may leave out

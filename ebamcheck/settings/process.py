@@ -25,8 +25,8 @@ TravelSpeed = Annotated[float, Between(0.01, 1e4)]  # speed along a bead, mm/s
 Metal = Annotated[float, Between(0.001, 1e4)]  # section of a bead, mm2
 Off = Annotated[float, Between(1e-9, 1.0)]  # share by which something may be off
 
+# Heights over the base plate, mm, rising, and the share of the beam's power there
 PowerTable = Annotated[tuple[tuple[Height, Share], ...], Field(min_length=1)]
-"""Heights over the base plate, mm, rising, and the share of the beam's power there."""
 
 
 class KeepOut(Section):
@@ -261,8 +261,8 @@ class ProcessSettings(Section):
         return self
 
 
+# Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)
 PARABOLA = 2.0 / 3.0
-"""Area of a parabolic bead over its width times its height (Pixner et al. 2020, Materials 13:3310)."""
 
 
 def bead_height_mm(
@@ -270,8 +270,6 @@ def bead_height_mm(
 ) -> float:
     """Height of one bead from the mass balance ``v_wire pi d^2 / 4 = v_travel A`` with ``A = 2/3 w h``.
 
-    Examples
-    --------
     >>> round(bead_height_mm(1.6, 2000 / 60, 10.0, 6.0), 2)
     1.68
     """

@@ -40,8 +40,6 @@ def wire_area_mm2(config: Config) -> float:
 def wire_speed_mm_s(config: Config, width_mm: float, thickness_mm: float) -> float:
     """Wire speed of a bead that lays a width times the layer's height: ``v_wire pi d^2 / 4 = v_travel b h``.
 
-    Examples
-    --------
     >>> round(wire_speed_mm_s(Config(), 4.0, 1.6755), 2)
     33.33
     """
@@ -61,8 +59,6 @@ def line_energy_j_mm(config: Config) -> float:
 def least_window_share(config: Config) -> float:
     """Share of the power under which its line energy, its current, or its energy for the wire of a bead leaves the process window.
 
-    Examples
-    --------
     >>> round(least_window_share(Config(process={"line_energy_j_mm": (180.0, 3000.0)})), 3)
     0.25
     """
@@ -113,17 +109,12 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Che
     yield from _single_values(config, severity)
     energy, limits = line_energy_j_mm(config), config.process.line_energy_j_mm
     if (limit := _broken(energy, limits)) is not None:
-        yield Check.finding(
-            severity,
-            "process-limit",
+        text = (
             f"process.voltage_kv x current_ma / travel_speed_mm_s give {energy:.4g} J/mm, {_beyond(energy, limit)} {limit:g} J/mm "
-            "(process.line_energy_j_mm)",
-            "process.travel_speed_mm_s",
-            energy,
-            limit,
-            "J/mm",
-            "change the current or the travel speed",
+            "(process.line_energy_j_mm)"
         )
+        place, remedy = "process.travel_speed_mm_s", "change the current or the travel speed"
+        yield Check.finding(severity, "process-limit", text, place, energy, limit, "J/mm", remedy)
 
 
 def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
@@ -213,8 +204,6 @@ SHARE_DIGITS = 6  # decimals of a feed over that of the process
 def speed_window(config: Config, power_share: float = 1.0) -> tuple[float, float]:
     """Least and greatest feed over that of the process, by the windows of feed, travel and line energy, at a share of the power.
 
-    Examples
-    --------
     >>> [round(share, 3) for share in speed_window(Config())]
     [0.24, 4.8]
     """
@@ -244,8 +233,6 @@ def along_window(config: Config, power_share: float = 1.0) -> tuple[float, float
 def feed_shares(wire_mm_s: Floats, config: Config, power_share: float = 1.0) -> Floats:
     """Feed over that of the process for beads that would take wire (n,) at it; the wire is then as much less or more.
 
-    Examples
-    --------
     >>> fast = Config().changed(process={"feed_along_path": True})
     >>> feed_shares(np.array([50.0, 125.0, 12.5]), fast).tolist()
     [1.0, 0.8, 1.333333]

@@ -137,8 +137,8 @@ Kelvins = Annotated[float, Between(1.0, 1000.0)]  # difference of temperatures, 
 
 
 LEAST_LINE_MM = 0.1  # shorter lines of a preheating scan are left out
+# Ends of lines of a preheating scan nearer than this, over the spacing, are joined under the beam, where the way lies within the region
 JOINED_SPACINGS = 1.6
-"""Ends of lines of a preheating scan nearer than this, over the spacing, are joined under the beam, where the way lies within the region."""
 
 AIM_K = 3.0  # the passes of a preheating scan aim so far over the target: travel and chunks of time make no more between plan and text
 LEAST_REST_S = 5.0  # in which the surface of a layer comes to what lies under it, at least

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from PIL import Image
 
+# Okabe and Ito's colours, with Tol's wine in place of their yellow, which is not seen on white
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#882255")
-"""Okabe and Ito's colours, with Tol's wine in place of their yellow, which is not seen on white."""
-
+# Lines that lie on each other stay visible by their dashes
 DASHES = ("", "9 6", "3 7", "9 4 2 4", "1 5", "14 6", "5 5", "12 3 2 3 2 3")
-"""Lines that lie on each other stay visible by their dashes."""
-
+# Colours from first to last: even to the eye and in grey (van der Walt and Smith 2015, CC0)
 VIRIDIS = ((68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140), (40, 174, 128), (94, 201, 98), (173, 220, 48), (253, 231, 37))  # fmt: skip
-"""Colours from first to last: even to the eye and in grey (van der Walt and Smith 2015, CC0)."""
 
 
 def mixed(share: float) -> tuple[int, int, int]:
@@ -34,8 +32,6 @@ def mixed(share: float) -> tuple[int, int, int]:
 def ramp(share: float) -> str:
     """Colour for a share between 0 and 1, as a picture names it.
 
-    Examples
-    --------
     >>> ramp(0.0), ramp(1.0)
     ('#440154', '#fde725')
     """

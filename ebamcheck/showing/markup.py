@@ -22,8 +22,6 @@ FONT = "Helvetica, Arial, sans-serif"
 def clean(text: str) -> str:
     """Text without the characters that XML cannot hold (control characters, halves of surrogates).
 
-    Examples
-    --------
     >>> clean("a\\x00b")
     'a\ufffdb'
     """
@@ -33,8 +31,6 @@ def clean(text: str) -> str:
 def escaped(value: Any) -> Markup:
     """Escape a text; markup stays as it is, and nothing is nothing.
 
-    Examples
-    --------
     >>> escaped("<a&b>")
     Markup('&lt;a&amp;b&gt;')
     """
@@ -51,8 +47,6 @@ def join(parts: Iterable[Any], between: str = "") -> Markup:
 def element(tag: str, *children: Any, **attributes: Any) -> Markup:
     """One element; an underscore at the end of an attribute goes, others become hyphens, and None leaves it out.
 
-    Examples
-    --------
     >>> element("td", "a < b", class_="num", stroke_width=None)
     Markup('<td class="num">a &lt; b</td>')
     """

@@ -1,12 +1,10 @@
-"""Pictures of a planned layer and of a part, as SVG and HTML that need nothing else: islands, fields, scan orders, regions, a layer being scanned."""
+"""Pictures of a planned layer and of a part, as SVG that needs nothing else: islands, fields, scan orders, regions."""
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -16,14 +14,13 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.showing.colours import SCALE, VIRIDIS, palette_image, png_address, ramp
-from ebamcheck.showing.markup import Markup, element, escaped, join, svg_file, text
+from ebamcheck.showing.colours import SCALE, palette_image, png_address, ramp
+from ebamcheck.showing.markup import Markup, element, svg_file, text
 
+# Width of a picture, its margin, the room for the title and for the colour scale, and for what stands over the scale
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
-"""Width of a picture, its margin, the room for the title and for the colour scale, and for what stands over the scale."""
-
+# Length of a scale, of one of temperatures, and half the room of a label of its greatest one
 BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
-"""Length of a scale, of one of temperatures, and half the room of a label of its greatest one."""
 
 TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6  # of what is shown
 FIELD_PX = 3  # width of a pixel of a field; viewers smooth between them
@@ -362,6 +359,7 @@ def frontier(figures: Mapping[str, tuple[float, float]]) -> list[str]:
     return found
 
 
+# Colours that colour-blind readers tell apart (Okabe, Ito 2008)
 KIND_COLOURS = {
     "plane": (86, 180, 233),
     "cylinder": (230, 159, 0),
@@ -372,10 +370,8 @@ KIND_COLOURS = {
     "quadric": (153, 153, 153),
     "freeform": (0, 158, 115),
 }
-"""Colours that colour-blind readers tell apart (Okabe, Ito 2008)."""
-
+# Rows to the right, up, and towards the eye
 VIEW = np.array([[0.8, 0.6, 0.0], [-0.36, 0.48, 0.8], [0.48, -0.64, 0.6]])
-"""Rows to the right, up, and towards the eye."""
 
 PART_PX, PART_MARGIN_PX, KEY_PX = 720.0, 10.0, 20.0
 
@@ -415,90 +411,3 @@ def regions_svg(triangles: Floats, regions: Sequence[tuple[str, Ints]], title: s
             text(PART_MARGIN_PX + 20, y, f"{name} ({kinds.count(name)})", 13),
         ]
     return svg_file(PART_PX, math.ceil(height), body, title)
-
-
-ANIMATION_PX = 900.0
-
-TALLEST_ANIMATION_PX = 620.0  # a tall layer is drawn smaller, so that the controls stay in sight
-MOST_NUMBERS = 400_000  # temperatures in one file: beyond, islands are left out of the sequence evenly
-
-ANIMATION_PAGE = Template("""<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><title>$title</title><style>
-body{font-family:Helvetica,Arial,sans-serif;color:#222;margin:16px;max-width:${width}px}
-h1{font-size:16px;font-weight:600;margin:0 0 8px}
-svg{display:block;width:100%;height:auto;max-height:75vh}
-path{stroke:#fff;stroke-width:.7;fill:#e6e9ec}
-path.now{stroke:#d1242f;stroke-width:3}
-#over path{fill:none;pointer-events:none}
-#over .outline{stroke:#222}#over .contour{stroke:#8a939c;stroke-width:1.2}
-#over .lines{stroke:#fff;stroke-opacity:.45}#over .jumps{stroke:#d1242f;stroke-opacity:.35}
-.row{display:flex;gap:12px;align-items:center;margin-top:10px;font-size:14px}
-input[type=range]{flex:1}button{width:72px;padding:4px}
-#bar{width:200px;height:10px;background:linear-gradient(90deg,$colours)}
-#text{min-width:230px;font-variant-numeric:tabular-nums}
-</style></head><body><h1>$title</h1>
-<svg viewBox="0 0 $box" role="img" aria-label="$title"><g id="islands">$paths</g><g id="over">$over</g></svg>
-<div class="row"><button id="play">Play</button><input id="at" type="range" min="0" max="$last" value="0"
- aria-label="island in scan order"><span id="text"></span></div>
-<div class="row"><span>0 K</span><div id="bar"></div><span>$hottest K and more: mean rise of an island
- (grey: not scanned yet, and cold); solidus $solidus K, boiling $boiling K</span></div>
-<script>
-const frames=$frames,order=$order,times=$times,colours=$stops,hottest=$hottest,boiling=$boiling;
-const islands=[...document.querySelectorAll("#islands path")],at=document.getElementById("at");
-const text=document.getElementById("text"),play=document.getElementById("play");
-const rank=[];order.forEach((island,n)=>rank[island]=n);let timer=null;
-function colour(k){const u=Math.min(Math.max(k/hottest,0),1)*(colours.length-1),i=Math.min(Math.floor(u),colours.length-2);
- return "rgb("+colours[i].map((c,n)=>Math.round(c+(u-i)*(colours[i+1][n]-c))).join(",")+")"}
-function show(){const f=+at.value,row=frames[f],now=order.indexOf(times[f][1]);
- islands.forEach((p,i)=>{p.style.fill=rank[i]>now&&row[i]<5?"#e6e9ec":colour(row[i]);p.classList.toggle("now",i===times[f][1])});
- islands[times[f][1]].parentNode.appendChild(islands[times[f][1]]);
- const top=Math.max(...row);
- text.textContent="island "+(now+1)+" of "+order.length+", "+times[f][0].toFixed(0)+" s, hottest "+(top>boiling?"over "+boiling:top)+" K"}
-function stop(){clearInterval(timer);timer=null;play.textContent="Play"}
-function step(){if(+at.value>=frames.length-1){stop();return}at.value=+at.value+1;show()}
-play.onclick=()=>{if(timer){stop();return}if(+at.value>=frames.length-1)at.value=0;
- play.textContent="Pause";timer=setInterval(step,Math.max(40,12000/frames.length));show()};
-at.oninput=show;show();
-</script></body></html>
-""")
-
-
-def layer_animation(
-    islands: NDArray[np.object_],
-    order: Ints,
-    end_s: Floats,
-    history_k: Floats,
-    title: str,
-    scale: TemperatureScale,
-    scene: Scene,
-) -> str:
-    """Page of islands (I,) in scan order (I,), whose scans end at `end_s` (I,), with the mean rise of each at the end of each scan (I, I)."""
-    x0, y0, x1, y1 = scene.section.bounds
-    per_mm = min(ANIMATION_PX / max(x1 - x0, 1e-6), TALLEST_ANIMATION_PX / max(y1 - y0, 1e-6))
-
-    def place(points: Floats) -> Floats:
-        return np.column_stack([4 + per_mm * (points[:, 0] - x0), 4 + per_mm * (y1 - points[:, 1])])
-
-    paths = join(element("path", d=ring_path(i, place), fill_rule="evenodd") for i in islands)
-    every = max(1, -(-(len(order) ** 2) // MOST_NUMBERS))
-    shown = np.unique(np.append(np.arange(0, len(order), every), len(order) - 1))
-    return ANIMATION_PAGE.substitute(
-        title=escaped(title),
-        width=f"{ANIMATION_PX + 8:.0f}",
-        box=f"{per_mm * (x1 - x0) + 8:.0f} {per_mm * (y1 - y0) + 8:.0f}",
-        paths=paths,
-        last=len(shown) - 1,
-        over=overlay(scene, place),
-        hottest=f"{scale.greatest:.0f}",
-        solidus=f"{scale.solidus:.0f}",
-        boiling=f"{scale.boiling:.0f}",
-        colours=",".join(f"rgb{c}" for c in VIRIDIS),
-        stops=json.dumps(VIRIDIS),
-        frames=json.dumps(
-            np.rint(np.maximum(history_k[shown], 0.0)).astype(int).tolist(), separators=(",", ":")
-        ),
-        order=json.dumps(order.tolist(), separators=(",", ":")),
-        times=json.dumps(
-            [[round(float(end_s[k]), 1), k] for k in order[shown].tolist()], separators=(",", ":")
-        ),
-    )

@@ -15,8 +15,6 @@ LONGEST = 200  # characters of a line at most: what is longer cannot be read at 
 def line(kind: str, *facts: str) -> str:
     """Write a value as its kind and the facts that tell it from others.
 
-    Examples
-    --------
     >>> line("Layers", "42 layers", "", "planecut")
     '<Layers: 42 layers, planecut>'
     """
@@ -30,8 +28,6 @@ def line(kind: str, *facts: str) -> str:
 def counted(count: int, one: str, many: str = "") -> str:
     """Count things in words.
 
-    Examples
-    --------
     >>> counted(1, "layer"), counted(3, "body", "bodies")
     ('1 layer', '3 bodies')
     """
@@ -41,8 +37,6 @@ def counted(count: int, one: str, many: str = "") -> str:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Ask for the known name that is nearest to an unknown one; empty where none is near.
 
-    Examples
-    --------
     >>> did_you_mean("Inconel718", ["316L", "Inconel 718"])
     " (did you mean 'Inconel 718'?)"
     """
@@ -53,8 +47,6 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def size(lengths_mm: Iterable[float]) -> str:
     """Write the extents of a box.
 
-    Examples
-    --------
     >>> size([80.0, 40.0, 30.5])
     '80 x 40 x 30.5 mm'
     """
@@ -71,8 +63,6 @@ def heights(values_mm: Any) -> str:
 def html(title: str, facts: Mapping[str, Any], picture: str = "") -> str:
     """Build a table of names and values for a notebook, with a picture (SVG) under it.
 
-    Examples
-    --------
     >>> html("a & b", {"facets": 12})
     '<div><b>a &amp; b</b><table><tr><th scope="row">facets</th><td>12</td></tr></table></div>'
     """
@@ -86,8 +76,6 @@ def html(title: str, facts: Mapping[str, Any], picture: str = "") -> str:
 def text_table(columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """Align columns with two blanks between them; numbers go right, text goes left.
 
-    Examples
-    --------
     >>> print(text_table(["name", "mm"], [["a", 1.5], ["bcd", 12]]))
     name   mm
     a     1.5

@@ -1,4 +1,5 @@
-"""One process per backend, with limits: a crash, a hang or a kill of one is a finding, not the end of a run.
+"""One process per backend, with limits: a crash, a hang or a kill of one is a finding, not the end of a run; workers
+are started ahead, so that their imports run while the part is read.
 
 The parent writes the part once as plain columns, gives each worker its order, and watches its resident memory and its
 time; a worker writes its layers to a file, block by block.
@@ -7,14 +8,17 @@ time; a worker writes its layers to a file, block by block.
 from __future__ import annotations
 
 import contextlib
+import json
 import math
+import os
 import selectors
+import subprocess
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, TYPE_CHECKING, Any, Self
 
 import numpy as np
 import psutil
@@ -25,7 +29,15 @@ from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.processes import LARGEST_SAID_BYTES, code_in_words, has_ended, last_words, size_of
+from ebamcheck.plugins.processes import (
+    LARGEST_SAID_BYTES,
+    code_in_words,
+    end_with_children,
+    has_ended,
+    last_words,
+    size_of,
+    started,
+)
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.slicers.outcome import (
     CHUNK_BYTES,
@@ -43,8 +55,10 @@ from ebamcheck.slicers.outcome import (
 from ebamcheck.slicers.outcome import Limits as Limits
 from ebamcheck.slicers.outcome import Outcome as Outcome
 from ebamcheck.slicers.worker import write_part
-from ebamcheck.slicers.worker_pool import Worker, WorkerPool, longest_first
 from ebamcheck.threads import thread_count
+
+if TYPE_CHECKING:
+    from ebamcheck.slicers.worker import Order
 
 DEFAULT_LIMITS = Limits()
 
@@ -105,7 +119,7 @@ def slice_all(
     pool: WorkerPool | None = None,
     keep_blocks: bool = False,
     bounds_only: bool = False,
-    meanwhile: Callable[[], None] | None = None,
+    meanwhile: Callable[[], object] | None = None,
 ) -> dict[str, Outcome]:
     """Slice with several backends, each in its own process; returns one outcome for every name, in the order given.
 
@@ -161,16 +175,10 @@ def _started(
     worker = pool.worker(name)
     worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
     file = target.absolute() / f"{name}.parquet"
-    worker.begin(
-        {
-            "backend": name,
-            "folder": str(pool.folder),
-            "file": str(file),
-            "settings": settings.model_dump(mode="json"),
-            "keep_blocks": keep_blocks,
-            "bounds_only": bounds_only,
-        }
-    )
+    worker.begin({
+        "backend": name, "folder": str(pool.folder), "file": str(file), "settings": settings.model_dump(mode="json"),
+        "keep_blocks": keep_blocks, "bounds_only": bounds_only,
+    })  # fmt: skip
     return worker
 
 
@@ -308,3 +316,107 @@ def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[
 def _discard(worker: Worker) -> None:
     for part in worker.file.parent.glob(f".{worker.file.name}.*.part"):
         part.unlink(missing_ok=True)
+
+
+@dataclass
+class Worker:
+    """A process and what it has told so far."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    events: IO[bytes]
+    errors: Path  # where its standard error goes
+    file: Path = Path()  # where its layers go, once it has an order
+    started: float = 0.0
+    told: dict[str, Any] = field(default_factory=dict)
+    unread: bytes = b""
+    failure: Failure = ""
+    why: str = ""
+    peak_mb: float = 0.0
+    mark: str = ""  # what it and its descendants carry in their environment
+    # It runs another distribution's code: its descendants are looked for outside of its group, too
+    stranger: bool = False
+    heard_bytes: int = 0
+    layers: int = 0  # layers that it was asked for
+    done: int = 0
+    bounds_only: bool = False
+    children: list[psutil.Process] = field(default_factory=list)
+    children_seen: float = 0.0
+
+    def begin(self, order: Order) -> None:
+        """Give the worker its order; its time counts from here."""
+        self.file, self.started = Path(order["file"]), time.monotonic()
+        assert self.process.stdin is not None
+        # A worker that has ended already is found out by whoever waits for it.
+        with contextlib.suppress(BrokenPipeError), self.process.stdin as orders:
+            orders.write(json.dumps(order).encode() + b"\n")
+
+    def lose(self, failure: Failure, why: str) -> None:
+        """End it for a reason; the first one counts."""
+        if not self.failure:
+            self.failure, self.why = failure, why
+        self.end()
+
+    def end(self) -> None:
+        """End the process and everything that it started; of one that has ended, what it has left behind."""
+        end_with_children(self.process, self.mark if self.stranger else "")
+
+    def close(self) -> None:
+        """Close the pipes to the process."""
+        self.events.close()
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+
+
+class WorkerPool:
+    """Workers, and the folder where they find their work; those that got no order are ended with it.
+
+    The workers of backends in `ahead` are started at once, others when they are asked for.
+    """
+
+    def __init__(self, ahead: Iterable[str] = ()) -> None:
+        self._opened = ExitStack()
+        self.folder = self._opened.enter_context(scratch_folder())
+        """Folder of this pool alone."""
+        self._count = 0
+        self._idle = {name: self._start(name) for name in dict.fromkeys(ahead)}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.dismiss()
+        self._opened.close()
+
+    def dismiss(self) -> None:
+        """End the workers that got no order."""
+        while self._idle:
+            _, worker = self._idle.popitem()
+            worker.end()
+            worker.close()
+
+    def worker(self, name: str) -> Worker:
+        """Take the worker of a backend, whose name it carries in a list of processes: the one that waits, or a new one."""
+        waiting = self._idle.pop(name, None)
+        return waiting if waiting is not None else self._start(name)
+
+    def _start(self, name: str) -> Worker:
+        read, write = os.pipe()
+        self._count += 1
+        # What a worker that is killed leaves behind goes with the pool's own folder; one that clears its folder for
+        # temporary files takes nothing from the others.
+        errors, own = self.folder / f"stderr-{self._count}", self.folder / f"tmp-{self._count}"
+        own.mkdir()
+        arguments = ["ebamcheck.slicers.worker", name, str(write)]
+        process, mark = started(arguments, own, errors, stdin=subprocess.PIPE, pass_fds=(write,))
+        os.close(write)
+        os.set_blocking(read, False)
+        return Worker(name, process, os.fdopen(read, "rb", buffering=0), errors, mark=mark)
+
+
+def longest_first(names: Iterable[str]) -> list[str]:
+    """Names of slicers in the order in which they are to begin: those that are not exact cast rays, and take longest.
+
+    What ends last is short then, and no core waits long for it.
+    """
+    return sorted(names, key=lambda name: registry.slicer(name).exact)

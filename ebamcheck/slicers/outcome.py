@@ -9,7 +9,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,8 +24,8 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.processes import one_line
 
+# What can become of a backend but success
 Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
-"""What can become of a backend but success."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ CHUNK_BYTES = 1 << 16
 MOST_CHUNKS = 16  # chunks that are read of one worker before its limits and the other workers are looked at
 LONGEST_LINE_BYTES = 1_000_000  # an event is a line of a few hundred bytes
 
+# More than the first, and so much more for each second, is a flood: progress is some 1000 bytes a second
 FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
-"""More than the first, and so much more for each second, is a flood: progress is some 1000 bytes a second."""
 
 LONGEST_TEXT = 4000
 
@@ -146,14 +146,11 @@ def bounds_fault(told: Mapping[str, Any], extent_mm: float) -> str:
     """What is wrong with declared bounds, in one line; empty if nothing: within a bound like the part's extent all is a section of it."""
     for word, what in (("error_bound_mm", "error bound"), ("height_bound_mm", "height bound")):
         value = float(told.get(word, math.nan))
+        said = f"it declares {'an' if what[0] == 'e' else 'a'} {what} of {value:g} mm"
         if not 0.0 <= value < math.inf:
-            return f"it declares an {what} of {value:g} mm: a bound is a number from 0 up".replace(
-                "an h", "a h"
-            )
+            return f"{said}: a bound is a number from 0 up"
         if value >= extent_mm > 0.0:
-            return (
-                f"it declares an {what} of {value:g} mm on a part of {extent_mm:g} mm: that promises nothing"
-            ).replace("an h", "a h")
+            return f"{said} on a part of {extent_mm:g} mm: that promises nothing"
     return ""
 
 
@@ -177,15 +174,10 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
     """What is wrong with the layers that a slicer returned for a part at heights (L,), mm, in one line; empty if nothing."""
     if not isinstance(layers, Layers):
         return f"it returned {type(layers).__name__}, not Layers"
-    checks = (_column_faults(layers), _height_faults(layers, heights), _ring_faults(layers))
-    for faults in (
-        *checks,
-        _value_faults(layers, part),
-        _edge_faults(layers, part),
-        _label_faults(layers, part),
-    ):
-        for fault in faults:
-            return f"it returned layers that are not valid: {fault}"
+    of_form = (_column_faults(layers), _height_faults(layers, heights), _ring_faults(layers))
+    of_part = (found(layers, part) for found in (_value_faults, _edge_faults, _label_faults))
+    for fault in chain.from_iterable((*of_form, *of_part)):
+        return f"it returned layers that are not valid: {fault}"
     return ""
 
 

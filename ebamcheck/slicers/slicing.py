@@ -28,7 +28,7 @@ from ebamcheck.slicers.cutting import cut_here, fits_here, may_run_here
 from ebamcheck.slicers.outcome import Limits, Outcome
 
 if TYPE_CHECKING:
-    from ebamcheck.slicers.worker_pool import WorkerPool
+    from ebamcheck.slicers.isolation import WorkerPool
 
 _Result = TypeVar("_Result")
 

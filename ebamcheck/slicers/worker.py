@@ -39,8 +39,7 @@ class Order(TypedDict):
     settings: dict[str, Any]
     bounds_only: bool  # tell the bounds and slice nothing
 
-    keep_blocks: bool
-    """Whether a block that is cut is kept beside the file until that is whole, for a run that is killed."""
+    keep_blocks: bool  # whether a block that is cut is kept beside the file until that is whole, for a run that is killed
 
 
 def write_part(folder: Path, part: Part) -> None:

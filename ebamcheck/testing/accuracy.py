@@ -10,8 +10,8 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.mesh.welding import weld
-from ebamcheck.plugins.model import Model
+from ebamcheck.mesh.topology import weld
+from ebamcheck.plugins.registry import Model
 from ebamcheck.testing.solids import (
     FRAME_MM,
     HOUSE_RULE,

@@ -9,7 +9,7 @@ from typing import Any
 
 from ebamcheck.backend import Slicer
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models as installed_models
+from ebamcheck.plugins.registry import models as installed_models
 from ebamcheck.showing.short_text import text_table
 from ebamcheck.testing import accuracy, laws, protocol
 from ebamcheck.testing.subject import NO_LAYER, Figure, Raised, Subject, violations
@@ -65,6 +65,7 @@ def _check(function: Callable[[Subject], list[Figure]]) -> Check:
     return Check(function.__name__.replace("_", " "), summary, function)
 
 
+# Every check, in the order in which they are run and shown
 CHECKS: tuple[Check, ...] = tuple(
     _check(function)
     for function in (
@@ -105,7 +106,6 @@ CHECKS: tuple[Check, ...] = tuple(
         laws.ring_parity,
     )
 )
-"""Every check, in the order in which they are run and shown."""
 
 SHOWN_SHARE = 0.005  # shares of a limit under this are mere rounding and shown as a plain pass
 

@@ -30,6 +30,7 @@ from ebamcheck.testing.subject import Figure, truth
 LAYERS = 3
 LONGEST_BLOCK = 255  # characters of a block; controls of this kind read at least so many
 
+# Settings of the process that bring every kind of event into a program
 PROCESSES: Mapping[str, Mapping[str, Any]] = {
     "defaults": {},
     "ramps": {"ramp_up_mm": 4.0, "crater_fill_mm": 3.0},
@@ -37,7 +38,6 @@ PROCESSES: Mapping[str, Mapping[str, Any]] = {
     "wire retract": {"wire_retract_mm": 3.0},
     "pauses": {"layer_pause_s": 12.5},
 }
-"""Settings of the process that bring every kind of event into a program."""
 
 
 @dataclass(frozen=True)

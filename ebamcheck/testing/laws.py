@@ -20,11 +20,10 @@ from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, differences, ge
 LARGE_OFFSET_MM = (2.0**17, -(2.0**18), 2.0**16)  # 0.1 .. 0.3 km from the origin, as in plant coordinates
 COORDINATE_STEP_MM = 2.0**-16  # grid on which vertices are placed where a large shift must not round them
 
+# Solids without features thinner than any sensible bound
 THICK = ("box", "plate with holes", "tilted plate", "sphere", "torus", "upright torus", "cavity")
-"""Solids without features thinner than any sensible bound."""
-
+# Solids whose vertices lie at few heights, between which the area is a polynomial
 FEW_LEVELS = ("box", "plate with holes", "sphere", "torus", "pyramid", "comb", "pillars")
-"""Solids whose vertices lie at few heights, between which the area is a polynomial."""
 
 LEAST_INTERVAL_MM = 1e-9  # levels nearer to each other than this are one, by rounding
 

@@ -176,14 +176,11 @@ def _pillars() -> BaseGeometry:
     return shapely.union_all([regular(7, 0.5 * w, 4.3 * k, 2.1 * (k % 3)) for k, w in enumerate(widths)])
 
 
-def _tilt(part: Part) -> Part:
-    return mapped(part, turn(33.0, "x") @ turn(21.0, "y"))
-
-
+# Closed meshes of one winding number
 SIMPLE: dict[str, Callable[[], Part]] = {
     "box": lambda: box((0, 0, 0), (20, 14, 6)),
     "plate with holes": lambda: prism(_plate(), 0.0, 4.0),
-    "tilted plate": lambda: _tilt(prism(_plate(), 0.0, 9.0)),
+    "tilted plate": lambda: mapped(prism(_plate(), 0.0, 9.0), turn(33.0, "x") @ turn(21.0, "y")),
     "sphere": lambda: mapped(sphere(), shift=(3.0, -2.0, 1.0)),
     "torus": torus,
     "upright torus": lambda: mapped(torus(), turn(90.0, "x") @ turn(7.0, "z")),
@@ -199,7 +196,6 @@ SIMPLE: dict[str, Callable[[], Part]] = {
     "pillars": lambda: prism(_pillars(), 0.0, 3.0),
     "wedge": lambda: mapped(prism(shapely.Polygon([(0, 0), (20, 0.6), (0, 1.2)]), 0.0, 3.0), turn(44.9)),
 }
-"""Closed meshes of one winding number."""
 
 
 def simple(name: str) -> Part:
@@ -302,8 +298,6 @@ HOUSE_RULE = "winding > 0"
 def winding_rule(text: str) -> WindingRule | None:
     """Read an inside rule: ``winding > 0``, ``winding != 0``, ``odd`` or a range ``1..2``; None for any other.
 
-    Examples
-    --------
     >>> [w for w in range(-1, 4) if winding_rule("1..2")(w)]
     [1, 2]
     """

@@ -18,7 +18,7 @@ from ebamcheck.errors import BackendFailed
 from ebamcheck.geometry.rings import EPSILON
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
-from ebamcheck.plugins.model import Model
+from ebamcheck.plugins.registry import Model
 from ebamcheck.testing.solids import HOUSE_RULE, house_rule, sections, winding_rule
 
 ROUNDING_STEPS = 64.0  # units in the last place of the largest coordinate by which the kit's own maps and sections may be off
@@ -133,19 +133,13 @@ class Raised(Exception):
 
     def __init__(self, subject: Subject, part: Part, planes: NDArray[np.float64], error: Exception) -> None:
         self.model = part.name
-        height = subject.failing_height(part, planes)
-        span = (
-            f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm"
-            if len(planes)
-            else ""
-        )
-        where = f"z = {height:.9g} mm" if height is not None else span or "no heights"
-        frames = traceback.extract_tb(error.__traceback__)
-        code = (
-            f", raised in {frames[-1].name} ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
-            if frames
-            else ""
-        )
+        height, where = subject.failing_height(part, planes), "no heights"
+        if height is not None:
+            where = f"z = {height:.9g} mm"
+        elif len(planes):
+            where = f"one of {len(planes)} heights from {planes.min():.9g} to {planes.max():.9g} mm"
+        last = [*traceback.extract_tb(error.__traceback__)][-1:]
+        code = "".join(f", raised in {f.name} ({Path(f.filename).name}:{f.lineno})" for f in last)
         chosen = subject.settings.model_dump()
         settings = ", ".join(f"{key}={value}" for key, value in chosen.items()) or "none"
         low, high = part.bounds.round(3).tolist()
@@ -184,26 +178,19 @@ def generic_heights(part: Part, count: int) -> NDArray[np.float64]:
 class Differences(NamedTuple):
     """How layers differ from exact sections; one entry a layer."""
 
+    # Deepest point of the symmetric difference, measured from the exact contours
     depth_mm: NDArray[np.float64]
-    """Deepest point of the symmetric difference, measured from the exact contours."""
     topology_agrees: NDArray[np.bool_]
     """Whether rings and holes agree once features thinner than twice the limit are set aside."""
-    places: list[str]
-    """Height of the layer, and where its deepest point lies."""
+    places: list[str]  # height of the layer, and where its deepest point lies
 
 
 def differences(
     reference: Layers, found: Layers, limit_mm: float, reference_exact: bool = True, found_exact: bool = False
 ) -> Differences:
     """Differences of layers from others at the same heights, whichever part they are of."""
-    table = compare(
-        reference,
-        found,
-        tolerance_mm=limit_mm,
-        exact_a=reference_exact,
-        exact_b=found_exact,
-        check_part=False,
-    )
+    a, b = reference_exact, found_exact
+    table = compare(reference, found, tolerance_mm=limit_mm, exact_a=a, exact_b=b, check_part=False)
     depth = table["depth_mm"].to_numpy(dtype=np.float64)
     places = [
         f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "")

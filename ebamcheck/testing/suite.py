@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import pytest
 
 from ebamcheck.backend import Slicer
-from ebamcheck.plugins.model import models as installed_models
+from ebamcheck.plugins.registry import models as installed_models
 from ebamcheck.testing.conformance import CHECKS, Check
 from ebamcheck.testing.control_checks import CONTROL_CHECKS, ControlSubject
 from ebamcheck.testing.subject import Figure, Subject, violations

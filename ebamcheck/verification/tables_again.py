@@ -18,9 +18,9 @@ import pyarrow.parquet as pq
 from ebamcheck.curves import Curves
 from ebamcheck.curves.columns import table_of
 from ebamcheck.kernels import Floats
-from ebamcheck.layer_numbers import numbered
 from ebamcheck.pipeline.reports import reports_again
 from ebamcheck.pipeline.tables import INDEXED, Table
+from ebamcheck.printable import numbered
 from ebamcheck.program import Check
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.version import __version__

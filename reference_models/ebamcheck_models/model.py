@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.mesh.part import Part, from_arrays, rotation_to_z, unit_vector
-from ebamcheck.plugins.model import Model as PublicModel
+from ebamcheck.plugins.registry import Model as PublicModel
 
 LEAST_TOLERANCE_MM = 1e-4
 """Finest tessellation: vertices are 32-bit floats, whose steps at 500 mm are 0.00003 mm."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from ebamcheck.layer_numbers import indexed
 from ebamcheck.layers.stack import Layers
 from ebamcheck.layers.svg import overlay_svg
+from ebamcheck.printable import indexed
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.markup import inline
 from ebamcheck_reports.canvas import HEIGHT_LIMIT, LEAST_EXTENT_MM, Box, Canvas, around, outline

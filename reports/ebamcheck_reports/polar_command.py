@@ -11,7 +11,7 @@ import typer
 from ebamcheck.atomic_file import replacing
 from ebamcheck.commands.options import print_json
 from ebamcheck.errors import ExitCode, InputError, SettingsError
-from ebamcheck.layer_numbers import index_of_number
+from ebamcheck.printable import index_of_number
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.showing.short_text import text_table
 

@@ -22,8 +22,7 @@ from ebamcheck.live.making import failure_of
 from ebamcheck.live.opcua import handshake
 from ebamcheck.live.opcua.link import Link, LinkLost, NotTaken, within
 from ebamcheck.live.publishing import read_journal
-from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import MachineSettings, OpcuaSettings
 
 OWNERS = 2**31  # range of the number by which a door knows that it is the one that writes
 LEADS, UPLOADED, RELEASED, AGAIN = "leads", "uploaded", "released", "again"  # kinds of lines in the journal
@@ -131,7 +130,9 @@ class Door:
             try:
                 async with Link(self._machine, self._opcua) as link:
                     self._telling.say("connected", url=self._opcua.url)
-                    self._fresh_link()
+                    self._waiting.forget()
+                    self._telling.forget("lost")
+                    self._telling.soon()
                     while True:
                         answer = await self._look(link)
                         if answer is not None:
@@ -152,11 +153,6 @@ class Door:
 
     def _lost(self, reason: str) -> None:
         self._telling.say("lost", reason=reason, kept="what was published stays; trying again")
-
-    def _fresh_link(self) -> None:
-        self._waiting.forget()
-        self._telling.forget("lost")
-        self._telling.soon()
 
     async def _changed(self, link: Link) -> None:
         """Wait until something has changed on the control, or it is time to look anyway."""
@@ -319,11 +315,7 @@ class Door:
         if not self._telling.due:
             return
         if not self._waiting.now:
-            self._telling.say(
-                "waiting",
-                layer=layer + 1,
-                reason="the main program is not seen to wait: start it on the control",
-            )
+            self._say_waiting(layer + 1)
             return
         current = self._building.status()["published"]
         data, name = handshake.proved_program(self._building.folder, current, self._opcua.file_limit_mb)
@@ -401,11 +393,7 @@ class Door:
             )
             return
         if not self._waiting.now:
-            self._telling.say(
-                "waiting",
-                layer=int(wanted),
-                reason="the main program is not seen to wait: start it on the control",
-            )
+            self._say_waiting(int(wanted))
             return
         self._note(AGAIN, layer=int(wanted), why="the operator's word")
         self._released = None if wanted == layer + 1 else self._released
@@ -429,6 +417,10 @@ class Door:
         return {**self._building.told, "answer": "built"}
 
     # -- what is told ------------------------------------------------------------------------------
+
+    def _say_waiting(self, number: int) -> None:
+        reason = "the main program is not seen to wait: start it on the control"
+        self._telling.say("waiting", layer=number, reason=reason)
 
     def _note(self, kind: str, **entry: Any) -> None:
         self._building.journal.append({"kind": kind, **entry})

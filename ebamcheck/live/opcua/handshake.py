@@ -19,11 +19,10 @@ from typing import Any
 from ebamcheck.atomic_file import replacing
 from ebamcheck.controls.sinumerik.release_keys import PRIME, Release, ReleaseKeys, drawn_key
 from ebamcheck.errors import InputError, SettingsError
-from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
+from ebamcheck.settings.machine import ROLES, WARMTH_ROLES, MachineSettings, OpcuaSettings
 
+# R parameter of each role, counted from `machine.live_r`; the fifth is the program's own
 OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))
-"""R parameter of each role, counted from ``machine.live_r``; the fifth is the program's own."""
 
 BUILT = -1.0  # in ``released``: the part is built
 KEY_FILE = "release.key"  # in the folder of a build: the key from which those of all its layers follow; its owner alone may read it
@@ -32,8 +31,6 @@ KEY_FILE = "release.key"  # in the folder of a build: the key from which those o
 def node_ids(machine: MachineSettings, opcua: OpcuaSettings) -> dict[str, str]:
     """Node of every role.
 
-    Examples
-    --------
     >>> node_ids(MachineSettings(), OpcuaSettings())["height"]
     'ns=2;s=/Channel/Parameter/R[u1,106]'
     """

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.live.opcua.handshake import Seen, file_path, node_ids
-from ebamcheck.settings.machine import MachineSettings
-from ebamcheck.settings.opcua import ROLES, WARMTH_ROLES, OpcuaSettings
+from ebamcheck.settings.machine import ROLES, WARMTH_ROLES, MachineSettings, OpcuaSettings
 from ebamcheck.showing.plotting import missing
 
 if TYPE_CHECKING:

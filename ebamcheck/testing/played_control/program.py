@@ -20,8 +20,9 @@ from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.live.opcua.handshake import OFFSETS, file_path
 from ebamcheck.nc.control import control
 from ebamcheck.settings.config import Config
-from ebamcheck.settings.opcua import OpcuaSettings
+from ebamcheck.settings.machine import OpcuaSettings
 
+# Faults of the played control by name, and what happens; each at a layer, from 1
 FAULTS = {
     "away": "the server is away for a while, when the layer is done",
     "upload": "the server goes away in the middle of the upload of the layer, which leaves half a file",
@@ -41,7 +42,6 @@ FAULTS = {
     "reset-between": "RESET after the layer; the operator says that it is whole",
     "sessions": "no session is left for a while: the server is away and comes back full",
 }
-"""Faults of the played control by name, and what happens; each at a layer, from 1."""
 
 LEAST_WAIT_S = 0.05  # least real time of a wait of the main program, however fast it plays
 SHOWN_S = 0.6  # time for which a wrong value is shown: several times the grid
@@ -55,18 +55,13 @@ FAULT_S = 1.0  # time for which writes are refused or lost, or the server is awa
 class Panel:
     """State of a played control, for the threads of its server and its program: each value is set and read in one step."""
 
+    # R parameters by number; those that are not there are 0
     values: dict[int, float] = field(default_factory=dict)
-    """R parameters by number; those that are not there are 0."""
-    texts: dict[str, str] = field(default_factory=dict)
-    """Variables of text, by what they are."""
-    files: dict[str, bytes] = field(default_factory=dict)
-    """Files by their place."""
-    rights: str = "operate"
-    """`operate`, `refused`, or `lost`: what becomes of writes from outside."""
-    swap_next: bool = False
-    """Whether the next upload is kept as another file."""
-    break_next: bool = False
-    """Whether the server goes away in the middle of the next upload."""
+    texts: dict[str, str] = field(default_factory=dict)  # variables of text, by what they are
+    files: dict[str, bytes] = field(default_factory=dict)  # files by their place
+    rights: str = "operate"  # `operate`, `refused`, or `lost`: what becomes of writes from outside
+    swap_next: bool = False  # whether the next upload is kept as another file
+    break_next: bool = False  # whether the server goes away in the middle of the next upload
     overwritten: dict[int, float] = field(default_factory=dict)
     """R parameters that another client writes over as soon as they are written, once, and what it writes."""
 
@@ -117,8 +112,6 @@ class Growth:
     def grown_mm(self, layer: int, thickness_mm: float) -> float:
         """Return the height that a layer really gets; never nothing.
 
-        Examples
-        --------
         >>> Growth(drift=0.1).grown_mm(3, 2.0)
         2.2
         """
@@ -327,8 +320,6 @@ _PLACE = re.compile(r"(?:PO\[([XY])\]=\(|([XY])=?)(-?\d+\.?\d*)")
 def top_of(text: str) -> float:
     """Z of the top of the layer that a text lays: the lowest Z of its blocks.
 
-    Examples
-    --------
     >>> top_of("%_N_A_SPF\\n; Z 1.0\\nN10 G0 Z21.5\\nN20 G0 Z1.5\\nN30 G1 X1 F600\\n")
     1.5
     """
@@ -343,8 +334,6 @@ def top_of(text: str) -> float:
 def planned_s(text: str, rapid_mm_s: float) -> float:
     """Time of a layer by its text: chords over feed, rapid moves, and waits; near enough for a machine that plays.
 
-    Examples
-    --------
     >>> planned_s("N10 G0 X0 Y0\\nN20 G1 X10 Y0 F600\\nN30 X10 Y20\\nN40 G4 F2\\n", 100.0)
     5.0
     """

@@ -12,7 +12,7 @@ import shapely
 from ebamcheck.curves import Curves, contour_error, error_reduction, fit, polar_radius
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports.canvas import Canvas

@@ -12,7 +12,7 @@ from ebamcheck.layers.heights import layer_heights
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.part import Part
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck_reports.paper.published import CURVE_LAYER, LAYER_HEIGHT_MM
 

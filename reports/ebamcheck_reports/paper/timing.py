@@ -13,7 +13,7 @@ from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import layer_heights
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins import registry
-from ebamcheck.plugins.model import models
+from ebamcheck.plugins.registry import models
 from ebamcheck_reports.paper import published
 from ebamcheck_reports.paper.effort import Effort, Note
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ebamcheck.layer_numbers import numbered
+from ebamcheck.printable import numbered
 from ebamcheck.scan import ScanPlan
 from ebamcheck_reports import scan_picture
 from ebamcheck_reports.charts import Series, line_chart
