@@ -19,9 +19,14 @@ from curve_parts import (
 from benchmarks.curve_parts_meshes import bored, irregular_convex
 from benchmarks.curve_parts_solids import Bow, lathe
 from ebamcheck.curves import METHODS, fit
-from ebamcheck.curves.exact import ExactSurfaces
-from ebamcheck.curves.exact.fitting import told_forms
-from ebamcheck.curves.exact.forms import (
+from ebamcheck.curves.gate import Slack, gated
+from ebamcheck.curves.lifting import Lifting
+from ebamcheck.curves.sections import on_both, on_one
+from ebamcheck.kernels import Floats
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.exact_forms import (
     CONE,
     CYLINDER,
     FLAT,
@@ -37,14 +42,9 @@ from ebamcheck.curves.exact.forms import (
     distances,
     signed_distance,
 )
-from ebamcheck.curves.exact.sections import on_both, on_one
-from ebamcheck.curves.gate import Slack, gated
-from ebamcheck.curves.lifting import Lifting
-from ebamcheck.curves.vertex_normals import surface_of
-from ebamcheck.kernels import Floats
-from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.settings.stages import CurveSettings
-from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.exact_surfaces import ExactSurfaces
+from ebamcheck.surface.form_fits import told_forms
+from ebamcheck.surface.part_surface import surface_of
 
 SETTINGS = CurveSettings()
 AXES_MM = np.array([30.0, 20.0, 25.0])

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.exact.forms import FLAT, KIND
-from ebamcheck.curves.exact.sections import place, refined
-from ebamcheck.curves.lift_limits import LiftLimits, lift_limits, plausible_share
-from ebamcheck.curves.regions import PLANE, STRIP
+from ebamcheck.curves.sections import place, refined
 from ebamcheck.curves.sides import NO_PLANE, Sides, as_they_are
-from ebamcheck.curves.vertex_normals import PartSurface
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
+from ebamcheck.surface.exact_forms import FLAT, KIND
+from ebamcheck.surface.lift_limits import LiftLimits, lift_limits, plausible_share
+from ebamcheck.surface.part_surface import PartSurface
+from ebamcheck.surface.regions import PLANE, STRIP
 
 MOST_STEPS = 60
 """Most steps towards the place of a layer on a curved edge; as many halvings reach rounding."""

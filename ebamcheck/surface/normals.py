@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.regions.borders import LIKE
-from ebamcheck.curves.regions.jets import Corners, jets
-from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Regions
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
+from ebamcheck.surface.borders import LIKE
+from ebamcheck.surface.jets import Corners, jets
+from ebamcheck.surface.regions import FREEFORM, PLANE, STRIP, Regions
 
 ALONG_COSINE = 0.9
 """Least cosine between a sharp border of a strip and its rulings for the border to run along these; else it runs across them."""

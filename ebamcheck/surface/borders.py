@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.regions.planes import PlanarGroups
 from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.surface.planes import PlanarGroups
 
 LIKE = 3.0
 """Strips of one tessellation differ by less than this factor in width; a flat side beside a rounding by more."""

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.exact.finding import ExactSurfaces
-from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, signed_distances
 from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
 from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.surface.exact_forms import FLAT, KIND, SIDE, signed_distances
+from ebamcheck.surface.exact_surfaces import ExactSurfaces
 
 MOST_STEPS = 40
 """Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.exact.forms import SIDE, signed_distance
 from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.surface.exact_forms import SIDE, signed_distance
 
 FACES_ALONG = 0.7
 """Least cosine between the normals of a facet and of its surface: some 45 degrees, about the crease angle."""
@@ -32,7 +32,7 @@ class Ground(NamedTuple):
     normals: Floats
     """(G, 3) unit normals."""
     told: Bools
-    """(F, 3) corners that lie on the surface for certain (:mod:`ebamcheck.curves.exact.finding`)."""
+    """(F, 3) corners that lie on the surface for certain (:mod:`ebamcheck.surface.exact_surfaces`)."""
 
 
 @kernel

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import least_squares
 
-from ebamcheck.curves.exact.forms import (
+from ebamcheck.kernels import Floats
+from ebamcheck.surface.exact_forms import (
     CONE,
     CYLINDER,
     KIND,
@@ -25,7 +26,6 @@ from ebamcheck.curves.exact.forms import (
     TORUS,
     distances,
 )
-from ebamcheck.kernels import Floats
 
 MOST_POINTS = 400
 """Most vertices used for a fit, evenly spread; all are then checked against it."""

@@ -7,7 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.regions.borders import (
+from ebamcheck.geometry.rings import stable_order
+from ebamcheck.kernels import Bools, Floats, kernel
+from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.topology import NO_TWIN, Index
+from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.surface.borders import (
     HALF_TURN,
     LIKE,
     MOST_BORDERS,
@@ -17,12 +22,7 @@ from ebamcheck.curves.regions.borders import (
     flat_against,
     part_bends,
 )
-from ebamcheck.curves.regions.planes import PlanarGroups, planar_groups, plane_tolerance_mm
-from ebamcheck.geometry.rings import stable_order
-from ebamcheck.kernels import Bools, Floats, kernel
-from ebamcheck.mesh.part import Part
-from ebamcheck.mesh.topology import NO_TWIN, Index
-from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.surface.planes import PlanarGroups, planar_groups, plane_tolerance_mm
 
 FREEFORM, PLANE, STRIP = 0, 1, 2
 """Kinds of region: freely curved; flat; flat between straight rulings at which the surface continues to turn."""
