@@ -16,9 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
-from ebamcheck.surface.exact_forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distances
+from ebamcheck.surface.exact_forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, Ground, grown, signed_distances
 from ebamcheck.surface.form_fits import told_forms
-from ebamcheck.surface.growing import Ground, grown
 from ebamcheck.surface.regions import PLANE, STRIP, Regions
 
 FIT = 3.0
@@ -46,11 +45,6 @@ class ExactSurfaces(NamedTuple):
     """(F,) surface of each facet; :data:`NO_SURFACE` for none."""
     rows: Floats
     """(S, SIZE) surfaces, in the layout of :mod:`ebamcheck.surface.exact_forms`."""
-
-
-def no_surfaces(facet_count: int) -> ExactSurfaces:
-    """Exact surfaces of a mesh on which none is known."""
-    return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
 
 
 def exact_surfaces(

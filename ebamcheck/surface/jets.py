@@ -19,6 +19,9 @@ from ebamcheck.threads import run_blocks
 CUBIC, QUADRIC = 9, 5
 """Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these."""
 
+TERMS = 10
+"""Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet."""
+
 MOST_NEIGHBOURS = 48
 """Most neighbours used of a vertex; two rings of a regular mesh hold 18."""
 
@@ -71,14 +74,6 @@ class Jets(NamedTuple):
     """(S,) root mean square of what the jet leaves of its neighbours, per degree of freedom, mm; NaN without a jet."""
 
 
-class _Frame(NamedTuple):
-    """Orthonormal vectors: a normal, and two that span the plane perpendicular to it."""
-
-    n: Floats
-    u: Floats
-    w: Floats
-
-
 def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_cosines: Floats) -> Jets:
     """Fit jets to all sectors; the mean normal is kept where no jet is determined, or where it leaves the facets' normals."""
     found = Jets(means.copy(), np.full(len(means), np.nan))
@@ -101,128 +96,114 @@ def _jets(
     last: int,
     found: Jets,
 ) -> None:
-    rows = np.empty((MOST_NEIGHBOURS, 3))
     around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
-    equations = np.empty((CUBIC, CUBIC + 1))
-    u, w, scales, normal = np.empty(3), np.empty(3), np.empty(2), np.empty(3)
+    rows, weights = np.empty((MOST_NEIGHBOURS, TERMS + 1)), np.empty((2, MOST_NEIGHBOURS))
+    A, frame, scales, normal = np.empty((TERMS, TERMS + 2)), np.empty((3, 3)), np.empty(2), np.empty(3)
     for s in range(first, last):
         if least_cosines[s] >= 1.0 - 1e-15 or corners.starts[s + 1] == corners.starts[s]:
             continue
         near, count = _neighbours(faces, corners, s, around, of_fan)
-        if near < 3:
+        frame[0] = means[s]
+        if near < 3 or not _set_rows(vertices, faces, corners, s, around, near, count, frame, scales, rows):
             continue
-        n = means[s]
-        _frame(n, u, w)
-        frame = _Frame(n, u, w)
-        corner = corners.corners[corners.starts[s]]
-        here = vertices[faces[corner // 3, corner % 3]]
-        _set_rows(vertices, around, count, here, n, u, w, rows)
-        if not _even_out(rows, near, count, u, w, scales):
-            continue
-        own = _normal(rows, near, QUADRIC, 0, equations, scales, frame, least_cosines[s], normal)
-        if own:
-            found.normals[s] = normal
-            if near > QUADRIC:
-                found.noise[s] = _residual(rows, near, QUADRIC, equations)
-            if scales[0] > LONGEST_RING * scales[1] or scales[1] > LONGEST_RING * scales[0]:
+        x = y = 0.0
+        for i in range(count):
+            square = rows[i, 1] * rows[i, 1] + rows[i, 2] * rows[i, 2] + NEAREST * NEAREST
+            # In the first ring alone each neighbour counts by its slope, whatever its distance.
+            weights[0, i] = 1.0 / max((rows[i, 1] * scales[0]) ** 2 + (rows[i, 2] * scales[1]) ** 2, 1e-300)
+            # Else by one over its squared distance twice: the second ring helps and the first decides.
+            weights[1, i] = 1.0 / (square * square)
+            if i < near:
+                x += rows[i, 1] / near
+                y += rows[i, 2] / near
+        # A cubic is not drawn on beyond what it knows: the first ring has to lie about the vertex, and not to one side.
+        centred = x * x + y * y < OFF_CENTRE * OFF_CENTRE
+        own = False
+        for ring in range(2):
+            if ring == 1 and own and max(scales[0], scales[1]) > LONGEST_RING * min(scales[0], scales[1]):
+                break
+            used = count if ring == 1 else near
+            size = CUBIC if ring == 1 and centred else QUADRIC
+            if used < size + ring * SPARE or not _solved(rows, used, size, weights[ring], LEAST_PIVOT, A):
                 continue
-        size = CUBIC if _is_centred(rows, near) else QUADRIC
-        if not _normal(rows, count, size, SPARE, equations, scales, frame, least_cosines[s], normal):
-            continue
-        found.noise[s] = _residual(rows, count, size, equations)
-        spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
-        if not own or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
-            found.normals[s] = normal
+            a, b = A[0, size] / scales[0], A[1, size] / scales[1]
+            length = np.sqrt(1.0 + a * a + b * b)
+            if not 1.0 / length >= least_cosines[s]:
+                continue
+            for i in range(3):
+                normal[i] = (frame[0, i] - a * frame[1, i] - b * frame[2, i]) / length
+            if ring == 1 or near > QUADRIC:
+                found.noise[s] = _residual(rows, used, size, weights[1], A)
+            spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
+            if not own or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
+                found.normals[s] = normal
+            own = True
 
 
 @kernel
-def _is_centred(rows: Floats, near: int) -> bool:
-    """Whether the first ring lies about the vertex, and not to one side: a cubic is not drawn on beyond what it knows."""
-    x = y = 0.0
-    for i in range(near):
-        x += rows[i, 0] / near
-        y += rows[i, 1] / near
-    return bool(x * x + y * y < OFF_CENTRE * OFF_CENTRE)
-
-
-@kernel
-def _normal(
-    rows: Floats,
-    count: int,
-    size: int,
-    spare: int,
-    equations: Floats,
-    scales: Floats,
-    frame: _Frame,
-    least_cosine: float,
-    normal: Floats,
-) -> bool:
-    """Fit a jet of some size to the first `count` rows and write its normal; false where there is none."""
-    if count < size + spare or not _solved(rows, count, size, equations, scales, spare == 0):
-        return False
-    a, b = equations[0, size] / scales[0], equations[1, size] / scales[1]
-    length = np.sqrt(1.0 + a * a + b * b)
-    for i in range(3):
-        normal[i] = (frame.n[i] - a * frame.u[i] - b * frame.w[i]) / length
-    return bool(1.0 / length >= least_cosine)
+def _residual(rows: Floats, count: int, size: int, weights: Floats, A: Floats) -> float:
+    """Root mean square of what a jet leaves of its neighbours, per degree of freedom, mm."""
+    total = sums = 0.0
+    for k in range(count):
+        off = rows[k, TERMS]
+        for i in range(size):
+            off -= A[i, size] * rows[k, i + 1]
+        total += weights[k] * off * off
+        sums += weights[k]
+    return float(np.sqrt(total / sums * count / (count - size)))
 
 
 @kernel
 def _neighbours(faces: Index, corners: Corners, s: int, around: Index, of_fan: Index) -> tuple[int, int]:
     """Vertices of the first ring, then of the second, and their fans; returns how many are in the first and in both."""
     count = near = 0
-    corner = corners.corners[corners.starts[s]]
-    own = faces[corner // 3, corner % 3]
+    first = corners.starts[s]
+    own = faces[corners.corners[first] // 3, corners.corners[first] % 3]
     for ring in range(2):
         near = count
-        for place in range(corners.starts[s], corners.starts[s + 1]):
+        # The first ring is about the vertex itself, the second about each vertex of the first.
+        for place in range(first, corners.starts[s + 1] if ring else first + 1):
             c = corners.corners[place]
             if ring and not corners.seen[c // 3]:
                 continue
-            for step in (1, 2):
-                k = (c % 3 + step) % 3
-                fan = corners.sectors[c // 3, k]
-                if not ring:
-                    count = _add(around, of_fan, count, own, faces[c // 3, k], fan)
-                    continue
-                for at in range(corners.starts[fan], corners.starts[fan + 1]):
-                    other = corners.corners[at]
-                    if not corners.seen[other // 3]:
+            for step in range(1, 3 if ring else 2):
+                hub = np.int64(corners.sectors[c // 3, (c % 3 + step) % 3]) if ring else s
+                for at in range(corners.starts[hub], corners.starts[hub + 1]):
+                    f, k = corners.corners[at] // 3, corners.corners[at] % 3
+                    if ring and not corners.seen[f]:
                         continue
-                    for side in (1, 2):
-                        m = (other % 3 + side) % 3
-                        vertex = faces[other // 3, m]
-                        count = _add(around, of_fan, count, own, vertex, corners.sectors[other // 3, m])
+                    for side in range(1, 3):
+                        vertex = faces[f, (k + side) % 3]
+                        known = vertex == own or count == MOST_NEIGHBOURS
+                        for i in range(count):
+                            if known or around[i] == vertex:
+                                known = True
+                                break
+                        if not known:
+                            around[count], of_fan[count] = vertex, corners.sectors[f, (k + side) % 3]
+                            count += 1
     return near, count
 
 
 @kernel
-def _add(around: Index, of_fan: Index, count: int, own: int, vertex: int, fan: int) -> int:
-    if vertex == own or count == MOST_NEIGHBOURS:
-        return count
-    for i in range(count):
-        if around[i] == vertex:
-            return count
-    around[count], of_fan[count] = vertex, fan
-    return count + 1
-
-
-@kernel
 def _set_rows(
-    vertices: Floats, around: Index, count: int, here: Floats, n: Floats, u: Floats, w: Floats, rows: Floats
-) -> None:
-    """Neighbours in the frame of a vertex."""
-    for i in range(count):
-        p = vertices[around[i]]
-        x, y, z = p[0] - here[0], p[1] - here[1], p[2] - here[2]
-        rows[i, 0] = x * u[0] + y * u[1] + z * u[2]
-        rows[i, 1] = x * w[0] + y * w[1] + z * w[2]
-        rows[i, 2] = x * n[0] + y * n[1] + z * n[2]
+    vertices: Floats,
+    faces: Index,
+    corners: Corners,
+    s: int,
+    around: Index,
+    near: int,
+    count: int,
+    frame: Floats,
+    scales: Floats,
+    rows: Floats,
+) -> bool:
+    """The terms of a cubic and the height at each neighbour of a vertex, whose normal is the first row of the frame.
 
-
-@kernel
-def _frame(n: Floats, u: Floats, w: Floats) -> None:
-    """Two unit vectors that span the plane across a unit normal."""
+    The frame is turned to the axes of the first ring, and its extents along them divide what lies across the normal; false where
+    that ring lies on a line.
+    """
+    n, u, w = frame[0], frame[1], frame[2]
     k = 0
     for i in range(3):
         if abs(n[i]) < abs(n[k]):
@@ -233,92 +214,76 @@ def _frame(n: Floats, u: Floats, w: Floats) -> None:
     for i in range(3):
         u[i] /= max(length, 1e-300)
     w[0], w[1], w[2] = n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]
-
-
-@kernel
-def _terms(x: float, y: float, size: int, row: Floats) -> None:
-    row[0], row[1], row[2], row[3], row[4] = x, y, 0.5 * x * x, x * y, 0.5 * y * y
-    if size == CUBIC:
-        row[5], row[6], row[7], row[8] = x * x * x / 6.0, 0.5 * x * x * y, 0.5 * x * y * y, y * y * y / 6.0
-
-
-@kernel
-def _even_out(rows: Floats, near: int, count: int, u: Floats, w: Floats, scales: Floats) -> bool:
-    """Turn the frame to the axes of the first ring, and divide by its extents along them, mm."""
+    corner = corners.corners[corners.starts[s]]
+    own = faces[corner // 3, corner % 3]
     xx = xy = yy = 0.0
-    for i in range(near):
-        xx += rows[i, 0] * rows[i, 0] / near
-        xy += rows[i, 0] * rows[i, 1] / near
-        yy += rows[i, 1] * rows[i, 1] / near
+    for i in range(count):
+        x = y = z = 0.0
+        for axis in range(3):
+            step = vertices[around[i], axis] - vertices[own, axis]
+            x += step * u[axis]
+            y += step * w[axis]
+            z += step * n[axis]
+        rows[i, 1], rows[i, 2], rows[i, TERMS] = x, y, z
+        if i < near:
+            xx += x * x / near
+            xy += x * y / near
+            yy += y * y / near
     angle = 0.5 * np.arctan2(2.0 * xy, xx - yy)
-    c, s = np.cos(angle), np.sin(angle)
-    scales[0] = np.sqrt(max(c * c * xx + 2.0 * c * s * xy + s * s * yy, 0.0))
-    scales[1] = np.sqrt(max(s * s * xx - 2.0 * c * s * xy + c * c * yy, 0.0))
+    c, t = np.cos(angle), np.sin(angle)
+    scales[0] = np.sqrt(max(c * c * xx + 2.0 * c * t * xy + t * t * yy, 0.0))
+    scales[1] = np.sqrt(max(t * t * xx - 2.0 * c * t * xy + c * c * yy, 0.0))
     if not scales[1] > FLATTEST_RING * scales[0]:
         return False
     for i in range(3):
-        u[i], w[i] = c * u[i] + s * w[i], c * w[i] - s * u[i]
+        u[i], w[i] = c * u[i] + t * w[i], c * w[i] - t * u[i]
     for i in range(count):
-        x, y = rows[i, 0], rows[i, 1]
-        rows[i, 0], rows[i, 1] = (c * x + s * y) / scales[0], (c * y - s * x) / scales[1]
+        x, y = (c * rows[i, 1] + t * rows[i, 2]) / scales[0], (c * rows[i, 2] - t * rows[i, 1]) / scales[1]
+        rows[i, 0], rows[i, 1], rows[i, 2] = 1.0, x, y
+        rows[i, 3], rows[i, 4], rows[i, 5] = 0.5 * x * x, x * y, 0.5 * y * y
+        rows[i, 6], rows[i, 7] = x * x * x / 6.0, 0.5 * x * x * y
+        rows[i, 8], rows[i, 9] = 0.5 * x * y * y, y * y * y / 6.0
     return True
 
 
 @kernel
-def _weight(x: float, y: float) -> float:
-    """Weight of a neighbour: one over its squared distance twice, so that the second ring helps and the first decides."""
-    square = x * x + y * y + NEAREST * NEAREST
-    return float(1.0 / (square * square))
+def _solved(rows: Floats, count: int, size: int, weights: Floats, least_pivot: float, A: Floats) -> bool:
+    """Fit a cubic or, of fewer terms, a jet to `count` neighbours; false where these do not determine all `size` coefficients.
 
-
-@kernel
-def _solved(rows: Floats, count: int, size: int, A: Floats, scales: Floats, first_ring: bool) -> bool:
-    """Coefficients in the units of the rows, in the last column of A; false where the neighbours do not tell them all.
-
-    In the first ring alone each neighbour counts by its slope, whatever its distance.
+    Column `size` of A takes the coefficients, the next one the solution with 1 in place of the height term's sum. Of each
+    diagonal element of the normal equations at least the share `least_pivot` has to be left.
     """
-    row = np.empty(CUBIC)
+    first = 0 if size == TERMS else 1  # a jet goes through the vertex
+    diagonal = np.empty(size)
     for i in range(size):
-        for j in range(size + 1):
-            A[i, j] = 0.0
+        A[i, :] = 0.0
+        A[i, size + 1] = 1.0 if first + i == 0 else 0.0
     for k in range(count):
-        x, y, z = rows[k, 0], rows[k, 1], rows[k, 2]
-        _terms(x, y, size, row)
-        weight = _weight(x, y)
-        if first_ring:
-            weight = 1.0 / max((x * scales[0]) ** 2 + (y * scales[1]) ** 2, 1e-300)
         for i in range(size):
+            share = weights[k] * rows[k, first + i]
             for j in range(i, size):
-                A[i, j] += weight * row[i] * row[j]
-            A[i, size] += weight * row[i] * z
+                A[i, j] += share * rows[k, first + j]
+            A[i, size] += share * rows[k, TERMS]
     for i in range(size):
-        if not A[i, i] > 0.0:
-            return False
+        diagonal[i] = A[i, i]
         for j in range(i):
             A[i, j] = A[j, i]
-    return eliminated(A, size, LEAST_PIVOT)
-
-
-@kernel
-def _residual(rows: Floats, count: int, size: int, A: Floats) -> float:
-    """Root mean square of what a jet leaves of its neighbours, weighed as in the fit, per degree of freedom, mm."""
-    row = np.empty(CUBIC)
-    total = weights = 0.0
-    for k in range(count):
-        weight = _weight(rows[k, 0], rows[k, 1])
-        _terms(rows[k, 0], rows[k, 1], size, row)
-        off = rows[k, 2]
-        for i in range(size):
-            off -= A[i, size] * row[i]
-        total += weight * off * off
-        weights += weight
-    return float(np.sqrt(total / weights * count / (count - size)))
+    for i in range(size):
+        if not A[i, i] > least_pivot * diagonal[i]:
+            return False
+        for j in range(i + 1, size):
+            factor = A[j, i] / A[i, i]
+            for k in range(i, size + 2):
+                A[j, k] -= factor * A[i, k]
+    for i in range(size - 1, -1, -1):
+        for side in range(size, size + 2):
+            for k in range(i + 1, size):
+                A[i, side] -= A[i, k] * A[k, side]
+            A[i, side] /= A[i, i]
+    return True
 
 
 # -- Predicted places: where the neighbours of a vertex put it, by a cubic fitted to them without it. -----------
-
-TERMS = 10
-"""Coefficients of a cubic over the plane: height, two slopes, three curvatures, and their four changes."""
 
 LEAST_TERM_PIVOT = 1e-6
 """Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine such a cubic."""
@@ -337,61 +302,47 @@ def predicted(
     gives them, if each stood there by the mean sagitta of its own edges; then by how much it does. Both in mean sagittas.
     """
     around, of_fan = np.empty(MOST_NEIGHBOURS, np.int32), np.empty(MOST_NEIGHBOURS, np.int32)
-    rows, weights = np.empty((MOST_NEIGHBOURS, 3)), np.empty(MOST_NEIGHBOURS)
-    A, B = np.empty((TERMS, TERMS + 1)), np.empty((TERMS, TERMS + 1))
-    terms, scales, u, w, n = np.empty(TERMS), np.empty(2), np.empty(3), np.empty(3), np.empty(3)
+    rows, weights = np.empty((MOST_NEIGHBOURS, TERMS + 1)), np.empty(MOST_NEIGHBOURS)
+    A, frame, scales = np.empty((TERMS, TERMS + 2)), np.empty((3, 3)), np.empty(2)
     for s in range(first, last):
         if not asked[s]:
             continue
         near, count = _neighbours(faces, corners, s, around, of_fan)
         if count < TERMS + SPARE:
             continue
+        n = frame[0]
         n[:] = 0.0
         for place in range(corners.starts[s], corners.starts[s + 1]):
             f = corners.corners[place] // 3
-            a, b = (
-                vertices[faces[f, 1]] - vertices[faces[f, 0]],
-                vertices[faces[f, 2]] - vertices[faces[f, 0]],
-            )
-            n[0] += a[1] * b[2] - a[2] * b[1]
-            n[1] += a[2] * b[0] - a[0] * b[2]
-            n[2] += a[0] * b[1] - a[1] * b[0]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                n[i] += (vertices[faces[f, 1], j] - vertices[faces[f, 0], j]) * (
+                    vertices[faces[f, 2], k] - vertices[faces[f, 0], k]
+                ) - (vertices[faces[f, 1], k] - vertices[faces[f, 0], k]) * (
+                    vertices[faces[f, 2], j] - vertices[faces[f, 0], j]
+                )
         length = np.sqrt(np.sum(n * n))
         if length == 0.0:
             continue
         n /= length
-        _frame(n, u, w)
-        corner = corners.corners[corners.starts[s]]
-        here = vertices[faces[corner // 3, corner % 3]]
-        _set_rows(vertices, around, count, here, n, u, w, rows)
-        if not _even_out(rows, near, count, u, w, scales):
+        if not _set_rows(vertices, faces, corners, s, around, near, count, frame, scales, rows):
             continue
-        u /= scales[0]
-        w /= scales[1]
-        A[:], B[:] = 0.0, 0.0
         for k in range(count):
-            x, y = rows[k, 0], rows[k, 1]
-            terms[0] = 1.0
-            _terms(x, y, CUBIC, terms[1:])
-            weights[k] = 1.0 / (x * x + y * y + SOFTENING) ** 2
-            for i in range(TERMS):
-                for j in range(TERMS):
-                    A[i, j] += weights[k] * terms[i] * terms[j]
-                A[i, TERMS] += weights[k] * terms[i] * rows[k, 2]
-        B[:, :TERMS] = A[:, :TERMS]
-        B[0, TERMS] = 1.0
-        if not (eliminated(A, TERMS, LEAST_TERM_PIVOT) and eliminated(B, TERMS, LEAST_TERM_PIVOT)):
+            weights[k] = 1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + SOFTENING) ** 2
+        if not _solved(rows, count, min(count, TERMS), weights, LEAST_TERM_PIVOT, A):
             continue
-        bends = A[3, TERMS], A[4, TERMS], A[5, TERMS]
-        own, sizes = _sagitta(vertices, faces, corners, s, here, u, w, bends)
-        expected = 0.0
-        for i in range(count):
-            terms[0] = 1.0
-            _terms(rows[i, 0], rows[i, 1], CUBIC, terms[1:])
-            share = weights[i] * np.sum(B[:, TERMS] * terms)
-            other, size = _sagitta(vertices, faces, corners, of_fan[i], vertices[around[i]], u, w, bends)
-            expected += share * other
+        own = expected = sizes = 0.0
+        for i in range(count + 1):  # the neighbours, and last the vertex itself
+            fan = np.int64(of_fan[i]) if i < count else s
+            rise, size = _sagitta(vertices, faces, corners, fan, frame, scales, A)
             sizes += size
+            if i == count:
+                own = rise
+                continue
+            share = 0.0
+            for k in range(TERMS):
+                share += A[k, TERMS + 1] * rows[i, k]
+            expected += weights[i] * share * rise
         typical = sizes / (count + 1)
         if typical > 0.0:
             found[s, 0] = (own - expected) / typical
@@ -403,48 +354,23 @@ def _sagitta(
     vertices: Floats,
     faces: Index,
     corners: Corners,
-    s: int,
-    here: Floats,
-    u: Floats,
-    w: Floats,
-    bends: tuple[float, float, float],
+    s: int | np.int64,
+    frame: Floats,
+    scales: Floats,
+    A: Floats,
 ) -> tuple[float, float]:
-    """Mean sagitta of the edges of a fan under given curvatures, mm: signed, positive where convex; and its magnitude."""
+    """Mean sagitta of the edges of a fan under the curvatures of a cubic, mm: signed, positive where convex; and its magnitude."""
     total = size = 0.0
     for place in range(corners.starts[s], corners.starts[s + 1]):
         f, k = corners.corners[place] // 3, corners.corners[place] % 3
-        for step in (1, 2):
-            p = vertices[faces[f, (k + step) % 3]]
+        for step in range(1, 3):
             x = y = 0.0
             for i in range(3):
-                x += (p[i] - here[i]) * u[i]
-                y += (p[i] - here[i]) * w[i]
-            rise = -(0.5 * bends[0] * x * x + bends[1] * x * y + 0.5 * bends[2] * y * y) / 4.0
+                along = vertices[faces[f, (k + step) % 3], i] - vertices[faces[f, k], i]
+                x += along * frame[1, i] / scales[0]
+                y += along * frame[2, i] / scales[1]
+            rise = -(0.5 * A[3, TERMS] * x * x + A[4, TERMS] * x * y + 0.5 * A[5, TERMS] * y * y) / 4.0
             total += rise
             size += abs(rise)
     count = 2 * (corners.starts[s + 1] - corners.starts[s])
     return total / count, size / count
-
-
-@kernel
-def eliminated(equations: Floats, count: int, least_pivot: float) -> bool:
-    """Solve `count` symmetric positive equations (n, n + 1) in place; false where they do not determine all unknowns.
-
-    The right side stands in column `count`, where the unknowns take its place. Of each diagonal element at least the share
-    `least_pivot` has to be left.
-    """
-    diagonal = np.empty(count)
-    for i in range(count):
-        diagonal[i] = equations[i, i]
-    for i in range(count):
-        if not equations[i, i] > least_pivot * diagonal[i]:
-            return False
-        for j in range(i + 1, count):
-            factor = equations[j, i] / equations[i, i]
-            for k in range(i, count + 1):
-                equations[j, k] -= factor * equations[i, k]
-    for i in range(count - 1, -1, -1):
-        for k in range(i + 1, count):
-            equations[i, count] -= equations[i, k] * equations[k, count]
-        equations[i, count] /= equations[i, i]
-    return True

@@ -18,7 +18,7 @@ from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.surface.part_surface import PartSurface
 from ebamcheck.surface.regions import FREEFORM, PLANE, STRIP
-from ebamcheck.surface.turns_ahead import EndsAhead, Ground, ends_ahead
+from ebamcheck.surface.turns_ahead import EndsAhead, Ground, circumcentres, ends_ahead
 
 LIMITS = ("plane", "sagitta of the mesh", "sagittas near", "scattered points", "turns ahead")
 """What limits the lift of an edge, by number."""
@@ -316,6 +316,7 @@ def _ground(surface: PartSurface) -> Ground:
         np.ascontiguousarray(surface.facet_normals),
         starts.astype(np.int32),
         corners.astype(np.int32),
+        circumcentres(surface.vertices[surface.faces]),
     )
 
 

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.geometry.rings import stable_order
-from ebamcheck.kernels import Bools, Floats, kernel
+from ebamcheck.kernels import Bools, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.settings.stages import CurveSettings
@@ -17,7 +18,6 @@ from ebamcheck.surface.borders import (
     LIKE,
     MOST_BORDERS,
     Borders,
-    edge_direction,
     find_borders,
     flat_against,
     part_bends,
@@ -67,163 +67,78 @@ def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:
     borders = find_borders(
         vertices, faces, twin, groups, float(np.cos(np.deg2rad(settings.crease_angle_deg)))
     )
-    twin[part_bends(vertices, faces, twin, groups, borders)] = NO_TWIN
-    kind = _kinds(vertices, faces, twin, groups, borders)
-    polygons = _polygon_edges(
-        vertices, faces, twin, groups, borders, kind,
-        np.deg2rad(settings.polygon_angle_deg), settings.polygon_sagitta_mm,
-    )  # fmt: skip
-    if polygons.any():
+    twin[part_bends(twin, groups, borders)] = NO_TWIN
+    kind = _kinds(twin, groups, borders)
+    angle, sagitta_mm = np.deg2rad(settings.polygon_angle_deg), settings.polygon_sagitta_mm
+    polygons = _polygon_edges(twin, groups, borders, kind, float(angle), sagitta_mm)
+    if polygons.size:
         twin[polygons] = NO_TWIN
-        kind = _kinds(vertices, faces, twin, groups, borders)
+        kind = _kinds(twin, groups, borders)
     # Whatever their angle, two planes meet in a bend.
     a, b = np.repeat(groups.label, 3), groups.label[twin // 3]
     twin[(a != b) & (kind[a] == PLANE) & (kind[b] == PLANE)] = NO_TWIN
     return Regions(groups, borders, kind, tolerance_mm)
 
 
-@kernel
-def _kinds(vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders) -> Kinds:
+def _kinds(twin: Index, groups: PlanarGroups, borders: Borders) -> Kinds:
     """Kind of each group (G,) by its borders.
 
     A plane is flat up to each. A strip is flat but for borders that run alike, its rulings; a single facet is no strip.
     """
     count = len(groups.normals)
-    kind = np.zeros(count, np.uint8)
-    for group in range(count):
-        first, last = borders.starts[group], borders.starts[group + 1]
-        if last - first > MOST_BORDERS:
-            kind[group] = PLANE
-            continue
-        links = 0
-        parallel = True
-        x = y = z = 0.0
-        for place in range(first, last):
-            h = borders.half_edges[place]
-            if twin[h] == NO_TWIN or flat_against(vertices, faces, twin, groups, borders, h):
-                continue
-            u, v, w = edge_direction(vertices, faces, h)
-            if links == 0:
-                x, y, z = u, v, w
-            parallel = parallel and abs(x * u + y * v + z * w) >= RULING_COSINE
-            links += 1
-            if groups.sizes[group] < 2 or not parallel:
-                break
-        if links == 0:
-            kind[group] = PLANE
-        elif groups.sizes[group] > 1 and parallel:
-            kind[group] = STRIP
-    return kind
+    few = np.diff(borders.starts) <= MOST_BORDERS
+    h = borders.half_edges.astype(np.int64)
+    h = h[(twin[h] != NO_TWIN) & few[groups.label[h // 3]]]
+    links = h[~flat_against(twin, groups.label, groups.sizes, borders, h)]
+    group = groups.label[links // 3]
+    first = np.zeros(count, np.int64)
+    first[group[::-1]] = links[::-1]
+    cosine = np.abs((borders.along[links] * borders.along[first[group]]).sum(axis=1))
+    linked, ruled = np.zeros(count, np.bool_), groups.sizes > 1
+    linked[group] = True
+    ruled[group[cosine < RULING_COSINE]] = False
+    return np.where(linked, np.where(ruled, STRIP, FREEFORM), PLANE).astype(np.uint8)
 
 
-@kernel
-def _root(root: Index, i: int) -> int:
-    while root[i] != i:
-        root[i] = root[root[i]]
-        i = root[i]
-    return i
-
-
-@kernel
 def _polygon_edges(
-    vertices: Floats,
-    faces: Index,
-    twin: Index,
-    groups: PlanarGroups,
-    borders: Borders,
-    kind: Kinds,
-    angle: float,
-    sagitta: float,
-) -> Bools:
+    twin: Index, groups: PlanarGroups, borders: Borders, kind: Kinds, angle: float, sagitta_mm: float
+) -> Ints:
     """Half-edges between strips that are the sides of a polygon: they turn far, and nothing speaks for a rounding."""
-    count = len(kind)
-    root = np.arange(count).astype(np.int32)
-    rounding = np.zeros(count, np.bool_)
-    for h in range(twin.size):
-        g = twin[h]
-        if g == NO_TWIN:
-            continue
-        a, b = groups.label[h // 3], groups.label[g // 3]
-        if a == b or kind[a] != STRIP:
-            continue
-        if kind[b] == STRIP:
-            r, s = _root(root, a), _root(root, b)
-            root[max(r, s)] = min(r, s)
-        elif kind[b] == PLANE and not rounding[a]:
-            rounding[a] = _is_tangent(vertices, faces, twin, groups, borders, h)
-    for group in range(count):
-        if rounding[group]:
-            rounding[_root(root, group)] = True
-    proven = 0.0
-    for h in range(twin.size):
-        if _joins_strips(twin, groups.label, kind, h) and rounding[_root(root, groups.label[h // 3])]:
-            proven = max(proven, _sagitta(twin, borders, h))
-    proven = max(proven, _curved_sagitta(twin, groups, borders, kind))
-    result = np.zeros(twin.size, np.bool_)
-    for h in range(twin.size):
-        if _joins_strips(twin, groups.label, kind, h) and not rounding[_root(root, groups.label[h // 3])]:
-            turn = abs(borders.turn[h])
-            allowed = max(sagitta * (angle / turn) ** 2, PROVEN * proven)
-            result[h] = turn > angle and _sagitta(twin, borders, h) > allowed
-    return result
+    h = borders.half_edges[twin[borders.half_edges] != NO_TWIN].astype(np.int64)
+    a, b = groups.label[h // 3], groups.label[twin[h] // 3]
+    sagitta = (
+        np.abs(borders.turn) * (borders.width + borders.width[twin]) / 16.0
+    )  # of an arc over both strips
+    strips = (kind[a] == STRIP) & (kind[b] == STRIP)
+    links = coo_matrix((np.ones(strips.sum()), (a[strips], b[strips])), (len(kind), len(kind)))
+    row = connected_components(links, directed=False)[1]
+    onto_plane = h[(kind[a] == STRIP) & (kind[b] == PLANE)]
+    rounding = np.zeros(len(kind), np.bool_)
+    rounding[row[groups.label[onto_plane[_is_tangent(twin, groups.label, borders, onto_plane)] // 3]]] = True
+    free = h[(kind[a] == FREEFORM) & (kind[b] == FREEFORM) & (h < twin[h])]
+    # What is curved both ways is no polygon.
+    much = free.size and groups.areas[kind == FREEFORM].sum() >= MUCH * groups.areas.sum()
+    proven = float(np.median(sagitta[free])) if much else 0.0
+    edge, round_ = h[strips], rounding[row[a[strips]]]
+    proven = max(proven, float(sagitta[edge[round_]].max(initial=0.0)))
+    edge = edge[~round_]
+    turn = np.abs(borders.turn[edge])
+    allowed = np.maximum(sagitta_mm * (angle / np.maximum(turn, 1e-300)) ** 2, PROVEN * proven)
+    return np.asarray(edge[(turn > angle) & (sagitta[edge] > allowed)])
 
 
-@kernel
-def _curved_sagitta(twin: Index, groups: PlanarGroups, borders: Borders, kind: Kinds) -> float:
-    """Median sagitta of freely curved facets, mm, where they are much of the part: what is curved both ways is no polygon."""
-    curved = 0.0
-    for group in range(len(kind)):
-        if kind[group] == FREEFORM:
-            curved += groups.areas[group]
-    if curved < MUCH * np.sum(groups.areas):
-        return 0.0
-    sagittas = np.empty(twin.size)
-    count = 0
-    for h in range(twin.size):
-        if twin[h] < h or groups.label[h // 3] == groups.label[twin[h] // 3]:
-            continue
-        if kind[groups.label[h // 3]] == FREEFORM and kind[groups.label[twin[h] // 3]] == FREEFORM:
-            sagittas[count] = _sagitta(twin, borders, h)
-            count += 1
-    if not count:
-        return 0.0
-    order = stable_order(sagittas[:count])
-    return float(0.5 * (sagittas[order[(count - 1) // 2]] + sagittas[order[count // 2]]))
-
-
-@kernel
-def _joins_strips(twin: Index, label: Index, kind: Kinds, h: int) -> bool:
-    """Whether two strips meet smoothly at a half-edge."""
-    if twin[h] == NO_TWIN:
-        return False
-    a, b = label[h // 3], label[twin[h] // 3]
-    return bool(a != b and kind[a] == STRIP and kind[b] == STRIP)
-
-
-@kernel
-def _sagitta(twin: Index, borders: Borders, h: int) -> float:
-    """Height of the arc over strips as wide as the two at a half-edge, mm."""
-    return float(abs(borders.turn[h]) * (borders.width[h] + borders.width[twin[h]]) / 16.0)
-
-
-@kernel
-def _is_tangent(
-    vertices: Floats, faces: Index, twin: Index, groups: PlanarGroups, borders: Borders, h: int
-) -> bool:
-    """Whether a strip meets the plane across half-edge h in half of the turn that it takes to the strip on its other side."""
-    group, plane = groups.label[h // 3], groups.label[twin[h] // 3]
-    along = edge_direction(vertices, faces, h)
-    for place in range(borders.starts[group], borders.starts[group + 1]):
-        k = borders.half_edges[place]
-        if twin[k] == NO_TWIN or groups.label[twin[k] // 3] == plane:
-            continue
-        other = edge_direction(vertices, faces, k)
-        parallel = abs(along[0] * other[0] + along[1] * other[1] + along[2] * other[2])
-        mine, beyond = borders.width[k], borders.width[twin[k]]
-        if parallel < RULING_COSINE or beyond >= LIKE * mine or mine >= LIKE * beyond:
-            continue
-        expected = borders.turn[k] * mine / (mine + beyond)
-        if expected * borders.turn[h] > 0.0:
-            ratio = borders.turn[h] / expected
-            return bool(HALF_TURN[0] <= ratio <= HALF_TURN[1])
-    return False
+def _is_tangent(twin: Index, label: Index, borders: Borders, onto_plane: Ints) -> Bools:
+    """Whether strips meet the planes across half-edges in half of the turn that they take to the strips on their other side."""
+    place, k = borders.of_groups(label[onto_plane // 3])
+    h = onto_plane[place]
+    cosine = np.abs((borders.along[h] * borders.along[k]).sum(axis=1))
+    mine, beyond = borders.width[k], borders.width[twin[k]]
+    like = (beyond < LIKE * mine) & (mine < LIKE * beyond)
+    other = (twin[k] != NO_TWIN) & (label[twin[k] // 3] != label[twin[h] // 3])
+    expected = borders.turn[k] * mine / np.maximum(mine + beyond, 1e-300)
+    asked = np.flatnonzero(other & like & (cosine >= RULING_COSINE) & (expected * borders.turn[h] > 0.0))[
+        ::-1
+    ]
+    found = np.zeros(onto_plane.size)
+    found[place[asked]] = borders.turn[h[asked]] / expected[asked]
+    return np.asarray((HALF_TURN[0] <= found) & (found <= HALF_TURN[1]))
