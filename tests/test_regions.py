@@ -31,7 +31,7 @@ from curve_parts import (
 
 from ebamcheck.curves import contour_error, fit
 from ebamcheck.curves.lifting import FLATTEST_SURFACE, Lifting
-from ebamcheck.curves.sides import NO_PLANE
+from ebamcheck.curves.oriented_contours import NO_PLANE
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.model import models
 from ebamcheck.settings.stages import CurveSettings

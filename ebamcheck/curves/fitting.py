@@ -15,10 +15,9 @@ from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import Slack, gated, joined
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
 from ebamcheck.curves.lifting import FLAT_MM, Lifting, Limits
-from ebamcheck.curves.oriented_contours import OrientedContours, orient
-from ebamcheck.curves.reduction import reduced_segments, smooth_segments
-from ebamcheck.curves.segments import Segments, pieces_of
-from ebamcheck.curves.sides import as_they_are
+from ebamcheck.curves.oriented_contours import OrientedContours, as_they_are, orient
+from ebamcheck.curves.reduction import reduced_segments
+from ebamcheck.curves.segments import Segments, pieces_of, smooth_segments
 from ebamcheck.curves.splitting import LINE, split
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers.stack import Layers
@@ -243,7 +242,7 @@ def _fit_surface(layers: Layers, settings: CurveSettings, lifting: Lifting | Non
 
 def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
     found = _oriented(layers, settings, lifting)
-    return _curves(layers, reduced_segments(found, layers.closed, settings.tolerance_mm))
+    return _curves(layers, reduced_segments(smooth_segments(found, layers.closed), settings.tolerance_mm))
 
 
 def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:

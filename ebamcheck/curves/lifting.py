@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.curves.oriented_contours import NO_PLANE, Sides, as_they_are
 from ebamcheck.curves.sections import place, refined
-from ebamcheck.curves.sides import NO_PLANE, Sides, as_they_are
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.surface.exact_forms import FLAT, KIND

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
+from ebamcheck.curves.oriented_contours import NO_FORM, NO_PLANE, Sides
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.surface.exact_forms import FLAT, KIND, SIDE, signed_distances
 from ebamcheck.surface.exact_surfaces import ExactSurfaces
