@@ -49,7 +49,9 @@ def crossings(curves: Curves, spans: BezierSpans | None = None) -> Crossings:
     found = Crossings(np.zeros(curves.closed.size, np.bool_), np.full((curves.closed.size, 2), np.nan))
     ring = spans.ring.astype(np.int64)
     points = np.ascontiguousarray(spans.points)
-    boxes = np.hstack([points.min(axis=1), points.max(axis=1)])
+    a, b, c, d = np.moveaxis(points, 1, 0)
+    low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
+    boxes = np.hstack([low, high])
     following = around(starts)[1]
     smooth = _turns(points, following) < math.pi
 
@@ -185,9 +187,18 @@ def _apart(A: Floats, B: Floats) -> bool:
 def _turns(points: Floats, following: Ints) -> Floats:
     """Sum of the angles (n,) by which the control polygons of each span and of the one that follows it turn, rad."""
     legs = np.diff(points, axis=1)
-    legs = np.concatenate([legs, legs[following]], axis=1)
-    for k in range(1, 6):  # legs without length have no direction
-        legs[:, k] = np.where((legs[:, k] == 0.0).all(axis=1)[:, None], legs[:, k - 1], legs[:, k])
-    a, b = legs[:, :-1], legs[:, 1:]
-    angle = np.arctan2(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], (a * b).sum(axis=2))
-    return np.asarray(np.abs(angle).sum(axis=1))
+    x, y = np.ascontiguousarray(legs[:, :, 0].T), np.ascontiguousarray(legs[:, :, 1].T)
+    for k, beside in (
+        (1, 0),
+        (2, 1),
+        (1, 2),
+        (0, 1),
+    ):  # a leg without length takes the direction of one beside it
+        lost = np.flatnonzero((x[k] == 0.0) & (y[k] == 0.0))
+        x[k, lost], y[k, lost] = x[beside, lost], y[beside, lost]
+    own = _angle(x[0], y[0], x[1], y[1]) + _angle(x[1], y[1], x[2], y[2])
+    return np.asarray(own + _angle(x[2], y[2], x[0, following], y[0, following]) + own[following])
+
+
+def _angle(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
+    return np.asarray(np.abs(np.arctan2(x * v - y * u, x * u + y * v)))

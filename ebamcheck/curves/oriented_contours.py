@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.splitting import STRAIGHT_RATIO, around, from_a_split, longest_beside
+from ebamcheck.curves.splitting import STRAIGHT_RATIO, angles, around, from_a_split, longest_beside
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.mesh.topology import Index
 from ebamcheck.settings.stages import CurveSettings
@@ -160,7 +160,7 @@ class _Bends:
         self.end[starts[:-1][open_]] = True
         self.chord = sides.points[rows[self.next]] - sides.points[rows]
         self.length = np.hypot(*self.chord.T)
-        self.turn = _angle(self.chord[self.previous], self.chord)
+        self.turn = angles(self.chord[self.previous], self.chord)
         form = sides.form_after[rows]
         self.sure = (form != NO_FORM) & (form == sides.form_before[rows[self.next]])
         """Whether the segment after each point lies on an exact surface at both of its ends."""
@@ -177,7 +177,7 @@ class _Bends:
         """Angles between chords and directions; a segment whose direction at a corner is unknown bends as at its other end."""
         sides, rows, turn = self.sides, self.rows, self.turn
         to, away = self.length[self.previous], self.length
-        told = _angle(self.chord[self.previous], sides.before[rows])
+        told = angles(self.chord[self.previous], sides.before[rows])
         known = sides.smooth[rows] & ~np.isnan(sides.before[rows, 0])
         # Else the circle through the three points.
         ahead = np.where(known, told, turn * to / np.maximum(to + away, 1e-300))
@@ -185,7 +185,7 @@ class _Bends:
         between = np.minimum(np.maximum(ahead, np.minimum(turn, 0.0)), np.maximum(turn, 0.0))
         on_forms = (sides.form_before[rows] != NO_FORM) & (sides.form_after[rows] != NO_FORM)
         ahead = np.where(on_forms, ahead, between)
-        back = _angle(sides.after[rows], self.chord)
+        back = angles(sides.after[rows], self.chord)
         self.before = np.where(self.corner, np.where(self.end, np.nan, told), ahead)
         self.after = np.where(self.corner, np.where(self.end, np.nan, back), turn - ahead)
         start, end = self.after, self.before[self.next]
@@ -260,11 +260,6 @@ class _Bends:
         self.corner |= which
         self.corner[self.next[which]] = True
         self._set(0.0, 0.0, which)
-
-
-def _angle(a: Floats, b: Floats) -> Floats:
-    """Signed angles from vectors (n, 2) to others, rad."""
-    return np.asarray(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
 
 
 # -- Thinning: contour points that carry no shape are removed, those too near to others and those inside straight sides.

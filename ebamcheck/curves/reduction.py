@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.bezier import bezier_at
+from ebamcheck.curves.bezier import places_along
 from ebamcheck.curves.segments import Segments
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.curves.splitting import ARC, LINE, SPLINE, angles
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
@@ -78,9 +78,7 @@ def reduced_segments(segments: Segments, tolerance_mm: float) -> Segments:
     chain = np.repeat(np.arange(first.size), sizes)
     chord = B[curved, 3] - B[curved, 0]
     long = np.hypot(*chord.T)
-    turns = [
-        np.abs(_angles(leg, chord)) for leg in (B[curved, 1] - B[curved, 0], B[curved, 3] - B[curved, 2])
-    ]
+    turns = [np.abs(angles(leg, chord)) for leg in (B[curved, 1] - B[curved, 0], B[curved, 3] - B[curved, 2])]
     bulge = np.zeros(first.size)
     np.maximum.at(bulge, chain, 0.25 * long * np.maximum(*turns))
     allowed = np.minimum(tolerance_mm, np.maximum(SHARE_OF_BULGE * bulge, LEAST_TOLERANCE_MM))
@@ -120,22 +118,19 @@ def _path_along(B: Floats, first: Ints, sizes: Ints, joints: Ints) -> Path:
     directions[at] = _units(B[:, 1] - B[:, 0], chord)
     directions[end] = _units(B[last, 3] - B[last, 2], chord[last])
     samples = np.repeat(points[:, None], SAMPLES_A_SEGMENT, axis=1)
-    for j in range(1, SAMPLES_A_SEGMENT):
-        samples[at, j] = bezier_at(B, np.full(len(B), j / SAMPLES_A_SEGMENT))
+    for j, along in enumerate(places_along(B, SAMPLES_A_SEGMENT)):
+        samples[at, j] = along
     samples = samples.reshape(-1, 2)
     steps = np.hypot(*np.diff(samples, axis=0, prepend=samples[:1]).T)
-    turns = _angles(np.roll(directions, 1, axis=0), directions)
+    turns = angles(np.roll(directions, 1, axis=0), directions)
     return Path(points, directions, np.cumsum(turns), samples, np.cumsum(steps))
 
 
 def _units(vectors: Floats, instead: Floats) -> Floats:
     """Unit vectors (n, 2), or those along others where they have no length."""
-    vectors = np.where((vectors == 0.0).all(axis=1)[:, None], instead, vectors)
+    lost = (vectors[:, 0] == 0.0) & (vectors[:, 1] == 0.0)
+    vectors = np.where(lost[:, None], instead, vectors)
     return np.asarray(vectors / np.maximum(np.hypot(*vectors.T), 1e-300)[:, None])
-
-
-def _angles(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
 
 
 @kernel

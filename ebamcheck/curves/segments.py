@@ -103,9 +103,8 @@ def pieces_of(segments: Segments) -> Pieces:
     k = np.flatnonzero(curved)
     for step in (1, 2):
         control[at[k] + 2 * place[k] + step] = B[k, step]
-    relative = np.where(
-        begins, 1.0, legs[:, 0] / np.where(begins, 1.0, legs[start, 0]) * np.exp(grown - grown[start])
-    )
+    own = np.where(begins | (legs[start, 0] == 0.0), 1.0, legs[start, 0])
+    relative = np.where(begins, 1.0, legs[:, 0] / own * np.exp(grown - grown[start]))
     chord = np.hypot(*(B[:, 3] - B[:, 0]).T)
     total, wanted = (np.bincount(piece, column, minlength=first.size) for column in (relative, chord))
     interval = np.where(curved, relative * (wanted / np.where(total > 0.0, total, 1.0))[piece], 0.0)

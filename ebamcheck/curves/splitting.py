@@ -59,7 +59,7 @@ def split(
     ring, following, previous = around(starts)
     chord = points[rows[following]] - points[rows]
     length, back = np.hypot(*chord.T), chord[previous]
-    turn = np.abs(np.arctan2(back[:, 0] * chord[:, 1] - back[:, 1] * chord[:, 0], (back * chord).sum(axis=1)))
+    turn = np.abs(angles(back, chord))
     at = np.arange(rows.size)
     first, last = at <= previous, following <= at
     has_segment = (closed[ring] | ~last) & (following != at)
@@ -135,3 +135,9 @@ def from_a_split(split_at: Bools, starts: Ints, closed: Bools) -> Ints:
     np.minimum.at(first, ring[split_at], place[split_at])
     first[(first >= sizes) | ~closed] = 0
     return np.asarray(starts[ring] + (place + first[ring]) % np.maximum(sizes[ring], 1))
+
+
+def angles(a: Floats, b: Floats) -> Floats:
+    """Signed angles from vectors (..., 2) to others, rad."""
+    x, y, u, v = a[..., 0], a[..., 1], b[..., 0], b[..., 1]
+    return np.asarray(np.arctan2(x * v - y * u, x * u + y * v))
