@@ -11,14 +11,14 @@ from benchmarks.curve_parts_meshes import decimated, irregular_convex, noisy, tu
 from benchmarks.curve_parts_solids import Floats, Triangles
 from ebamcheck.curves import LINE, fit
 from ebamcheck.curves.gate import POLYLINE
-from ebamcheck.curves.lift_limits import AHEAD, judge_bends, plausible_share
 from ebamcheck.curves.lifting import Lifting
-from ebamcheck.curves.regions import FREEFORM, STRIP
-from ebamcheck.curves.vertex_normals import PartSurface, surface_of
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.lift_limits import AHEAD, judge_bends, plausible_share
+from ebamcheck.surface.part_surface import PartSurface, surface_of
+from ebamcheck.surface.regions import FREEFORM, STRIP
 from ebamcheck_models import LADDER
 
 FAR_ENDS = (347, 185, 725, 727, 867, 974, 1048, 178, 970, 996, 1032, 466, 739)

@@ -27,8 +27,6 @@ from ebamcheck.curves.gate import (
     with_rings,
 )
 from ebamcheck.curves.lifting import OF_SAGITTAS, Lifting, Limits
-from ebamcheck.curves.regions import PLANE as FLAT_REGION
-from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers, from_rings
 from ebamcheck.mesh.bodies import volumes_between
@@ -38,6 +36,8 @@ from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.pipeline.gates import fit_gate
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.part_surface import surface_of
+from ebamcheck.surface.regions import PLANE as FLAT_REGION
 from ebamcheck_models import BLADE, SPHERE, TORUS
 
 SLACK = Slack(0.022, 0.0021)

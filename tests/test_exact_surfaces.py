@@ -19,9 +19,14 @@ from curve_parts import (
 from benchmarks.curve_parts_meshes import bored, irregular_convex
 from benchmarks.curve_parts_solids import Bow, lathe
 from ebamcheck.curves import METHODS, fit
-from ebamcheck.curves.exact import ExactSurfaces
-from ebamcheck.curves.exact.fitting import told_forms
-from ebamcheck.curves.exact.forms import (
+from ebamcheck.curves.gate import Slack, gated
+from ebamcheck.curves.lifting import Lifting
+from ebamcheck.curves.sections import on_both, on_one
+from ebamcheck.kernels import Floats
+from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.exact_forms import (
     CONE,
     CYLINDER,
     FLAT,
@@ -34,17 +39,12 @@ from ebamcheck.curves.exact.forms import (
     SIZE,
     SPHERE,
     TORUS,
-    distances,
     signed_distance,
+    signed_distances,
 )
-from ebamcheck.curves.exact.sections import on_both, on_one
-from ebamcheck.curves.gate import Slack, gated
-from ebamcheck.curves.lifting import Lifting
-from ebamcheck.curves.vertex_normals import surface_of
-from ebamcheck.kernels import Floats
-from ebamcheck.mesh.part import Part, from_arrays
-from ebamcheck.settings.stages import CurveSettings
-from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.exact_surfaces import ExactSurfaces
+from ebamcheck.surface.form_fits import told_forms
+from ebamcheck.surface.part_surface import surface_of
 
 SETTINGS = CurveSettings()
 AXES_MM = np.array([30.0, 20.0, 25.0])
@@ -251,8 +251,10 @@ def test_points_of_an_ellipsoid_lie_on_it(seed: int) -> None:
     row = next(r for r in lifting.surface.exact.rows if r[KIND] == QUADRIC)
     on = (sides.form_before >= 0) & (sides.form_after >= 0)
     assert on.mean() > 0.95
-    assert np.abs(distances(row, np.column_stack([sides.points, heights])[on])).max() < 1e-9
-    assert np.abs(distances(row, np.column_stack([cut.points, heights])[on])).max() > 0.05
+    assert (
+        np.abs(signed_distances(row[None], np.column_stack([sides.points, heights])[on])[:, 0]).max() < 1e-9
+    )
+    assert np.abs(signed_distances(row[None], np.column_stack([cut.points, heights])[on])[:, 0]).max() > 0.05
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -270,7 +272,7 @@ def test_curves_of_a_scattered_torus_keep_to_it_within_their_tolerance(seed: int
     heights = np.repeat(np.repeat(curves.heights, np.diff(curves.layer_starts)), np.diff(sampled.ring_starts))
     places = np.column_stack([sampled.points, heights])[lifted]
     slope = np.array([np.hypot(*signed_distance(row, *p)[1:3]) for p in places])
-    assert (np.abs(distances(row, places)) / slope)[slope > 0.3].max() < 0.003
+    assert (np.abs(signed_distances(row[None], places)[:, 0]) / slope)[slope > 0.3].max() < 0.003
 
 
 def test_a_crease_beside_a_plane_is_a_section_of_both() -> None:

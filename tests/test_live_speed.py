@@ -9,13 +9,13 @@ from scipy.interpolate import BSpline
 
 from ebamcheck import installed
 from ebamcheck.checks.path_checks import spline_points
-from ebamcheck.curves.per_part import keep_surface_of, once_a_part
 from ebamcheck.heat.interpass import greatest_that_fits
 from ebamcheck.heat.medium import enthalpy_tables
 from ebamcheck.heat.near_field import DIRECTIONS, ON_OUTLINE_MM, _stretches, in_sight, sector_table
 from ebamcheck.installed import entry_points
 from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config
+from ebamcheck.surface.part_surface import keep_surface_of, once_a_part
 
 
 def test_temperatures_are_those_of_an_interpolation_to_the_last_bit():

@@ -31,15 +31,15 @@ from curve_parts import (
 
 from ebamcheck.curves import contour_error, fit
 from ebamcheck.curves.lifting import FLATTEST_SURFACE, Lifting
-from ebamcheck.curves.regions.planes import coordinate_error_mm, plane_tolerance_mm
-from ebamcheck.curves.regions.surfaces import surfaces
-from ebamcheck.curves.sides import NO_PLANE
-from ebamcheck.curves.vertex_normals import surface_of
+from ebamcheck.curves.oriented_contours import NO_PLANE
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.registry import models
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.showing.pictures import regions_svg
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.part_surface import surface_of
+from ebamcheck.surface.planes import coordinate_error_mm, plane_tolerance_mm
+from ebamcheck.surface.surfaces import surfaces
 
 TRUTH_MM = 1e-4
 EXACT_MM = 1e-6

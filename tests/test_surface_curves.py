@@ -24,14 +24,14 @@ from ebamcheck.curves import (
     fit_deviation,
 )
 from ebamcheck.curves.oriented_contours import FLAT_MM
-from ebamcheck.curves.regions import PLANE
-from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.errors import EbamcheckError, SettingsError
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.plugins.registry import models
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.slicers.slicing import slice_part
+from ebamcheck.surface.part_surface import surface_of
+from ebamcheck.surface.regions import PLANE
 
 MODELS = models()
 LADDER = MODELS["ladder"]

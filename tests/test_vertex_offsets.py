@@ -12,11 +12,11 @@ from benchmarks.curve_parts_meshes import decimated, irregular_convex, split_edg
 from benchmarks.curve_parts_solids import Triangles, lathe, wedge
 from benchmarks.quadric_decimation import quadric_decimated
 from ebamcheck.curves.lifting import Lifting
-from ebamcheck.curves.regions import FREEFORM
-from ebamcheck.curves.regions.offsets import LARGEST_OFFSET, Offsets
-from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.surface.offsets import LARGEST_OFFSET, Offsets
+from ebamcheck.surface.part_surface import surface_of
+from ebamcheck.surface.regions import FREEFORM
 
 AXES_MM = np.array([30.0, 20.0, 25.0])
 

@@ -17,7 +17,7 @@ from ebamcheck.errors import ExitCode, NothingCompared, SettingsError
 from ebamcheck.showing.short_text import counted
 
 if TYPE_CHECKING:
-    from ebamcheck.curves.regions.surfaces import Surface
+    from ebamcheck.surface.surfaces import Surface
 
 _log = logging.getLogger(__name__)
 
@@ -163,8 +163,8 @@ def inspect(
     found = inspect_part(loaded_part)
     listed: list[Surface] = []
     if regions:
-        from ebamcheck.curves.regions.surfaces import surfaces
         from ebamcheck.showing.pictures import regions_svg
+        from ebamcheck.surface.surfaces import surfaces
 
         listed = surfaces(loaded_part, options.settings_of(config_file, "", "", None).curves)
         if picture is not None:
@@ -191,7 +191,7 @@ def inspect(
             typer.echo(f"{'note':20} {note}")
         typer.echo(f"{'verdict':20} {found.verdict}: {found.why}")
         if regions:
-            from ebamcheck.curves.regions.surfaces import table
+            from ebamcheck.surface.surfaces import table
 
             typer.echo(f"\n{table(listed)}")
     return ExitCode.PASS if found.passed else ExitCode.OUT_OF_TOLERANCE

@@ -13,7 +13,6 @@ from ebamcheck.curves.columns import Curves, SampledRings
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry import rings
 from ebamcheck.geometry.nearest import nearest, segments_along, signed_distance, tree_over
-from ebamcheck.geometry.rings import stable_order
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.threads import run_blocks
@@ -94,7 +93,7 @@ def contour_error(
         If the heights differ, or a count is not positive.
     """
     _check(measured, reference, rays, samples)
-    beams = rays_of((np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays))
+    beams = (np.arange(rays, dtype=np.float64) + 0.5) * (2.0 * math.pi / rays)
 
     def work(start: int, stop: int) -> list[RingErrors]:
         steps = range(start, stop, LAYERS_A_STEP)
@@ -262,7 +261,7 @@ def _orientation(stack: Layers | Curves) -> Floats:
 
 
 def _block_errors(
-    measured: Layers | Curves, reference: Layers | Curves, start: int, stop: int, rays: Rays, samples: int
+    measured: Layers | Curves, reference: Layers | Curves, start: int, stop: int, theta: Floats, samples: int
 ) -> RingErrors:
     ours, theirs = measured.block(start, stop), reference.block(start, stop)
     a, b = _polylines(ours), _polylines(theirs)
@@ -274,130 +273,77 @@ def _block_errors(
         ours.layer_starts,
         theirs.layer_starts,
     )
-    polar = np.full((mine.size, len(MEASURES)), np.nan)
-    normal = np.full((mine.size, len(MEASURES)), np.nan)
+    polar, normal = np.full((2, mine.size, len(MEASURES)), np.nan)
     outer = _orientation(ours) > 0
-    _pair_errors(a, b, (mine, partner), outer[mine], rays, samples, polar, normal)
+    for k, (i, j) in enumerate(zip(mine.tolist(), partner.tolist(), strict=True)):
+        ring = a.points[a.ring_starts[i] : a.ring_starts[i + 1]]
+        other = b.points[b.ring_starts[j] : b.ring_starts[j + 1]]
+        if outer[i]:
+            centre = 0.5 * (other.min(axis=0) + other.max(axis=0))
+            polar[k] = _measures(_ray_radii(ring, centre, theta) - _ray_radii(other, centre, theta))
+        normal[k] = _measures(_normal_distances(_evenly_along(ring, samples), other))
     return RingErrors(
         mine + measured.layer_starts[start], partner + reference.layer_starts[start], polar, normal
     )
 
 
-@kernel
 def _pairs(
-    boxes: Floats,
-    other_boxes: Floats,
-    sign: Floats,
-    other_sign: Floats,
-    layer_starts: Ints,
-    other_starts: Ints,
+    boxes: Floats, others: Floats, sign: Floats, other_sign: Floats, layer_starts: Ints, other_starts: Ints
 ) -> tuple[Ints, Ints]:
     """Pair closed rings of one direction whose boxes overlap, those with the nearest boxes first."""
-    mine = np.empty(boxes.shape[0], dtype=np.int64)
-    partner = np.empty(boxes.shape[0], dtype=np.int64)
-    count = 0
-    for layer in range(layer_starts.size - 1):
-        a, b = layer_starts[layer], layer_starts[layer + 1]
-        c, d = other_starts[layer], other_starts[layer + 1]
-        cost = np.full((b - a) * (d - c), np.inf)
-        for i in range(a, b):
-            for j in range(c, d):
-                p, q = boxes[i], other_boxes[j]
-                apart = p[0] > q[2] or q[0] > p[2] or p[1] > q[3] or q[1] > p[3]
-                if sign[i] != 0.0 and sign[i] == other_sign[j] and not apart:
-                    cost[(i - a) * (d - c) + j - c] = np.abs(p - q).max()
-        taken = np.zeros(b - a, dtype=np.bool_)
-        given = np.zeros(d - c, dtype=np.bool_)
-        for k in stable_order(cost):
-            if cost[k] == np.inf:
-                break
-            i, j = k // (d - c), k % (d - c)
-            if not taken[i] and not given[j]:
-                taken[i] = given[j] = True
-                mine[count], partner[count] = a + i, c + j
-                count += 1
-    return mine[:count], partner[:count]
+    found: list[tuple[int, int]] = []
+    for a, b, c, d in zip(
+        layer_starts[:-1], layer_starts[1:], other_starts[:-1], other_starts[1:], strict=True
+    ):
+        p, q = boxes[a:b, None], others[None, c:d]
+        fits = (sign[a:b, None] != 0.0) & (sign[a:b, None] == other_sign[None, c:d])
+        fits &= ~((p[..., :2] > q[..., 2:]) | (q[..., :2] > p[..., 2:])).any(axis=2)
+        i, j = np.nonzero(fits)
+        order = np.argsort(np.abs(boxes[a + i] - others[c + j]).max(axis=1, initial=0.0), kind="stable")
+        taken, given = set[int](), set[int]()
+        for one, other in zip((a + i[order]).tolist(), (c + j[order]).tolist(), strict=True):
+            if one not in taken and other not in given:
+                taken.add(one)
+                given.add(other)
+                found.append((one, other))
+    rows = np.array(found, np.int64).reshape(-1, 2)
+    return rows[:, 0], rows[:, 1]
+
+
+def _measures(errors: Floats) -> list[float]:
+    """The :data:`MEASURES` of some errors; NaN if one of them is."""
+    return [errors.min(), errors.max(), errors.sum(), (errors * errors).sum(), np.abs(errors).sum()]
+
+
+def _evenly_along(ring: Floats, count: int) -> Floats:
+    """Equally spaced places (count, 2) along a closed ring (n, 2)."""
+    closed = np.concatenate([ring, ring[:1]])
+    travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
+    wanted = (np.arange(count) + 0.5) / count * travelled[-1]
+    return np.column_stack([np.interp(wanted, travelled, column) for column in closed.T])
 
 
 @kernel
-def _ring(rings: SampledRings, ring: int) -> Floats:
-    """Points of a ring."""
-    return rings.points[rings.ring_starts[ring] : rings.ring_starts[ring + 1]]
-
-
-@kernel
-def _pair_errors(
-    a: SampledRings,
-    b: SampledRings,
-    pairs: tuple[Ints, Ints],
-    outer: Bools,
-    rays: Rays,
-    samples: int,
-    polar: Floats,
-    normal: Floats,
-) -> None:
-    """Measure pairs of rings; the polar errors of `outer` ones alone."""
-    for k in range(outer.size):
-        ours = closed_points(_ring(a, pairs[0][k]))
-        theirs = closed_points(_ring(b, pairs[1][k]))
-        if outer[k]:
-            x = 0.5 * (theirs[:, 0].min() + theirs[:, 0].max())
-            y = 0.5 * (theirs[:, 1].min() + theirs[:, 1].max())
-            _measure(ray_radii(ours, x, y, rays) - ray_radii(theirs, x, y, rays), polar[k])
-        _measure(_normal_distances(ours, theirs, samples), normal[k])
-
-
-@kernel
-def _measure(errors: Floats, result: Floats) -> None:
-    """Write the :data:`MEASURES` of some errors; NaN if one of them is."""
-    result[0], result[1] = errors.min(), errors.max()
-    result[2], result[3], result[4] = errors.sum(), (errors * errors).sum(), np.abs(errors).sum()
-
-
-@kernel
-def _normal_distances(ours: Floats, theirs: Floats, samples: int) -> Floats:
-    """Signed distances (samples,) of equally spaced places of one closed polyline from another."""
-    ring = tree_over(segments_along(theirs, False))
-    result = np.empty(samples)
-    total = 0.0
-    for i in range(len(ours) - 1):
-        total += math.hypot(ours[i + 1, 0] - ours[i, 0], ours[i + 1, 1] - ours[i, 1])
-    i, travelled, guess = 0, 0.0, 0
-    length = math.hypot(ours[1, 0] - ours[0, 0], ours[1, 1] - ours[0, 1])
-    for k in range(samples):
-        wanted = (k + 0.5) / samples * total
-        while travelled + length < wanted and i < len(ours) - 2:
-            travelled += length
-            i += 1
-            length = math.hypot(ours[i + 1, 0] - ours[i, 0], ours[i + 1, 1] - ours[i, 1])
-        t = min(max((wanted - travelled) / length, 0.0), 1.0) if length > 0.0 else 0.0
-        x = ours[i, 0] + t * (ours[i + 1, 0] - ours[i, 0])
-        y = ours[i, 1] + t * (ours[i + 1, 1] - ours[i, 1])
-        found = nearest(ring, x, y, guess)
+def _normal_distances(places: Floats, ring: Floats) -> Floats:
+    """Signed distances (n,) of places (n, 2) that follow one another from a closed ring."""
+    tree = tree_over(segments_along(ring, True))
+    result = np.empty(len(places))
+    guess = 0
+    for k in range(len(places)):
+        found = nearest(tree, places[k, 0], places[k, 1], guess)
         guess = found.segment
-        result[k] = signed_distance(ring, x, y, found)
+        result[k] = signed_distance(tree, places[k, 0], places[k, 1], found)
     return result
 
 
 # -- Polar radius of a contour about a centre, by the exact crossing of ray and segment (paper, section 5.2) ---
 
 
-NEAR_DIRECTIONS = 8
-"""Directions searched one by one: the first of a segment is rarely farther from the first of the segment before."""
-
 NEARLY_HALF_TURN_RAD = 3.1
 """A segment that spans a larger angle passes so near to the centre that every ray is tested on it."""
 
 ANGLE_MARGIN_RAD = 1e-9
 """Rays this far beyond the ends of a segment are tested too: angles are rounded, crossings are not."""
-
-
-class Rays(NamedTuple):
-    """Sorted directions (m,) of rays, 0 .. 2 pi, with their cosines and sines, computed once for many rings."""
-
-    theta: Floats
-    cosine: Floats
-    sine: Floats
 
 
 def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Floats:
@@ -414,80 +360,38 @@ def polar_radius(ring: ArrayLike, centre: ArrayLike, theta_rad: ArrayLike) -> Fl
     theta = np.mod(np.asarray(theta_rad, dtype=np.float64).reshape(-1), 2.0 * math.pi)
     order = np.argsort(theta, kind="stable")
     radii = np.empty(theta.size)
-    radii[order] = ray_radii(closed_points(points), middle[0], middle[1], rays_of(theta[order]))
+    radii[order] = _ray_radii(points, middle, theta[order])
     return radii
 
 
-@kernel
-def closed_points(points: Floats) -> Floats:
-    """Points of a ring with its first one repeated at the end."""
-    result = np.empty((len(points) + 1, 2))
-    result[:-1], result[-1] = points, points[0]
-    return result
-
-
-@kernel
-def rays_of(theta: Floats) -> Rays:
-    """Rays in sorted directions (m,), 0 .. 2 pi."""
-    return Rays(theta, np.cos(theta), np.sin(theta))
-
-
-@kernel
-def _first_from(theta: Floats, least: float, guess: int) -> int:
-    """First of sorted directions that is not less than an angle; a guess a few directions off saves the search."""
-    place = guess
-    for _ in range(NEAR_DIRECTIONS):
-        if place < theta.size and theta[place] < least:
-            place += 1
-        elif place > 0 and theta[place - 1] >= least:
-            place -= 1
-        else:
-            return place
-    return int(np.searchsorted(theta, least))
-
-
-@kernel
-def ray_radii(points: Floats, x: float, y: float, rays: Rays) -> Floats:
-    """As :func:`polar_radius`, of a closed polyline (n + 1, 2).
+def _ray_radii(ring: Floats, centre: Floats, theta: Floats) -> Floats:
+    """As :func:`polar_radius`, in sorted directions (m,), 0 .. 2 pi.
 
     A ray crosses a segment whose ends lie on different sides of its line, a point on the line counting
     as left: a ray through a vertex thus counts once.
     """
-    turn, theta, cosine, sine = 2.0 * math.pi, rays.theta, rays.cosine, rays.sine
+    turn = 2.0 * math.pi
+    px, py = (ring - centre).T
+    qx, qy = np.roll(px, -1), np.roll(py, -1)
+    ends = np.sort(np.arctan2([py, qy], [px, qx]), axis=0)
+    over = ends[1] - ends[0] > math.pi
+    low, high = np.where(over, ends[1], ends[0]), np.where(over, ends[0] + turn, ends[1])
+    wide = high - low > NEARLY_HALF_TURN_RAD
+    low, high = np.where(wide, 0.0, low), np.where(wide, turn, high)
+    # The directions run from 0 to 2 pi, low from -pi to pi.
+    shift = np.array([[-turn], [0.0], [turn]])
+    first = np.searchsorted(theta, low + shift - ANGLE_MARGIN_RAD)
+    last = np.searchsorted(theta, high + shift + ANGLE_MARGIN_RAD, side="right")
+    counts = np.where(wide & (shift != 0.0), 0, last - first).reshape(-1)
+    begin = np.repeat(first.reshape(-1) - np.concatenate([[0], np.cumsum(counts)[:-1]]), counts)
+    ray = begin + np.arange(begin.size)
+    i = np.repeat(np.tile(np.arange(len(ring)), 3), counts)
+    px, py, qx, qy, c, s = px[i], py[i], qx[i], qy[i], np.cos(theta)[ray], np.sin(theta)[ray]
+    met = (c * py - s * px >= 0.0) != (c * qy - s * qx >= 0.0)
+    across = np.where(met, c * (qy - py) - s * (qx - px), 1.0)
+    away = (px * qy - py * qx) / across
+    met &= away > 0.0
     radii = np.full(theta.size, np.nan)
-    crossings = np.zeros(theta.size, dtype=np.int64)
-    if not theta.size:
-        return radii
-    px, py = points[0, 0] - x, points[0, 1] - y
-    p_angle = math.atan2(py, px)
-    near = 0
-    for i in range(1, len(points)):
-        qx, qy = points[i, 0] - x, points[i, 1] - y
-        q_angle = math.atan2(qy, qx)
-        low = min(p_angle, q_angle)
-        high = max(p_angle, q_angle)
-        if high - low > math.pi:
-            low, high = high, low + turn
-        if high - low > NEARLY_HALF_TURN_RAD:
-            low, high = 0.0, turn
-        for shift in (-turn, 0.0, turn):  # the directions run from 0 to 2 pi, low from -pi to pi
-            first, last = low + shift - ANGLE_MARGIN_RAD, high + shift + ANGLE_MARGIN_RAD
-            if (high - low == turn and shift != 0.0) or last < theta[0] or first > theta[-1]:
-                continue
-            near = _first_from(theta, first, near)
-            for k in range(near, theta.size):
-                if theta[k] > last:
-                    break
-                p_left = cosine[k] * py - sine[k] * px >= 0.0
-                q_left = cosine[k] * qy - sine[k] * qx >= 0.0
-                if p_left == q_left:
-                    continue
-                rho = (px * qy - py * qx) / (cosine[k] * (qy - py) - sine[k] * (qx - px))
-                if rho > 0.0:
-                    radii[k] = rho
-                    crossings[k] += 1
-        px, py, p_angle = qx, qy, q_angle
-    for k in range(theta.size):
-        if crossings[k] != 1:
-            radii[k] = np.nan
+    radii[ray[met]] = away[met]
+    radii[np.bincount(ray[met], minlength=theta.size) != 1] = np.nan
     return radii

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Floats, Ints
 
 QUADRATURE_NODES, QUADRATURE_WEIGHTS = np.polynomial.legendre.leggauss(8)
 """Gauss-Legendre rule for arc lengths; exact to rounding on the spans of a smooth fit."""
@@ -134,19 +134,19 @@ def _spline_spans(
     if not first_knot.size:
         return np.empty((0, 4, 2)), np.empty(0)
     j = np.flatnonzero(np.diff(knots) > 0.0)
-    U = knots[j[:, None] + np.arange(-2, 4)]
-    D = control[(first_control + j - first_knot)[:, None] + np.arange(-3, 1)]
-    a, b = U[:, 2], U[:, 3]
+    u = [knots[j + k] for k in range(-2, 4)]
+    row = first_control + j - first_knot
+    d = [control[row + k] for k in range(-3, 1)]
+    a, b = u[2], u[3]
 
-    def blossom(*at: Floats) -> Floats:
-        d = [D[:, k] for k in range(4)]
-        for step, x in enumerate(at):
-            for k in range(3 - step):
-                low, high = U[:, k + step], U[:, k + 3]
-                d[k] = d[k] + (d[k + 1] - d[k]) * ((x - low) / (high - low))[:, None]
-        return np.asarray(d[0])
+    def between(x: Floats, low: Floats, high: Floats, p: Floats, q: Floats) -> Floats:
+        return np.asarray(p + (q - p) * ((x - low) / (high - low))[:, None])
 
-    return np.stack([blossom(a, a, a), blossom(a, a, b), blossom(a, b, b), blossom(b, b, b)], axis=1), b - a
+    # The control points are f(u0, u1, a), f(u1, a, b), f(a, b, u4), f(b, u4, u5).
+    aab, abb = between(a, u[1], u[4], d[1], d[2]), between(b, u[1], u[4], d[1], d[2])
+    before, after = between(a, u[0], b, d[0], d[1]), between(b, a, u[5], d[2], d[3])
+    B = np.stack([between(a, u[1], b, before, aab), aab, abb, between(b, a, u[4], abb, after)], axis=1)
+    return B, b - a
 
 
 def _arc_spans(arcs: Arcs, control: Floats, place: Ints, count: Ints) -> tuple[Floats, Floats]:
@@ -172,6 +172,14 @@ def bezier_at(B: Floats, t: Floats) -> Floats:
     s = 1.0 - t
     weights = np.stack([s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t], axis=1)
     return np.asarray(np.einsum("nk,nkd->nd", weights, B))
+
+
+def places_along(B: Floats, count: int) -> Floats:
+    """Points (count, n, 2) of Bezier spans (n, 4, 2) at the parameters 0, 1 / count, 2 / count and so on."""
+    t = np.arange(count) / count
+    s = 1.0 - t
+    weights = np.stack([s * s * s, 3.0 * s * s * t, 3.0 * s * t * t, t * t * t], axis=1)
+    return np.asarray(weights @ np.moveaxis(B, 1, 0).reshape(4, -1)).reshape(count, -1, 2)
 
 
 def arc_lengths(B: Floats) -> Floats:
@@ -219,26 +227,3 @@ def sample_spans(B: Floats, kind: NDArray[np.uint8], chords: Ints) -> Floats:
     line = spans[:, 0] + (spans[:, 3] - spans[:, 0]) * share[inner, None]
     found[inner] = np.where((kind[span[inner]] == LINE)[:, None], line, bezier_at(spans, share[inner]))
     return np.asarray(found)
-
-
-@kernel
-def evaluate_bezier(B: Floats, t: float, axis: int) -> float:
-    """Coordinate at t in 0 .. 1 of one Bezier span (4, 2)."""
-    s = 1.0 - t
-    return float(
-        s * s * s * B[0, axis]
-        + 3.0 * s * s * t * B[1, axis]
-        + 3.0 * s * t * t * B[2, axis]
-        + t * t * t * B[3, axis]
-    )
-
-
-@kernel
-def bezier_derivative(B: Floats, t: float, axis: int) -> float:
-    """Derivative of a coordinate at t in 0 .. 1 of one Bezier span (4, 2)."""
-    s = 1.0 - t
-    return float(
-        3.0 * s * s * (B[1, axis] - B[0, axis])
-        + 6.0 * s * t * (B[2, axis] - B[1, axis])
-        + 3.0 * t * t * (B[3, axis] - B[2, axis])
-    )

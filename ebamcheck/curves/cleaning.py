@@ -41,8 +41,9 @@ def clean(
     collapsed = np.zeros(count, dtype=np.bool_)
 
     def work(first: int, last: int) -> None:
-        given = points, ring_starts, closed
-        _clean_rings(given, near_point_mm, collinear_mm, first, last, sweep, sizes, collapsed)
+        _clean_rings(
+            points, ring_starts, closed, near_point_mm, collinear_mm, first, last, sweep, sizes, collapsed
+        )
 
     run_blocks(work, count, RINGS_A_BLOCK)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -52,7 +53,9 @@ def clean(
 
 @kernel
 def _clean_rings(
-    given: tuple[Floats, Ints, Bools],
+    points: Floats,
+    ring_starts: Ints,
+    closed: Bools,
     near: float,
     collinear: float,
     first: int,
@@ -61,60 +64,42 @@ def _clean_rings(
     sizes: Ints,
     collapsed: Bools,
 ) -> None:
-    points, ring_starts, closed = given
     for r in range(first, last):
         a, b = ring_starts[r], ring_starts[r + 1]
         rows = sweep[a:b]
-        begin = _farthest(points, a, b) if closed[r] else a
-        for i in range(b - a):
-            rows[i] = begin + i if begin + i < b else begin + i - (b - a)
-        size = _drop_near(points, rows, b - a, closed[r], near)
-        size = _drop_collinear(points, rows, size, closed[r], collinear)
-        if size < (3 if closed[r] else 2):
+        x = y = 0.0
+        for i in range(a, b):
+            x += (points[i, 0] - points[a, 0]) / (b - a)
+            y += (points[i, 1] - points[a, 1]) / (b - a)
+        begin, farthest = a, -1.0
+        for i in range(a, b):
+            d = np.hypot(points[i, 0] - points[a, 0] - x, points[i, 1] - points[a, 1] - y)
+            if closed[r] and d > farthest:
+                begin, farthest = i, d
+        # What lies nearer than `near` to the last one kept is left out, but for the end of an open path.
+        kept = 0
+        for k in range(b - a):
+            i = begin + k if begin + k < b else begin + k - (b - a)
+            j = rows[kept - 1] if kept else i
+            d = np.hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1])
+            if kept == 0 or (d > 0.0 and d >= near):
+                rows[kept] = i
+                kept += 1
+            elif k == b - a - 1 and not closed[r] and kept > 1:
+                rows[kept - 1] = i
+        while closed[r] and kept > 1:
+            i, j = rows[0], rows[kept - 1]
+            d = np.hypot(points[i, 0] - points[j, 0], points[i, 1] - points[j, 1])
+            if d > 0.0 and d >= near:
+                break
+            kept -= 1
+        kept = _drop_collinear(points, rows, kept, closed[r], collinear)
+        if kept < (3 if closed[r] else 2):
             collapsed[r] = True
-            size = b - a
-            for i in range(size):
+            kept = b - a
+            for i in range(kept):
                 rows[i] = a + i
-        sizes[r] = size
-
-
-@kernel
-def _farthest(points: Floats, a: int, b: int) -> int:
-    """Row of the first point of ``[a, b)`` that is farthest from the mean of all."""
-    x = y = 0.0
-    for i in range(a, b):
-        x += (points[i, 0] - points[a, 0]) / (b - a)
-        y += (points[i, 1] - points[a, 1]) / (b - a)
-    best, best_d = a, -1.0
-    for i in range(a, b):
-        d = np.hypot(points[i, 0] - points[a, 0] - x, points[i, 1] - points[a, 1] - y)
-        if d > best_d:
-            best, best_d = i, d
-    return best
-
-
-@kernel
-def _distance(points: Floats, i: int, j: int) -> float:
-    return float(np.hypot(points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]))
-
-
-@kernel
-def _drop_near(points: Floats, rows: Ints, size: int, closed: bool, near: float) -> int:
-    """Keep, in place, the points that lie `near` or farther from the last one kept; return how many."""
-    kept = min(size, 1)
-    for i in range(1, size):
-        d = _distance(points, rows[kept - 1], rows[i])
-        if d > 0.0 and d >= near:
-            rows[kept] = rows[i]
-            kept += 1
-        elif i == size - 1 and not closed and kept > 1:
-            rows[kept - 1] = rows[i]  # the end of an open path stays
-    while closed and kept > 1:
-        d = _distance(points, rows[kept - 1], rows[0])
-        if d > 0.0 and d >= near:
-            break
-        kept -= 1
-    return kept
+        sizes[r] = kept
 
 
 @kernel

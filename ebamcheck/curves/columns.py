@@ -57,7 +57,17 @@ MOST_SAMPLES = 2**31
 DRAWN_TOLERANCE_MM = 0.005
 """Chord error of the polylines as which curves are drawn: far below what a screen shows of a part."""
 
-EVIDENCE_COLUMNS = ("cause", "method", "accepted", "value_mm", "limit_mm", "at", "mean_limit_mm")
+EVIDENCE_COLUMNS = (
+    "cause",
+    "method",
+    "accepted",
+    "value_mm",
+    "limit_mm",
+    "at",
+    "mean_limit_mm",
+    "points_mm",
+    "bulge_mm",
+)
 """Columns of the evidence, one row a ring."""
 
 VERSION = "1"
@@ -115,6 +125,8 @@ class Evidence:
     limit_mm: Floats  # the limit there
     at: Floats  # (R, 2) that place, mm; NaN where there is none
     mean_limit_mm: Floats  # mean limit along the ring
+    points_mm: Floats  # greatest distance of the contour's points from the ring that was taken
+    bulge_mm: Floats  # greatest distance of that ring from its contour
     known: bool = True  # whether the part was; if not, the settings alone limit the curves
 
     def of_rings(self, which: slice | Bools) -> Evidence:
@@ -358,7 +370,8 @@ class Curves(LayerColumns[CurveLayer]):
 
     def _sampled(self, step_mm: float, tolerance_mm: float) -> SampledRings:
         def work(start: int, stop: int) -> SampledRings:
-            return _sample(self.block(start, stop), step_mm, tolerance_mm)
+            block = self.block(start, stop)
+            return sampled_along(block.bezier_spans(), block.closed, step_mm, tolerance_mm)
 
         parts = run_blocks(work, len(self))
         sizes = np.concatenate([np.diff(part.ring_starts) for part in parts])
@@ -430,9 +443,8 @@ def _positive(value: float, name: str) -> float:
     return float(value)
 
 
-def _sample(curves: Curves, step_mm: float, tolerance_mm: float) -> SampledRings:
-    """Sample one block of layers; an infinite step or tolerance sets no limit."""
-    spans = curves.bezier_spans()
+def sampled_along(spans: BezierSpans, closed: Bools, step_mm: float, tolerance_mm: float) -> SampledRings:
+    """Sample the rings of curves, closed or not (R,); an infinite step or tolerance sets no limit."""
     if math.isfinite(step_mm):
         chords = bezier.chords_for_step(spans.points, spans.kind, step_mm)
     else:
@@ -443,7 +455,7 @@ def _sample(curves: Curves, step_mm: float, tolerance_mm: float) -> SampledRings
             f"sampling would give {total} points (limit {MOST_SAMPLES}): give a larger step or tolerance"
         )
     last = np.flatnonzero(np.diff(spans.ring, append=-1) != 0)
-    ends = last[~curves.closed[spans.ring[last]]]  # an open path needs its end point too
+    ends = last[~closed[spans.ring[last]]]  # an open path needs its end point too
     sizes = chords.copy()
     sizes[ends] += 1
     places = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -452,7 +464,7 @@ def _sample(curves: Curves, step_mm: float, tolerance_mm: float) -> SampledRings
     starts[places[ends + 1] - 1] = False
     points[starts] = bezier.sample_spans(spans.points, spans.kind, chords)
     points[~starts] = spans.points[ends, 3]
-    per_ring = np.bincount(spans.ring, sizes, minlength=curves.closed.size)
+    per_ring = np.bincount(spans.ring, sizes, minlength=closed.size)
     return SampledRings(points, np.concatenate([[0], np.cumsum(per_ring)]).astype(np.int64))
 
 

@@ -13,7 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.columns import Curves
+from ebamcheck.curves.splitting import around
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
@@ -39,21 +41,27 @@ class Crossings(NamedTuple):
     """(R, 2) the crossing that was found first, mm; NaN for rings without one."""
 
 
-def crossings(curves: Curves) -> Crossings:
-    """Find the rings that cross themselves or others of their layer."""
-    spans = curves.bezier_spans()
+def crossings(curves: Curves, spans: BezierSpans | None = None) -> Crossings:
+    """Find the rings that cross themselves or others of their layer; `spans` are those of the curves, where they are known."""
+    spans = spans or curves.bezier_spans()
     counts = np.bincount(spans.ring, minlength=curves.closed.size)
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
     found = Crossings(np.zeros(curves.closed.size, np.bool_), np.full((curves.closed.size, 2), np.nan))
     ring = spans.ring.astype(np.int64)
     points = np.ascontiguousarray(spans.points)
-    boxes = np.hstack([points.min(axis=1), points.max(axis=1)])
+    a, b, c, d = np.moveaxis(points, 1, 0)
+    low, high = np.minimum(np.minimum(a, b), np.minimum(c, d)), np.maximum(np.maximum(a, b), np.maximum(c, d))
+    boxes = np.hstack([low, high])
+    following = around(starts)[1]
+    smooth = _turns(points, following) < math.pi
 
     def work(first: int, last: int) -> None:
         for k in range(first, last):
             a, b = starts[curves.layer_starts[k : k + 2]].tolist()
             order = a + np.argsort(boxes[a:b, 0], kind="stable")
-            _cross_layer(points, boxes, order, ring, starts, curves.closed, found.crossed, found.at)
+            _cross_layer(
+                points, boxes, order, ring, following, smooth, curves.closed, found.crossed, found.at
+            )
 
     run_blocks(work, len(curves))
     return found
@@ -65,7 +73,8 @@ def _cross_layer(
     boxes: Floats,
     order: Ints,
     ring: Ints,
-    starts: Ints,
+    following: Ints,
+    smooth: Bools,
     closed: Bools,
     crossed: Bools,
     at: Floats,
@@ -73,7 +82,7 @@ def _cross_layer(
     """Sweep over the spans of a layer from left to right, and look at those whose boxes overlap."""
     n = order.size
     active = np.empty(n, np.int64)
-    waiting = np.empty((MOST_WAITING, 2, 4, 2))
+    waiting, size = np.empty((MOST_WAITING, 2, 4, 2)), np.empty(2)
     count = 0
     for i in order:
         kept = 0
@@ -88,7 +97,12 @@ def _cross_layer(
             p, q = ring[i], ring[j]
             if crossed[p] and crossed[q]:
                 continue
-            if _meet_beyond_joint(points, min(i, j), max(i, j), ring, starts, closed, waiting):
+            one, two = min(i, j), max(i, j)
+            follows = p == q and two == one + 1
+            closes = p == q and closed[p] and following[two] == one
+            if follows != closes and smooth[one if follows else two]:
+                continue
+            if _meet_beyond_joint(points, one, two, follows, closes, waiting, size):
                 for r in (p, q):
                     if not crossed[r]:
                         crossed[r] = True
@@ -102,65 +116,51 @@ def _cross_layer(
 
 @kernel
 def _meet_beyond_joint(
-    points: Floats, i: int, j: int, ring: Ints, starts: Ints, closed: Bools, waiting: Floats
+    points: Floats, i: int, j: int, follows: bool, closes: bool, waiting: Floats, size: Floats
 ) -> bool:
     """Whether two spans meet, other than where one follows the other; the place is left in ``waiting[0]``."""
-    r = ring[i]
-    follows = ring[j] == r and j == i + 1
-    closes = ring[j] == r and closed[r] and i == starts[r] and j == starts[r + 1] - 1 and j > i
-    if follows and not closes and _turn_of(points[i], points[j]) < math.pi:
-        return False
-    if closes and not follows and _turn_of(points[j], points[i]) < math.pi:
-        return False
-    x = y = np.nan
-    if follows:
-        x, y = points[j, 0, 0], points[j, 0, 1]
-    u = v = np.nan
-    if closes:
-        u, v = points[i, 0, 0], points[i, 0, 1]
     waiting[0, 0], waiting[0, 1] = points[i], points[j]
     count = 1
     for _ in range(MOST_HALVINGS):
         if count == 0:
             return False
         count -= 1
-        A, B = waiting[count, 0], waiting[count, 1]
-        if _apart(A, B) or _apart(B, A):
+        pair = waiting[count]
+        if _apart(pair[0], pair[1]) or _apart(pair[1], pair[0]):
             continue
-        if (_near(A, x, y) and _near(B, x, y)) or (_near(A, u, v) and _near(B, u, v)):
+        at_start, at_end = follows, closes
+        for side in range(2):
+            size[side] = 0.0
+            for axis in range(2):
+                low = high = pair[side, 0, axis]
+                for k in range(1, 4):
+                    low, high = min(low, pair[side, k, axis]), max(high, pair[side, k, axis])
+                size[side] = max(size[side], high - low)
+            for k in range(4):
+                x, y = pair[side, k, 0], pair[side, k, 1]
+                at_start = at_start and math.hypot(x - points[j, 0, 0], y - points[j, 0, 1]) <= JOINT_MM
+                at_end = at_end and math.hypot(x - points[i, 0, 0], y - points[i, 0, 1]) <= JOINT_MM
+        if at_start or at_end:
             continue
-        size_a, size_b = _size(A), _size(B)
-        if max(size_a, size_b) <= SMALLEST_MM:
-            waiting[0, 0], waiting[0, 1] = A.copy(), B.copy()
+        if max(size[0], size[1]) <= SMALLEST_MM:
+            waiting[0] = pair.copy()
             return True
         if count + 2 > MOST_WAITING:
             return True
-        side = 0 if size_a >= size_b else 1
-        left, right = _halves(waiting[count, side])
-        other = waiting[count, 1 - side].copy()
-        waiting[count, side], waiting[count, 1 - side] = left, other
-        waiting[count + 1, side], waiting[count + 1, 1 - side] = right, other
+        side = 0 if size[0] >= size[1] else 1
+        other = waiting[count + 1]
+        other[1 - side] = pair[1 - side]
+        for axis in range(2):  # both halves (de Casteljau)
+            p, q, r, s = pair[side, 0, axis], pair[side, 1, axis], pair[side, 2, axis], pair[side, 3, axis]
+            pq, qr, rs = 0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + s)
+            pqr, qrs = 0.5 * (pq + qr), 0.5 * (qr + rs)
+            middle = 0.5 * (pqr + qrs)
+            pair[side, 1, axis], pair[side, 2, axis], pair[side, 3, axis] = pq, pqr, middle
+            other[side, 0, axis], other[side, 1, axis] = middle, qrs
+            other[side, 2, axis], other[side, 3, axis] = rs, s
         count += 2
     waiting[0, 0], waiting[0, 1] = points[i], points[j]
     return True
-
-
-@kernel
-def _turn_of(A: Floats, B: Floats) -> float:
-    """Sum of the angles by which the control polygon of two spans in a row turns."""
-    total = 0.0
-    x = y = 0.0
-    for k in range(6):
-        if k < 3:
-            u, v = A[k + 1, 0] - A[k, 0], A[k + 1, 1] - A[k, 1]
-        else:
-            u, v = B[k - 2, 0] - B[k - 3, 0], B[k - 2, 1] - B[k - 3, 1]
-        if u == 0.0 and v == 0.0:
-            continue
-        if x != 0.0 or y != 0.0:
-            total += abs(math.atan2(x * v - y * u, x * u + y * v))
-        x, y = u, v
-    return total
 
 
 @kernel
@@ -184,36 +184,21 @@ def _apart(A: Floats, B: Floats) -> bool:
     return False
 
 
-@kernel
-def _near(A: Floats, x: float, y: float) -> bool:
-    """Whether all of a span lies near a place; never where the place is NaN."""
-    farthest = 0.0
-    for k in range(4):
-        away = math.hypot(A[k, 0] - x, A[k, 1] - y)
-        farthest = max(farthest, away if away == away else np.inf)
-    return farthest <= JOINT_MM
+def _turns(points: Floats, following: Ints) -> Floats:
+    """Sum of the angles (n,) by which the control polygons of each span and of the one that follows it turn, rad."""
+    legs = np.diff(points, axis=1)
+    x, y = np.ascontiguousarray(legs[:, :, 0].T), np.ascontiguousarray(legs[:, :, 1].T)
+    for k, beside in (
+        (1, 0),
+        (2, 1),
+        (1, 2),
+        (0, 1),
+    ):  # a leg without length takes the direction of one beside it
+        lost = np.flatnonzero((x[k] == 0.0) & (y[k] == 0.0))
+        x[k, lost], y[k, lost] = x[beside, lost], y[beside, lost]
+    own = _angle(x[0], y[0], x[1], y[1]) + _angle(x[1], y[1], x[2], y[2])
+    return np.asarray(own + _angle(x[2], y[2], x[0, following], y[0, following]) + own[following])
 
 
-@kernel
-def _size(A: Floats) -> float:
-    size = 0.0
-    for axis in range(2):
-        low = high = A[0, axis]
-        for k in range(1, 4):
-            low, high = min(low, A[k, axis]), max(high, A[k, axis])
-        size = max(size, high - low)
-    return size
-
-
-@kernel
-def _halves(A: Floats) -> tuple[Floats, Floats]:
-    """Both halves of a span (de Casteljau)."""
-    left, right = np.empty((4, 2)), np.empty((4, 2))
-    for axis in range(2):
-        p, q, r, s = A[0, axis], A[1, axis], A[2, axis], A[3, axis]
-        pq, qr, rs = 0.5 * (p + q), 0.5 * (q + r), 0.5 * (r + s)
-        pqr, qrs = 0.5 * (pq + qr), 0.5 * (qr + rs)
-        middle = 0.5 * (pqr + qrs)
-        left[0, axis], left[1, axis], left[2, axis], left[3, axis] = p, pq, pqr, middle
-        right[0, axis], right[1, axis], right[2, axis], right[3, axis] = middle, qrs, rs, s
-    return left, right
+def _angle(x: Floats, y: Floats, u: Floats, v: Floats) -> Floats:
+    return np.asarray(np.abs(np.arctan2(x * v - y * u, x * u + y * v)))

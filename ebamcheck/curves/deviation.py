@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from ebamcheck.curves.bezier import bezier_derivative, evaluate_bezier
+from ebamcheck.curves.bezier import BezierSpans, places_along
 from ebamcheck.curves.cleaning import clean
 from ebamcheck.curves.columns import Curves
 from ebamcheck.errors import SettingsError
@@ -47,9 +47,12 @@ class Deviation(NamedTuple):
     """(n,) where along that segment, 0 .. 1."""
 
 
-def deviation_of(curves: Curves, layers: Layers) -> Deviation:
-    """Measure curves against their contours; rings of less than two points, or without curves, have no places and distance 0."""
-    spans = curves.bezier_spans()
+def deviation_of(curves: Curves, layers: Layers, spans: BezierSpans | None = None) -> Deviation:
+    """Measure curves against their contours; rings of less than two points, or without curves, have no places and distance 0.
+
+    `spans` are those of the curves, where they are known.
+    """
+    spans = spans or curves.bezier_spans()
     count = curves.closed.size
     of_ring = np.bincount(spans.ring, minlength=count)
     span_starts = np.concatenate([[0], np.cumsum(of_ring)]).astype(np.int64)
@@ -57,9 +60,15 @@ def deviation_of(curves: Curves, layers: Layers) -> Deviation:
     sizes = np.where(measured, CHORDS_A_SPAN * of_ring + 1, 0)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     total = int(starts[-1])
+    places = np.empty((total, 2))
+    some = np.flatnonzero(measured[spans.ring])
+    rows = CHORDS_A_SPAN * (some - span_starts[spans.ring[some]]) + starts[spans.ring[some]]
+    for k, along in enumerate(places_along(spans.points[some], CHORDS_A_SPAN)):
+        places[rows + k] = along
+    places[starts[1:][measured] - 1] = spans.points[span_starts[1:][measured] - 1, 3]
     found = Deviation(
         np.zeros(len(layers.points)),
-        np.empty((total, 2)),
+        places,
         starts,
         np.empty(total),
         np.empty(total, np.int64),
@@ -92,43 +101,36 @@ def _measure_rings(
         low, high = found.starts[r], found.starts[r + 1]
         if low == high:
             continue
-        B = spans[span_starts[r] : span_starts[r + 1]]
-        along = found.places[low:high]
-        for i in range(len(along) - 1):
-            for axis in range(2):
-                along[i, axis] = evaluate_bezier(
-                    B[i // CHORDS_A_SPAN], (i % CHORDS_A_SPAN) / CHORDS_A_SPAN, axis
-                )
-        along[len(along) - 1] = B[len(B) - 1, 3]
-        curve = tree_over(segments_along(along, False))
+        curve = tree_over(segments_along(found.places[low:high], False))
         guess = 0
         for i in range(a, b):
             near = nearest(curve, points[i, 0], points[i, 1], guess)
             guess = near.segment
+            B = spans[span_starts[r] + guess // CHORDS_A_SPAN]
             t = (guess % CHORDS_A_SPAN + near.t) / CHORDS_A_SPAN
-            found.of_point[i] = _distance(B[guess // CHORDS_A_SPAN], t, points[i, 0], points[i, 1])
+            # Steps of Gauss and Newton along the true curve, while they bring it nearer.
+            best = np.inf
+            for _ in range(REFINEMENTS + 1):
+                s = 1.0 - t
+                off = along = square = 0.0
+                for axis in range(2):
+                    p, q, u, v = B[0, axis], B[1, axis], B[2, axis], B[3, axis]
+                    away = s * s * (s * p + 3.0 * t * q) + t * t * (3.0 * s * u + t * v) - points[i, axis]
+                    rate = 3.0 * (s * s * (q - p) + 2.0 * s * t * (u - q) + t * t * (v - u))
+                    off += away * away
+                    along += away * rate
+                    square += rate * rate
+                if not off < best or square == 0.0:
+                    break
+                best = off
+                t = min(max(t - along / square, 0.0), 1.0)
+            found.of_point[i] = math.sqrt(min(best, off))
         contour = tree_over(segments_along(points[a:b], closed[r]))
         guess = 0
-        for i in range(len(along)):
-            near = nearest(contour, along[i, 0], along[i, 1], guess)
+        for i in range(low, high):
+            near = nearest(contour, found.places[i, 0], found.places[i, 1], guess)
             guess = near.segment
-            found.of_place[low + i], found.segment[low + i] = near.distance, a + guess
-            found.share[low + i] = near.t
-
-
-@kernel
-def _distance(B: Floats, t: float, x: float, y: float) -> float:
-    """Distance of (x, y) from a span, by steps of Gauss and Newton from a parameter near the foot point."""
-    best = np.inf
-    for _ in range(REFINEMENTS + 1):
-        px, py = evaluate_bezier(B, t, 0) - x, evaluate_bezier(B, t, 1) - y
-        best = min(best, math.hypot(px, py))
-        dx, dy = bezier_derivative(B, t, 0), bezier_derivative(B, t, 1)
-        square = dx * dx + dy * dy
-        if square == 0.0:
-            break
-        t = min(max(t - (px * dx + py * dy) / square, 0.0), 1.0)
-    return best
+            found.of_place[i], found.segment[i], found.share[i] = near.distance, a + guess, near.t
 
 
 def fit_deviation(curves: Curves, layers: Layers) -> pd.DataFrame:

@@ -15,19 +15,17 @@ from ebamcheck.curves.edges import with_edges
 from ebamcheck.curves.gate import Slack, gated, joined
 from ebamcheck.curves.interpolation import CENTRIPETAL, CHORD_LENGTH, bulges, interpolate
 from ebamcheck.curves.lifting import FLAT_MM, Lifting, Limits
-from ebamcheck.curves.oriented_contours import OrientedContours, orient
-from ebamcheck.curves.per_part import once_a_part
-from ebamcheck.curves.reduction import reduced_segments, smooth_segments
-from ebamcheck.curves.regions.planes import coordinate_error_mm
-from ebamcheck.curves.segments import Segments, pieces_of
-from ebamcheck.curves.sides import as_they_are
+from ebamcheck.curves.oriented_contours import OrientedContours, as_they_are, orient
+from ebamcheck.curves.reduction import reduced_segments
+from ebamcheck.curves.segments import Segments, pieces_of, smooth_segments
 from ebamcheck.curves.splitting import LINE, split
-from ebamcheck.curves.vertex_normals import surface_of
 from ebamcheck.errors import GeometryError, SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.surface.part_surface import once_a_part, surface_of
+from ebamcheck.surface.planes import coordinate_error_mm
 
 LAYERS_A_STEP = 256
 """Layers fitted between two reports of progress; also bounds the working memory."""
@@ -244,7 +242,7 @@ def _fit_surface(layers: Layers, settings: CurveSettings, lifting: Lifting | Non
 
 def _fit_bounded(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> Curves:
     found = _oriented(layers, settings, lifting)
-    return _curves(layers, reduced_segments(found, layers.closed, settings.tolerance_mm))
+    return _curves(layers, reduced_segments(smooth_segments(found, layers.closed), settings.tolerance_mm))
 
 
 def _oriented(layers: Layers, settings: CurveSettings, lifting: Lifting | None) -> OrientedContours:

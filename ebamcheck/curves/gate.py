@@ -7,18 +7,20 @@ that, and leaves it by no more than a surface plausibly stands over the facets t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ebamcheck.curves.bezier import BezierSpans
 from ebamcheck.curves.cleaning import clean
-from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence
+from ebamcheck.curves.columns import EVIDENCE_COLUMNS, Curves, Evidence, sampled_along
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.deviation import deviation_of
 from ebamcheck.curves.lifting import Limits
-from ebamcheck.curves.splitting import LINE
+from ebamcheck.curves.splitting import LINE, around
 from ebamcheck.geometry import rings
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
@@ -68,6 +70,7 @@ def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curve
         fallen[falling] = POLYLINE
         found = evidence(curves, layers, limits, slack)
     # A polyline is the contour itself: what is still wrong with it was wrong with the contour, not with the fit.
+    asked = replace(asked, points_mm=found.points_mm, bulge_mm=found.bulge_mm)
     accepted = found.accepted | ((fallen == POLYLINE) & (found.cause != CROSSING))
     if not accepted.all():
         accepted |= ~evidence(polylines(layers), layers, limits, slack).accepted
@@ -82,38 +85,26 @@ def joined(blocks: Sequence[Evidence]) -> Evidence:
 
 def evidence(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Evidence:
     """Judge each ring of curves against its contour."""
-    found = _farthest(curves, layers, limits, slack)
+    spans = curves.bezier_spans()
+    found = _farthest(curves, layers, limits, slack, spans)
     cause = found.cause
-    crossed = crossings(curves)
+    crossed = crossings(curves, spans)
     fresh = crossed.crossed & (cause == ACCEPTED)
     cause[fresh] = CROSSING
     found.at[fresh] = crossed.at[fresh]
-    cause[(np.sign(ring_areas(curves)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
-    cause[_moved_out(curves, layers) & (cause == ACCEPTED)] = NESTING
+    cause[(np.sign(ring_areas(curves, spans)) != np.sign(layers.ring_areas)) & (cause == ACCEPTED)] = TURNED
+    cause[_moved_out(curves, layers, spans) & (cause == ACCEPTED)] = NESTING
     return replace(found, accepted=cause == ACCEPTED)
 
 
-def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Evidence:
+def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack, spans: BezierSpans) -> Evidence:
     """Where each ring is farthest beyond its limit: places of the curve first, then points of the contour."""
     count = curves.closed.size
-    off = deviation_of(curves, layers)
-    sizes = np.diff(layers.ring_starts)
-    following = _following(layers)
+    off = deviation_of(curves, layers, spans)
+    following = around(layers.ring_starts)[1]
     k = off.segment
     inside = limits.plane[k] & (off.share > 0.0) & (off.share < 1.0)
     room = np.maximum(limits.of_point[k], limits.of_point[following[k]])
-    value = np.concatenate([off.of_place, off.of_point])
-    limit = np.concatenate(
-        [np.where(inside, slack.in_planes, room + slack.anywhere), limits.of_point + slack.anywhere]
-    )
-    planes = np.concatenate([limits.plane[k], np.zeros(len(layers.points), np.bool_)])
-    at = np.concatenate([off.places, layers.points])
-    ring = np.concatenate(
-        [np.repeat(np.arange(count), np.diff(off.starts)), np.repeat(np.arange(count), sizes)]
-    )
-    order = np.lexsort((limit - value, ring))
-    worst = order[np.flatnonzero(np.diff(ring[order], prepend=-1))]
-    worst = worst[np.diff(off.starts)[ring[worst]] > 0]
     found = Evidence(
         np.zeros(count, np.uint8),
         np.zeros(count, np.uint8),
@@ -122,21 +113,35 @@ def _farthest(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> E
         np.full(count, slack.anywhere),
         np.full((count, 2), np.nan),
         slack.anywhere + _mean_along(layers, limits, following),
+        np.zeros(count),
+        np.zeros(count),
     )
-    rows = ring[worst]
-    found.value_mm[rows], found.limit_mm[rows], found.at[rows] = value[worst], limit[worst], at[worst]
-    found.cause[rows] = np.where(
-        value[worst] > limit[worst], np.where(planes[worst], PLANE, SAGITTA), ACCEPTED
-    )
+    measured = np.diff(off.starts) > 0
+    worst = np.full(count, -np.inf)
+    limit = np.where(inside, slack.in_planes, room + slack.anywhere)
+    of_places = off.starts, off.of_place, limit, off.places, limits.plane[k], found.bulge_mm
+    limit, free = limits.of_point + slack.anywhere, np.zeros(len(layers.points), np.bool_)
+    of_points = layers.ring_starts, off.of_point, limit, layers.points, free, found.points_mm
+    for starts, value, limit, places, plane, largest in (of_places, of_points):
+        rows = np.flatnonzero(np.diff(starts))
+        if not rows.size:
+            continue
+        largest[rows] = np.maximum.reduceat(value, starts[rows])
+        at, excess = _greatest(value - limit, starts[rows])
+        beyond = measured[rows] & (excess > worst[rows])
+        at, rows = at[beyond], rows[beyond]
+        worst[rows] = excess[beyond]
+        found.value_mm[rows], found.limit_mm[rows], found.at[rows] = value[at], limit[at], places[at]
+        found.cause[rows] = np.where(value[at] > limit[at], np.where(plane[at], PLANE, SAGITTA), ACCEPTED)
     return found
 
 
-def _following(layers: Layers) -> Ints:
-    """The point after each, around its ring."""
-    following = np.arange(1, len(layers.points) + 1)
-    filled = np.diff(layers.ring_starts) > 0
-    following[layers.ring_starts[1:][filled] - 1] = layers.ring_starts[:-1][filled]
-    return following
+def _greatest(values: Floats, starts: Ints) -> tuple[Ints, Floats]:
+    """Where the greatest value of each group is first found, and that value."""
+    greatest = np.maximum.reduceat(values, starts)
+    sizes = np.diff(starts, append=values.size)
+    at = np.flatnonzero(values == np.repeat(greatest, sizes))
+    return at[np.searchsorted(at, starts)], greatest
 
 
 def _mean_along(layers: Layers, limits: Limits, following: Ints) -> Floats:
@@ -148,9 +153,8 @@ def _mean_along(layers: Layers, limits: Limits, following: Ints) -> Floats:
     return np.asarray(weighed / np.where(total > 0.0, total, 1.0))
 
 
-def ring_areas(curves: Curves) -> Floats:
+def ring_areas(curves: Curves, spans: BezierSpans) -> Floats:
     """Exact signed area of each closed ring, (R,) mm2; 0 for open paths. Arcs are cubics within 1e-9 of them."""
-    spans = curves.bezier_spans()
     P = spans.points
 
     def cross(i: int, j: int) -> Floats:
@@ -168,12 +172,12 @@ def ring_areas(curves: Curves) -> Floats:
     return np.where(curves.closed, total, 0.0)
 
 
-def _moved_out(curves: Curves, layers: Layers) -> Bools:
+def _moved_out(curves: Curves, layers: Layers, spans: BezierSpans) -> Bools:
     """Rings (R,) whose enclosing ring is not that of their contour."""
     several = np.repeat(np.diff(layers.layer_starts) > 1, np.diff(layers.layer_starts))
     if not several.any():
         return np.zeros(curves.closed.size, np.bool_)
-    sampled = curves.sampled_rings(NESTING_MM)
+    sampled = sampled_along(spans, curves.closed, math.inf, NESTING_MM)
     areas = rings.signed_areas(sampled.points, sampled.ring_starts, curves.closed)
     boxes = rings.bounds(sampled.points, sampled.ring_starts)
     parents = rings.parents(sampled.points, sampled.ring_starts, layers.layer_starts, areas, boxes)
@@ -292,7 +296,9 @@ def stack_evidence(curves: Curves, layers: Layers, part: Part, found: Evidence) 
     of_ring = curves.ring_layer
     length = np.bincount(of_ring, layers.ring_lengths, minlength=count)
     weight = np.where(length > 0.0, length, 1.0)
-    gain = np.bincount(of_ring, ring_areas(curves) - layers.ring_areas, minlength=count)
+    gain = np.bincount(
+        of_ring, ring_areas(curves, curves.bezier_spans()) - layers.ring_areas, minlength=count
+    )
     may = np.bincount(of_ring, found.mean_limit_mm * layers.ring_lengths, minlength=count) / weight
     lift = gain / weight
     jumps, volumes = np.zeros(count), np.zeros(count)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_banded
 
 from ebamcheck.curves.bezier import span_points
-from ebamcheck.curves.splitting import LINE, Runs
+from ebamcheck.curves.splitting import LINE, Runs, angles
 from ebamcheck.kernels import Bools, Floats, Ints
 
 CENTRIPETAL, CHORD_LENGTH = 0.5, 1.0
@@ -190,21 +190,17 @@ def _end_vector(
     """
     a, b, c = points[1] - points[0], points[2] - points[1], points[2] - points[0]
     free = np.isnan(tangent[:, 0])
-    inscribed = np.where(alone, _angle(a, opposite), _angle(c, b))
+    inscribed = np.where(alone, angles(a, opposite), angles(c, b))
     chord = np.hypot(*a.T)
     cosine, sine = np.cos(inscribed), np.sin(inscribed)
     # The chord makes with the tangent the angle that it subtends at the third point.
     round_ = np.column_stack([a[:, 0] * cosine + a[:, 1] * sine, a[:, 1] * cosine - a[:, 0] * sine])
     direction = np.where(free[:, None], round_ / chord[:, None], tangent)
-    angle = np.where(free, inscribed, _angle(tangent, a))
+    angle = np.where(free, inscribed, angles(tangent, a))
     speed = chord * _arc_over_chord(angle) / steps[0]
-    following = np.hypot(*b.T) * _arc_over_chord(_angle(a, c)) / steps[1]
+    following = np.hypot(*b.T) * _arc_over_chord(angles(a, c)) / steps[1]
     more = (speed - following) * steps[0] / (steps[0] + steps[1])
     return np.asarray(direction * np.maximum(speed + np.where(alone, 0.0, more), 0.0)[:, None])
-
-
-def _angle(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
 
 
 def _arc_over_chord(angle: Floats) -> Floats:

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.exact.forms import FLAT, KIND
-from ebamcheck.curves.exact.sections import place, refined
-from ebamcheck.curves.lift_limits import LiftLimits, lift_limits, plausible_share
-from ebamcheck.curves.regions import PLANE, STRIP
-from ebamcheck.curves.sides import NO_PLANE, Sides, as_they_are
-from ebamcheck.curves.vertex_normals import PartSurface
+from ebamcheck.curves.oriented_contours import NO_PLANE, Sides, as_they_are
+from ebamcheck.curves.sections import place, refined
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
+from ebamcheck.surface.exact_forms import FLAT, KIND
+from ebamcheck.surface.lift_limits import LiftLimits, lift_limits, plausible_share
+from ebamcheck.surface.part_surface import PartSurface
+from ebamcheck.surface.regions import PLANE, STRIP
 
 MOST_STEPS = 60
 """Most steps towards the place of a layer on a curved edge; as many halvings reach rounding."""
@@ -255,20 +255,25 @@ def _places(
     start: Floats, rise: Floats, bend_low: Floats, bend_high: Floats, height: Floats, t: Floats
 ) -> Floats:
     """Parameters at which curved edges pass heights: Newton's steps, kept within halves that hold them."""
-    a, b = np.zeros(t.size), np.ones(t.size)
+    found = t.copy()
+    columns = np.stack([t, np.zeros(t.size), np.ones(t.size), start - height, rise, bend_low, bend_high])
+    i = np.arange(t.size)
     for _ in range(MOST_STEPS):
+        t, a, b, begin, rise, low, high = columns
         s = 1.0 - t
-        off = start + rise * t + t * s * (s * bend_low - t * bend_high) - height
+        off = begin + rise * t + t * s * (s * low - t * high)
         below = off <= 0.0
         a, b = np.where(below, t, a), np.where(below, b, t)
-        slope = rise + s * (s - 2.0 * t) * bend_low - t * (2.0 * s - t) * bend_high
+        slope = rise + s * (s - 2.0 * t) * low - t * (2.0 * s - t) * high
         following = t - off / np.where(slope != 0.0, slope, 1e-300)
         following = np.where((a < following) & (following < b), following, 0.5 * (a + b))
-        settled = np.abs(following - t) <= SAME_PLACE
-        t = following
-        if settled.all():
+        found[i] = following
+        moving = np.flatnonzero(np.abs(following - t) > SAME_PLACE)
+        if not moving.size:
             break
-    return t
+        i = i[moving]
+        columns = np.stack([following, a, b, begin, rise, low, high])[:, moving]
+    return found
 
 
 def _direction(low: Floats, high: Floats, t: Floats) -> Floats:

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
+from ebamcheck.curves.splitting import STRAIGHT_RATIO, angles, around, from_a_split, longest_beside
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.mesh.topology import Index
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.threads import run_blocks
 
@@ -21,9 +22,6 @@ RINGS_A_BLOCK = 16
 LARGEST_TURN_RAD = np.deg2rad(60.0)
 """A smooth mesh edge at which the contour turns by more than this is the tip of a thin feature: it counts as a corner."""
 
-STRAIGHT_RATIO = 3.0
-"""A straight run is this many times longer than any of the two segments on either side of it, up to a corner."""
-
 FLAT_MM = 2e-5
 """A smooth point this near to the chord of its neighbours, in place and direction, is removed: facets of one flat side meet
 there. It is the 32-bit rounding of coordinates of some hundred mm."""
@@ -31,6 +29,61 @@ there. It is the 32-bit rounding of coordinates of some hundred mm."""
 IN_PLANE_MM = 1e-3
 """A point inside a plane is removed if it lies this near to the chord of its neighbours: the rounding of a file's decimals, and
 the least distance of contour points. Not every point in a plane is: around a level one the contour turns."""
+
+
+NO_PLANE = -1
+"""Number of the plane of a segment that is in none."""
+
+NO_FORM = -1
+"""Number of the exact surface of a segment that is on none."""
+
+
+class Sides(NamedTuple):
+    """Points of contours, with the directions in which a contour enters and leaves each."""
+
+    points: Floats
+    """(N, 2) mm."""
+    before: Floats
+    """(N, 2) unit direction on the side of the segment that ends at the point; NaN where unknown."""
+    after: Floats
+    """(N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown."""
+    smooth: Bools
+    """(N,) whether the contour has no corner at the point."""
+    unknown: Bools
+    """(N,) whether nothing is known of the segment after the point: no facet."""
+    plane_before: Index
+    """(N,) plane in which the segment that ends at the point lies; :data:`NO_PLANE` for none."""
+    plane_after: Index
+    """(N,) plane in which the segment that begins at the point lies."""
+    share: Floats
+    """(N,) share, 0 .. 1, of the lift and bend demanded by the normals that is applied at the point; 0 where they are noise: its
+    segments stay chords."""
+    plausible: Floats
+    """(N,) plausible height of the surface over the facets there, over the sine of their slope, mm."""
+    form_before: Index
+    """(N,) exact surface on which the segment that ends at the point lies, whose section has its direction there;
+    :data:`NO_FORM` for none."""
+    form_after: Index
+    """(N,) exact surface on which the segment that begins at the point lies."""
+
+
+def as_they_are(points: Floats) -> Sides:
+    """Sides of points (N, 2) of which nothing but their places is known."""
+    count = len(points)
+    unknown = np.full((count, 2), np.nan)
+    return Sides(
+        points,
+        unknown,
+        unknown.copy(),
+        np.zeros(count, np.bool_),
+        np.ones(count, np.bool_),
+        np.full(count, NO_PLANE, np.int32),
+        np.full(count, NO_PLANE, np.int32),
+        np.ones(count),
+        np.full(count, np.inf),
+        np.full(count, NO_FORM, np.int32),
+        np.full(count, NO_FORM, np.int32),
+    )
 
 
 class OrientedContours(NamedTuple):
@@ -81,7 +134,7 @@ def orient(
     bends.straighten(bends.bulges() > largest_bulge_mm)
     few = np.repeat(sizes < 3, sizes)
     corner, straight = bends.corner | few, bends.straight | few
-    order = _from_a_split(corner | straight | straight[bends.previous], starts, closed)
+    order = from_a_split(corner | straight | straight[bends.previous], starts, closed)
     return OrientedContours(
         sides.points[bends.rows[order]],
         starts,
@@ -92,29 +145,14 @@ def orient(
     )
 
 
-def _from_a_split(split: Bools, starts: Ints, closed: Bools) -> Ints:
-    """Order of points in which closed rings start at the first of their splits, where they have one."""
-    sizes = np.diff(starts)
-    ring = np.repeat(np.arange(closed.size), sizes)
-    place = np.arange(ring.size) - starts[ring]
-    first = np.full(closed.size, np.iinfo(np.int64).max)
-    np.minimum.at(first, ring[split], place[split])
-    first[(first >= sizes) | ~closed] = 0
-    return np.asarray(starts[ring] + (place + first[ring]) % np.maximum(sizes[ring], 1))
-
-
 class _Bends:
     """Points of rings and the bends at them, as columns; the angles are those of :class:`OrientedContours`."""
 
     def __init__(self, sides: Sides, rows: Ints, starts: Ints, closed: Bools) -> None:
         self.sides, self.rows = sides, rows
         sizes = np.diff(starts)
-        filled = sizes > 0
-        self.next = np.arange(1, rows.size + 1)
-        self.next[starts[1:][filled] - 1] = starts[:-1][filled]
-        self.previous = np.empty_like(self.next)
-        self.previous[self.next] = np.arange(rows.size)
-        open_ = filled & ~closed
+        _, self.next, self.previous = around(starts)
+        open_ = (sizes > 0) & ~closed
         self.last = np.zeros(rows.size, np.bool_)
         """Points after which an open path has no segment."""
         self.last[starts[1:][open_] - 1] = True
@@ -122,7 +160,7 @@ class _Bends:
         self.end[starts[:-1][open_]] = True
         self.chord = sides.points[rows[self.next]] - sides.points[rows]
         self.length = np.hypot(*self.chord.T)
-        self.turn = _angle(self.chord[self.previous], self.chord)
+        self.turn = angles(self.chord[self.previous], self.chord)
         form = sides.form_after[rows]
         self.sure = (form != NO_FORM) & (form == sides.form_before[rows[self.next]])
         """Whether the segment after each point lies on an exact surface at both of its ends."""
@@ -139,7 +177,7 @@ class _Bends:
         """Angles between chords and directions; a segment whose direction at a corner is unknown bends as at its other end."""
         sides, rows, turn = self.sides, self.rows, self.turn
         to, away = self.length[self.previous], self.length
-        told = _angle(self.chord[self.previous], sides.before[rows])
+        told = angles(self.chord[self.previous], sides.before[rows])
         known = sides.smooth[rows] & ~np.isnan(sides.before[rows, 0])
         # Else the circle through the three points.
         ahead = np.where(known, told, turn * to / np.maximum(to + away, 1e-300))
@@ -147,7 +185,7 @@ class _Bends:
         between = np.minimum(np.maximum(ahead, np.minimum(turn, 0.0)), np.maximum(turn, 0.0))
         on_forms = (sides.form_before[rows] != NO_FORM) & (sides.form_after[rows] != NO_FORM)
         ahead = np.where(on_forms, ahead, between)
-        back = _angle(sides.after[rows], self.chord)
+        back = angles(sides.after[rows], self.chord)
         self.before = np.where(self.corner, np.where(self.end, np.nan, told), ahead)
         self.after = np.where(self.corner, np.where(self.end, np.nan, back), turn - ahead)
         start, end = self.after, self.before[self.next]
@@ -203,11 +241,7 @@ class _Bends:
         """
         sides, rows, follow, back, corner = self.sides, self.rows, self.next, self.previous, self.corner
         lengths = np.where(self.last, 0.0, self.length)
-        ahead = np.where(corner[follow[follow]], 0.0, lengths[follow[follow]])
-        behind = np.where(corner[back], 0.0, lengths[back[back]])
-        ahead = np.where(corner[follow], 0.0, np.maximum(lengths[follow], ahead))
-        behind = np.where(corner, 0.0, np.maximum(lengths[back], behind))
-        longest = np.maximum(ahead, behind)
+        longest = longest_beside(lengths, corner, follow, back)
         long = sides.unknown[rows] & (lengths >= straight_run) & (lengths >= STRAIGHT_RATIO * longest)
         plane = sides.plane_after[rows]
         in_plane = (plane != NO_PLANE) & (plane == sides.plane_before[rows[follow]])
@@ -226,11 +260,6 @@ class _Bends:
         self.corner |= which
         self.corner[self.next[which]] = True
         self._set(0.0, 0.0, which)
-
-
-def _angle(a: Floats, b: Floats) -> Floats:
-    """Signed angles from vectors (n, 2) to others, rad."""
-    return np.asarray(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
 
 
 # -- Thinning: contour points that carry no shape are removed, those too near to others and those inside straight sides.
@@ -281,24 +310,23 @@ def _thin_rings(
             i = rows[a + k]
             inner = closed[r] or 0 < k < size - 1
             p, q = rows[a + (n - 1 if n else size - 1)], rows[a + (k + 1) % size]
-            if not (inner and n + size - k > 3 and _is_flat(sides, p, i, q)):
+            flat = False
+            in_plane = sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]
+            if (
+                inner
+                and n + size - k > 3
+                and (in_plane or (sides.smooth[i] and not np.isnan(sides.before[i, 0])))
+            ):
+                # In a plane, or smooth and on the chord of its neighbours in place and direction.
+                x, y = points[q, 0] - points[p, 0], points[q, 1] - points[p, 1]
+                u, v = points[i, 0] - points[p, 0], points[i, 1] - points[p, 1]
+                long, off = np.hypot(x, y), abs(x * v - y * u)
+                tilt = abs(x * sides.before[i, 1] - y * sides.before[i, 0])
+                flat = (
+                    0.0 < x * u + y * v < long * long and off < (IN_PLANE_MM if in_plane else FLAT_MM) * long
+                )
+                flat = flat and (in_plane or 0.25 * tilt < FLAT_MM)
+            if not flat:
                 rows[a + n] = i
                 n += 1
         sizes[r] = n
-
-
-@kernel
-def _is_flat(sides: Sides, p: int, i: int, q: int) -> bool:
-    """Whether a point lies inside of a plane, or a smooth one on the chord of its neighbours in place and direction."""
-    in_plane = sides.plane_after[i] != NO_PLANE and sides.plane_before[i] == sides.plane_after[i]
-    if not in_plane and (not sides.smooth[i] or np.isnan(sides.before[i, 0])):
-        return False
-    x, y = sides.points[q, 0] - sides.points[p, 0], sides.points[q, 1] - sides.points[p, 1]
-    long = np.hypot(x, y)
-    u, v = sides.points[i, 0] - sides.points[p, 0], sides.points[i, 1] - sides.points[p, 1]
-    off = abs(x * v - y * u)
-    tilt = abs(x * sides.before[i, 1] - y * sides.before[i, 0])
-    inside = 0.0 < x * u + y * v < long * long
-    if in_plane:
-        return bool(inside and off < IN_PLANE_MM * long)
-    return bool(inside and off < FLAT_MM * long and 0.25 * tilt < FLAT_MM)

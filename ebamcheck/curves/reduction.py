@@ -9,21 +9,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ebamcheck.curves.one_segment import (
-    LARGEST_SWEEP_RAD,
-    Path,
-    arc_end,
-    fit_arc,
-    fit_cubic,
-    length_of,
-    own_cubic,
-    path_of,
-)
-from ebamcheck.curves.oriented_contours import OrientedContours
-from ebamcheck.curves.segments import Segments, set_cubic
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
+from ebamcheck.curves.bezier import places_along
+from ebamcheck.curves.segments import Segments
+from ebamcheck.curves.splitting import ARC, LINE, SPLINE, angles
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
@@ -34,159 +23,176 @@ the setting, lest what lifting gained be lost again."""
 LEAST_TOLERANCE_MM = 0.0005
 """Least tolerance, however small the bulges: half of the least distance of contour points."""
 
+ARC_SHARE = 0.5
+"""Share of the tolerance within which an arc must stay: then the path is a circle, and not merely near one."""
 
-class _Written(NamedTuple):
-    """Columns into which segments are written."""
+ARC_DIRECTION_RAD = 2e-3
+"""Largest error of the direction in which an arc ends; the next segment starts in the arc's direction."""
+
+LARGEST_RADIUS_MM = 10_000.0
+"""Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
+
+LARGEST_SWEEP_RAD = np.deg2rad(170.0)
+"""Largest sweep of one arc: below half a turn, an arc given to a control by its radius is unambiguous."""
+
+LARGEST_TURN_RAD = np.deg2rad(120.0)
+"""Largest turn of one cubic: beyond it cubics loop."""
+
+NEWTON_STEPS = 2
+"""Rounds in which the samples' parameters move to their foot points and the cubic is fitted again."""
+
+SAMPLES_A_SEGMENT = 4
+"""Places along each segment of the contour at which the reduced curve is checked."""
+
+CLOSED_LOOP_SHARE = 0.01
+"""A range whose ends are nearer to each other than this share of its length is not tried as one segment."""
+
+CHAINS_A_BLOCK = 16
+
+
+class Path(NamedTuple):
+    """Chains of cubics, joint by joint, with samples along them; a chain has one joint more than it has cubics."""
 
     points: Floats
-    """(n, 4, 2) Bezier points."""
-    kind: NDArray[np.uint8]
-    """(n,) kind of segment."""
-    corner: Bools
-    """(n,) whether the segment starts at a corner."""
+    """(n, 2) joints."""
+    directions: Floats
+    """(n, 2) unit directions at the joints."""
+    turns: Floats
+    """(n,) signed turn from a first joint to each, rad."""
+    samples: Floats
+    """(SAMPLES_A_SEGMENT n, 2) points from each joint on along the cubic after it, mm."""
+    lengths: Floats
+    """(SAMPLES_A_SEGMENT n,) length along the samples from a first one, mm."""
 
 
-def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
-    """One cubic or line for each segment of the contours."""
-    return _blocks(contours, closed, -1.0)
+def reduced_segments(segments: Segments, tolerance_mm: float) -> Segments:
+    """Lines, arcs and cubics, as few as the tolerance allows, in place of lines and cubics."""
+    B, kind, corner, _ = segments
+    curved = np.flatnonzero(kind == SPLINE)
+    begins = np.zeros(len(kind) + 1, np.bool_)
+    begins[segments.ring_starts] = True
+    begins = begins[:-1] | corner
+    begins[1:] |= kind[:-1] == LINE
+    first = np.flatnonzero(begins[curved])
+    sizes = np.diff(first, append=curved.size)
+    chain = np.repeat(np.arange(first.size), sizes)
+    chord = B[curved, 3] - B[curved, 0]
+    long = np.hypot(*chord.T)
+    turns = [np.abs(angles(leg, chord)) for leg in (B[curved, 1] - B[curved, 0], B[curved, 3] - B[curved, 2])]
+    bulge = np.zeros(first.size)
+    np.maximum.at(bulge, chain, 0.25 * long * np.maximum(*turns))
+    allowed = np.minimum(tolerance_mm, np.maximum(SHARE_OF_BULGE * bulge, LEAST_TOLERANCE_MM))
+    joints = np.concatenate([[0], np.cumsum(sizes + 1)]).astype(np.int64)
+    path = _path_along(B[curved], first, sizes, joints)
+    found, arc = np.empty((int(joints[-1]), 4, 2)), np.zeros(int(joints[-1]), np.bool_)
+    counts = np.zeros(first.size, np.int64)
+
+    def work(start: int, stop: int) -> None:
+        _reduce(path, joints, allowed, start, stop, found, arc, counts)
+
+    run_blocks(work, first.size, CHAINS_A_BLOCK)
+    sizes = np.where(kind == LINE, 1, 0)
+    sizes[curved[first]] = counts
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    source = np.repeat(np.arange(len(kind)), sizes)
+    place = np.arange(source.size) - starts[source]
+    is_line = kind[source] == LINE
+    chain_of = np.zeros(len(kind), np.int64)
+    chain_of[curved] = chain
+    row = np.where(is_line, 0, joints[chain_of[source]] + place) if first.size else source
+    both = np.concatenate([B, found])
+    arcs = np.concatenate([np.zeros(len(kind), np.bool_), arc])
+    row = np.where(is_line, source, len(kind) + row)
+    new_kind = np.where(is_line, LINE, np.where(arcs[row], ARC, SPLINE)).astype(np.uint8)
+    return Segments(both[row], new_kind, corner[source] & (place == 0), starts[segments.ring_starts])
 
 
-def reduced_segments(contours: OrientedContours, closed: Bools, tolerance_mm: float) -> Segments:
-    """Lines, arcs and cubics, as few as the tolerance allows."""
-    return _blocks(contours, closed, tolerance_mm)
+def _path_along(B: Floats, first: Ints, sizes: Ints, joints: Ints) -> Path:
+    """Path along chains of cubics (n, 4, 2) that begin at the rows `first` and at the joints `joints`."""
+    count = int(joints[-1])
+    at = np.arange(len(B)) + np.repeat(np.arange(first.size), sizes)
+    last, end = first + sizes - 1, joints[1:] - 1
+    points, directions = np.empty((count, 2)), np.empty((count, 2))
+    points[at], points[end] = B[:, 0], B[last, 3]
+    chord = B[:, 3] - B[:, 0]
+    directions[at] = _units(B[:, 1] - B[:, 0], chord)
+    directions[end] = _units(B[last, 3] - B[last, 2], chord[last])
+    samples = np.repeat(points[:, None], SAMPLES_A_SEGMENT, axis=1)
+    for j, along in enumerate(places_along(B, SAMPLES_A_SEGMENT)):
+        samples[at, j] = along
+    samples = samples.reshape(-1, 2)
+    steps = np.hypot(*np.diff(samples, axis=0, prepend=samples[:1]).T)
+    turns = angles(np.roll(directions, 1, axis=0), directions)
+    return Path(points, directions, np.cumsum(turns), samples, np.cumsum(steps))
 
 
-def _blocks(contours: OrientedContours, closed: Bools, tolerance_mm: float) -> Segments:
-    def work(first: int, last: int) -> tuple[Floats, NDArray[np.uint8], Bools, Ints]:
-        return _segments_of_rings(contours, closed, tolerance_mm, first, last)
-
-    blocks = run_blocks(work, closed.size)
-    counts = np.concatenate([block[3] for block in blocks])
-    return Segments(
-        np.concatenate([block[0] for block in blocks]),
-        np.concatenate([block[1] for block in blocks]),
-        np.concatenate([block[2] for block in blocks]),
-        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-    )
-
-
-@kernel
-def _segments_of_rings(
-    contours: OrientedContours, closed: Bools, tolerance: float, first: int, last: int
-) -> tuple[Floats, NDArray[np.uint8], Bools, Ints]:
-    """Bezier points, kinds, corners, and number of segments a ring; a negative tolerance keeps every segment."""
-    total = contours.starts[last] - contours.starts[first]
-    found = _Written(np.empty((total, 4, 2)), np.empty(total, np.uint8), np.empty(total, np.bool_))
-    counts = np.zeros(last - first, np.int64)
-    n = 0
-    for r in range(first, last):
-        a, size = contours.starts[r], contours.starts[r + 1] - contours.starts[r]
-        segments = size if closed[r] and size > 1 else size - 1
-        at = n
-        k = 0
-        while k < segments:
-            if contours.straight[a + k]:
-                found.points[n, 0] = contours.points[a + k]
-                found.points[n, 3] = contours.points[a + (k + 1) % size]
-                found.points[n, 1], found.points[n, 2] = found.points[n, 0], found.points[n, 3]
-                found.kind[n] = LINE
-                found.corner[n] = contours.corner[a + k]
-                n += 1
-                k += 1
-                continue
-            end = k + 1
-            while end < segments and not (contours.corner[a + end] or contours.straight[a + end]):
-                end += 1
-            n = _chain(contours, a, size, k, end, tolerance, found, n)
-            k = end
-        counts[r - first] = n - at
-    return found.points[:n].copy(), found.kind[:n].copy(), found.corner[:n].copy(), counts
-
-
-@kernel
-def _chain(
-    contours: OrientedContours,
-    a: int,
-    size: int,
-    k: int,
-    end: int,
-    tolerance: float,
-    found: _Written,
-    n: int,
-) -> int:
-    """Write the segments of one smooth chain, from its segment k up to `end`; returns the place after them."""
-    count = end - k
-    cubics = np.empty((count, 4, 2))
-    bulge = 0.0
-    for i in range(count):
-        p, q = a + k + i, a + (k + i + 1) % size
-        set_cubic(cubics[i], contours.points[p], contours.points[q], contours.after[p], contours.before[q])
-        chord = length_of(contours.points[q] - contours.points[p])
-        bulge = max(bulge, 0.25 * chord * max(abs(contours.after[p]), abs(contours.before[q])))
-    if tolerance < 0.0:
-        for i in range(count):
-            found.points[n], found.kind[n], found.corner[n] = (
-                cubics[i],
-                SPLINE,
-                i == 0 and contours.corner[a + k],
-            )
-            n += 1
-        return n
-    allowed = min(tolerance, max(SHARE_OF_BULGE * bulge, LEAST_TOLERANCE_MM))
-    path = path_of(cubics)
-    found.corner[n] = contours.corner[a + k]
-    return _reduce(path, allowed, found, n)
+def _units(vectors: Floats, instead: Floats) -> Floats:
+    """Unit vectors (n, 2), or those along others where they have no length."""
+    lost = (vectors[:, 0] == 0.0) & (vectors[:, 1] == 0.0)
+    vectors = np.where(lost[:, None], instead, vectors)
+    return np.asarray(vectors / np.maximum(np.hypot(*vectors.T), 1e-300)[:, None])
 
 
 @kernel
 def _reduce(
-    path: Path,
-    tolerance: float,
-    found: _Written,
-    n: int,
-) -> int:
-    """Write the fewest segments along a path, each as long as can be; returns the place after them."""
-    last = len(path.points) - 1
-    begin = n
-    direction = path.directions[0].copy()
-    i = 0
-    guess = 1
-    B = np.empty((4, 2))
-    while i < last:
-        reached = _farthest(path, direction, i, guess, tolerance, False, B)
-        round_ = _farthest(path, direction, i, max(reached - i, 1), tolerance, True, B)
-        is_arc = round_ - i > 1 and (
-            round_ >= reached or abs(path.turns[round_] - path.turns[i]) > 0.9 * LARGEST_SWEEP_RAD
-        )
-        j = round_ if is_arc else reached
-        if is_arc:
-            fit_arc(path, direction, i, j, tolerance, B)
-        elif not fit_cubic(path, direction, i, j, tolerance, B):
-            own_cubic(path, direction, i, B)  # a single segment is what it is
-        found.points[n], found.kind[n] = B, ARC if is_arc else SPLINE
-        if n > begin:
-            found.corner[n] = False
-        direction[:] = arc_end(B) if is_arc else path.directions[j]
-        n += 1
-        guess = j - i
-        i = j
-    return n
+    path: Path, joints: Ints, allowed: Floats, first: int, last: int, found: Floats, arc: Bools, counts: Ints
+) -> None:
+    """Write the fewest segments along each chain, each as long as can be, from its first joint on, and how many there are."""
+    direction, reached = np.empty(2), np.empty(2, np.int64)
+    for c in range(first, last):
+        i, end, n = joints[c], joints[c + 1] - 1, joints[c]
+        direction[:] = path.directions[i]
+        guess = 1
+        while i < end:
+            B = found[n]
+            for round_ in range(2):
+                reached[round_] = _farthest(path, direction, i, end, guess, allowed[c], round_, B)
+                guess = max(reached[round_] - i, 1)
+            turn = abs(path.turns[reached[1]] - path.turns[i])
+            arc[n] = reached[1] - i > 1 and (reached[1] >= reached[0] or turn > 0.9 * LARGEST_SWEEP_RAD)
+            j = reached[1] if arc[n] else reached[0]
+            x, y = path.points[j, 0] - path.points[i, 0], path.points[j, 1] - path.points[i, 1]
+            if arc[n]:
+                _fit_arc(path, direction, i, j, allowed[c], B)
+                u, v = B[1, 0] - B[0, 0], B[1, 1] - B[0, 1]
+                half = 2.0 * np.arctan2(u * y - v * x, u * x + v * y)
+                c_, s, chord = np.cos(half), np.sin(half), np.hypot(x, y)
+                direction[0], direction[1] = (c_ * x - s * y) / chord, (s * x + c_ * y) / chord
+            else:
+                back = path.directions[j]
+                if not _fit_cubic(path, direction, i, j, allowed[c], B):
+                    # A single segment is what it is, from the direction in which the last one ended.
+                    before = np.arctan2(
+                        direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y
+                    )
+                    after = np.arctan2(x * back[1] - y * back[0], x * back[0] + y * back[1])
+                    half = min(0.5 * (abs(before) + abs(after)), 0.5 * np.pi)
+                    leg = 2.0 / (3.0 * (1.0 + np.cos(half)))
+                    B[0], B[3] = path.points[i], path.points[j]
+                    c_, s = np.cos(before) * leg, np.sin(before) * leg
+                    B[1, 0], B[1, 1] = B[0, 0] + c_ * x + s * y, B[0, 1] + c_ * y - s * x
+                    c_, s = np.cos(after) * leg, np.sin(after) * leg
+                    B[2, 0], B[2, 1] = B[3, 0] - c_ * x + s * y, B[3, 1] - c_ * y - s * x
+                direction[:] = back
+            n += 1
+            guess = j - i
+            i = j
+        counts[c] = n - joints[c]
 
 
 @kernel
 def _farthest(
-    path: Path, direction: Floats, i: int, guess: int, tolerance: float, round_: bool, B: Floats
+    path: Path, direction: Floats, i: int, end: int, guess: int, tolerance: float, round_: int, B: Floats
 ) -> int:
     """Farthest joint that one segment from joint i reaches within the tolerance; i + 1 at least."""
-    last = len(path.points) - 1
-    low, step = 1, max(guess, 1)
-    high = last - i + 1
+    low, step = 1, guess
+    high = end - i + 1
     while low < high - 1:  # from the guess outward, then by halves
         size = min(low + step, high - 1) if step > 0 else (low + high) // 2
         fits = (
-            fit_arc(path, direction, i, i + size, tolerance, B)
-            if round_
-            else fit_cubic(path, direction, i, i + size, tolerance, B)
+            _fit_arc(path, direction, i, i + size, tolerance, B)
+            if round_ == 1
+            else _fit_cubic(path, direction, i, i + size, tolerance, B)
         )
         if fits:
             low = size
@@ -195,3 +201,124 @@ def _farthest(
             high = size
             step = 0
     return i + low
+
+
+@kernel
+def _fit_arc(path: Path, direction: Floats, i: int, j: int, tolerance: float, B: Floats) -> bool:
+    """Arc from joint i in a direction to joint j; whether it fits."""
+    p, q = path.points[i], path.points[j]
+    x, y = q[0] - p[0], q[1] - p[1]
+    chord = np.hypot(x, y)
+    half = np.arctan2(direction[0] * y - direction[1] * x, direction[0] * x + direction[1] * y)
+    if abs(half) > 0.5 * LARGEST_SWEEP_RAD or chord >= 2.0 * LARGEST_RADIUS_MM * np.sin(abs(half)):
+        return False
+    if abs(path.turns[j] - path.turns[i] - 2.0 * half) > ARC_DIRECTION_RAD:
+        return False
+    rise = 0.5 * chord * np.tan(0.5 * half)
+    B[0], B[3] = p, q
+    B[1, 0] = 0.5 * (p[0] + q[0]) + rise * y / chord
+    B[1, 1] = 0.5 * (p[1] + q[1]) - rise * x / chord
+    B[2] = B[1]
+    radius = 0.5 * chord / np.sin(half)
+    cx, cy = p[0] - radius * direction[1], p[1] + radius * direction[0]
+    for k in range(SAMPLES_A_SEGMENT * i, SAMPLES_A_SEGMENT * j):
+        off = abs(np.hypot(path.samples[k, 0] - cx, path.samples[k, 1] - cy) - abs(radius))
+        if off > ARC_SHARE * tolerance:
+            return False
+    return True
+
+
+@kernel
+def _fit_cubic(path: Path, direction: Floats, i: int, j: int, tolerance: float, B: Floats) -> bool:
+    """Cubic from joint i in a direction to joint j in its own, nearest to the samples; whether it fits."""
+    if abs(path.turns[j] - path.turns[i]) > LARGEST_TURN_RAD:
+        return False
+    first, last = SAMPLES_A_SEGMENT * i, SAMPLES_A_SEGMENT * j
+    length = path.lengths[last] - path.lengths[first]
+    p, q = path.points[i], path.points[j]
+    chord = np.hypot(q[0] - p[0], q[1] - p[1])
+    if chord <= CLOSED_LOOP_SHARE * length:
+        return False
+    back = path.directions[j]
+    B[0], B[3] = p, q
+    stride = max(1, (last - first) // 24)  # two legs follow from a few places; all are checked
+    count = (last - first) // stride
+    t = np.empty(count)
+    for k in range(count):
+        t[k] = (path.lengths[first + k * stride] - path.lengths[first]) / length
+    for step in range(NEWTON_STEPS + 1):
+        _set_legs(path.samples, first, stride, t, direction, back, length, B)
+        if step < NEWTON_STEPS:
+            for k in range(count):
+                t[k] = _foot(B, path.samples[first + k * stride], t[k])
+    for k in range(first + 1, last):
+        point = path.samples[k]
+        u = (path.lengths[k] - path.lengths[first]) / length
+        u = _foot(B, point, _foot(B, point, u))
+        s = 1.0 - u
+        square = 0.0
+        for axis in range(2):
+            inner = 3.0 * s * u * (s * B[1, axis] + u * B[2, axis])
+            off = s * s * s * B[0, axis] + inner + u * u * u * B[3, axis] - point[axis]
+            square += off * off
+        if np.sqrt(square) > tolerance:  # that of a point of the cubic: never too small
+            return False
+    return True
+
+
+@kernel
+def _set_legs(
+    samples: Floats,
+    first: int,
+    stride: int,
+    t: Floats,
+    direction: Floats,
+    back: Floats,
+    length: float,
+    B: Floats,
+) -> None:
+    """Legs of a cubic with given ends and directions by least squares (Schneider 1990); those of a circle where they fail."""
+    c00 = c01 = c11 = r0 = r1 = 0.0
+    for k in range(t.size):
+        u = t[k]
+        s = 1.0 - u
+        b1, b2 = 3.0 * s * s * u, 3.0 * s * u * u
+        start, end = s * s * (s + 3.0 * u), u * u * (u + 3.0 * s)
+        for axis in range(2):
+            a0, a1 = b1 * direction[axis], -b2 * back[axis]
+            rest = samples[first + k * stride, axis] - start * B[0, axis] - end * B[3, axis]
+            c00 += a0 * a0
+            c01 += a0 * a1
+            c11 += a1 * a1
+            r0 += a0 * rest
+            r1 += a1 * rest
+    determinant = c00 * c11 - c01 * c01
+    even = length / 3.0
+    legs = np.array([even, even])
+    if determinant > 1e-9 * c00 * c11:
+        legs[0] = (r0 * c11 - r1 * c01) / determinant
+        legs[1] = (r1 * c00 - r0 * c01) / determinant
+        if not (0.25 * even < legs[0] < 3.0 * even and 0.25 * even < legs[1] < 3.0 * even):
+            legs[:] = even
+    for axis in range(2):
+        B[1, axis] = B[0, axis] + legs[0] * direction[axis]
+        B[2, axis] = B[3, axis] - legs[1] * back[axis]
+
+
+@kernel
+def _foot(B: Floats, point: Floats, t: float) -> float:
+    """Move a parameter towards the foot of a point by a step of Gauss and Newton."""
+    s = 1.0 - t
+    dot = square = 0.0
+    for axis in range(2):
+        at = s * s * s * B[0, axis] + 3.0 * s * t * (s * B[1, axis] + t * B[2, axis]) + t * t * t * B[3, axis]
+        d = 3.0 * (
+            s * s * (B[1, axis] - B[0, axis])
+            + 2.0 * s * t * (B[2, axis] - B[1, axis])
+            + t * t * (B[3, axis] - B[2, axis])
+        )
+        dot += (at - point[axis]) * d
+        square += d * d
+    if square == 0.0:
+        return t
+    return float(min(max(t - dot / square, 0.0), 1.0))

@@ -1,4 +1,4 @@
-"""Segments: lines, cubics and arcs in a row, from which the pieces of curves are made."""
+"""Segments: lines, cubics and arcs in a row, one for each segment of a contour at first, from which the pieces of curves are made."""
 
 from __future__ import annotations
 
@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.splitting import ARC, LINE, SPLINE
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
-
-DEGREE = 3
+from ebamcheck.curves.oriented_contours import OrientedContours
+from ebamcheck.curves.splitting import ARC, LINE, SPLINE, around
+from ebamcheck.kernels import Bools, Floats, Ints
 
 UNEVEN = 4.0
 """Largest ratio of a knot interval to the length of its span, either way; beyond it a spline ends and the next begins."""
@@ -41,23 +40,27 @@ class Pieces(NamedTuple):
     knots: Floats
 
 
-@kernel
-def leg_over_chord(start: float, end: float) -> float:
-    """Length of the inner legs of a cubic over its chord, by the angles at its ends: that of a circle's (Stone, DeRose 1989)."""
-    half = 0.5 * (abs(start) + abs(end))
-    return float(2.0 / (3.0 * (1.0 + np.cos(min(half, 0.5 * np.pi)))))
+def smooth_segments(contours: OrientedContours, closed: Bools) -> Segments:
+    """One cubic or line for each segment of the contours.
 
-
-@kernel
-def set_cubic(B: Floats, p: Floats, q: Floats, start: float, end: float) -> None:
-    """Write the cubic from p to q whose directions leave the chord by the given angles (rad; see :class:`OrientedContours`)."""
-    x, y = q[0] - p[0], q[1] - p[1]
-    leg = leg_over_chord(start, end)
-    c, s = np.cos(start) * leg, np.sin(start) * leg
-    B[0], B[3] = p, q
-    B[1, 0], B[1, 1] = p[0] + c * x + s * y, p[1] + c * y - s * x
-    c, s = np.cos(end) * leg, np.sin(end) * leg
-    B[2, 0], B[2, 1] = q[0] - c * x + s * y, q[1] - c * y - s * x
+    The inner legs of a cubic are as long as those of a circle's that turns as much (Stone, DeRose 1989).
+    """
+    ring, following, _ = around(contours.starts)
+    at = np.arange(ring.size)
+    i = np.flatnonzero((following > at) | (closed[ring] & (following != at)))
+    j = following[i]
+    p, q, start, end = contours.points[i], contours.points[j], contours.after[i], contours.before[j]
+    x, y = (q - p).T
+    half = 0.5 * (np.abs(start) + np.abs(end))
+    leg = 2.0 / (3.0 * (1.0 + np.cos(np.minimum(half, 0.5 * np.pi))))
+    B = np.stack([p, p, q, q], axis=1)
+    curved = ~contours.straight[i]
+    for k, angle, side in ((1, start, 1.0), (2, end, -1.0)):
+        c, s = np.cos(angle) * leg, side * np.sin(angle) * leg
+        B[curved, k] += side * np.column_stack([c * x + s * y, c * y - s * x])[curved]
+    kind = np.where(curved, np.uint8(SPLINE), np.uint8(LINE))
+    starts = np.concatenate([[0], np.cumsum(np.bincount(ring[i], minlength=closed.size))]).astype(np.int64)
+    return Segments(B, kind, contours.corner[i], starts)
 
 
 def pieces_of(segments: Segments) -> Pieces:
@@ -65,112 +68,65 @@ def pieces_of(segments: Segments) -> Pieces:
 
     A spline of cubics has double inner knots, whose intervals make it continuously differentiable.
     """
-    count = len(segments.kind)
-    rings = segments.ring_starts.size - 1
-    kind = np.empty(count, np.uint8)
-    control_starts, knot_starts = np.zeros(count + 1, np.int64), np.zeros(count + 1, np.int64)
-    ring_starts = np.zeros(rings + 1, np.int64)
-    control, knots = np.empty((4 * count, 2)), np.empty(8 * count)
-    pieces = _join(segments, kind, control_starts, knot_starts, ring_starts, control, knots)
-    control_starts, knot_starts = control_starts[: pieces + 1].copy(), knot_starts[: pieces + 1].copy()
+    B, kind = segments.points, segments.kind
+    count = len(kind)
+    begins = np.zeros(count + 1, np.bool_)
+    begins[segments.ring_starts] = True
+    begins = begins[:-1]
+    curved = kind == SPLINE
+    begins[1:] |= (kind[1:] != kind[:-1]) | (kind[1:] == ARC) | (curved[1:] & segments.corner[1:])
+    legs = np.hypot(*np.moveaxis(B[:, [1, 3]] - B[:, [0, 2]], 2, 0))
+    begins[1:] |= curved[1:] & ((legs[1:, 0] == 0.0) | (legs[:-1] == 0.0).any(axis=1))
+    # Each knot interval is to that before as the legs that meet between them. So, over the length of a first leg, it grows by
+    # the logarithms of first over last legs; where it has grown too uneven the next spline begins.
+    growth = np.log(np.where(legs > 0.0, legs, 1.0)) @ np.array([1.0, -1.0]) * curved
+    grown = np.cumsum(growth) - growth
+    while True:
+        start = np.maximum.accumulate(np.where(begins, np.arange(count), 0))
+        uneven = np.flatnonzero(curved & (np.abs(grown - grown[start]) >= np.log(UNEVEN)))
+        if not uneven.size:
+            break
+        begins[uneven[np.unique(start[uneven], return_index=True)[1]]] = True
+    first = np.flatnonzero(begins)
+    sizes = np.diff(first, append=count)
+    last, of_piece = first + sizes - 1, kind[first]
+    piece = np.repeat(np.arange(first.size), sizes)
+    place = np.arange(count) - first[piece]
+    splines = of_piece == SPLINE
+    control_starts = _starts(np.where(splines, 2 * sizes + 2, np.where(of_piece == ARC, 3, sizes + 1)))
+    knot_starts = _starts(np.where(splines, 2 * sizes + 6, 0))
+    control, knots = np.empty((int(control_starts[-1]), 2)), np.empty(int(knot_starts[-1]))
+    control[control_starts[:-1]], control[control_starts[1:] - 1] = B[first, 0], B[last, 3]
+    at = control_starts[piece]
+    inner, arcs = np.flatnonzero((kind == LINE) & (place < sizes[piece] - 1)), np.flatnonzero(kind == ARC)
+    control[at[inner] + place[inner] + 1], control[at[arcs] + 1] = B[inner, 3], B[arcs, 1]
+    k = np.flatnonzero(curved)
+    for step in (1, 2):
+        control[at[k] + 2 * place[k] + step] = B[k, step]
+    own = np.where(begins | (legs[start, 0] == 0.0), 1.0, legs[start, 0])
+    relative = np.where(begins, 1.0, legs[:, 0] / own * np.exp(grown - grown[start]))
+    chord = np.hypot(*(B[:, 3] - B[:, 0]).T)
+    total, wanted = (np.bincount(piece, column, minlength=first.size) for column in (relative, chord))
+    interval = np.where(curved, relative * (wanted / np.where(total > 0.0, total, 1.0))[piece], 0.0)
+    along = np.cumsum(interval)
+    along -= (along - interval)[first][piece]
+    at = knot_starts[piece]
+    for step in (4, 5):
+        knots[at[k] + 2 * place[k] + step] = along[k]
+    head, tail = knot_starts[:-1][splines], knot_starts[1:][splines]
+    for step in range(4):
+        knots[head + step] = 0.0
+    for step in (1, 2):
+        knots[tail - step] = along[last[splines]]
     return Pieces(
-        ring_starts,
-        kind[:pieces].copy(),
+        np.searchsorted(first, segments.ring_starts).astype(np.int64),
+        of_piece,
         control_starts,
-        control[: control_starts[-1]].copy(),
+        control,
         knot_starts,
-        knots[: knot_starts[-1]].copy(),
+        knots,
     )
 
 
-@kernel
-def _join(
-    segments: Segments,
-    kind: NDArray[np.uint8],
-    control_starts: Ints,
-    knot_starts: Ints,
-    ring_starts: Ints,
-    control: Floats,
-    knots: Floats,
-) -> int:
-    """Write the pieces of all rings; returns their number."""
-    p = 0
-    for ring in range(ring_starts.size - 1):
-        i = segments.ring_starts[ring]
-        while i < segments.ring_starts[ring + 1]:
-            end = _piece_end(segments, i, segments.ring_starts[ring + 1])
-            C = control[control_starts[p] :]
-            U = knots[knot_starts[p] :]
-            kind[p] = segments.kind[i]
-            controls = knot_count = 0
-            if kind[p] == LINE:
-                C[0] = segments.points[i, 0]
-                for k in range(i, end):
-                    C[k - i + 1] = segments.points[k, 3]
-                controls = end - i + 1
-            elif kind[p] == ARC:
-                C[0], C[1], C[2] = segments.points[i, 0], segments.points[i, 1], segments.points[i, 3]
-                controls = 3
-            else:
-                controls, knot_count = _write_spline(segments.points[i:end], C, U)
-            control_starts[p + 1] = control_starts[p] + controls
-            knot_starts[p + 1] = knot_starts[p] + knot_count
-            p += 1
-            i = end
-        ring_starts[ring + 1] = p
-    return p
-
-
-@kernel
-def _piece_end(segments: Segments, first: int, last: int) -> int:
-    """Segment after the last one of the piece that begins at `first`."""
-    if segments.kind[first] == ARC:
-        return first + 1
-    interval = 1.0
-    for i in range(first + 1, last):
-        if segments.kind[i] != segments.kind[first]:
-            return i
-        if segments.kind[first] == SPLINE:
-            if segments.corner[i]:
-                return i
-            interval *= _growth(segments.points[i - 1], segments.points[i])
-            even = _leg(segments.points[i], 0) / _leg(segments.points[first], 0)
-            if not interval < UNEVEN * even or not interval > even / UNEVEN:
-                return i
-    return last
-
-
-@kernel
-def _leg(B: Floats, k: int) -> float:
-    return float(np.hypot(B[k + 1, 0] - B[k, 0], B[k + 1, 1] - B[k, 1]))
-
-
-@kernel
-def _growth(B: Floats, following: Floats) -> float:
-    """Ratio of the knot intervals of two cubics that makes the derivative continuous where they meet."""
-    back = _leg(B, 2)
-    return _leg(following, 0) / back if back > 0.0 else np.inf
-
-
-@kernel
-def _write_spline(B: Floats, C: Floats, U: Floats) -> tuple[int, int]:
-    """Write the control points and knots of joined cubics; returns how many there are of each."""
-    n = len(B)
-    intervals = np.empty(n)
-    intervals[0] = 1.0
-    chords = 0.0
-    for i in range(n):
-        if i:
-            intervals[i] = intervals[i - 1] * _growth(B[i - 1], B[i])
-        chords += np.hypot(B[i, 3, 0] - B[i, 0, 0], B[i, 3, 1] - B[i, 0, 1])
-    intervals *= chords / intervals.sum()
-    C[0] = B[0, 0]
-    U[: DEGREE + 1] = 0.0
-    at = 0.0
-    for i in range(n):
-        C[1 + 2 * i], C[2 + 2 * i] = B[i, 1], B[i, 2]
-        at += intervals[i]
-        U[4 + 2 * i] = U[5 + 2 * i] = at
-    C[2 * n + 1] = B[n - 1, 3]
-    U[2 * n + 2 : 2 * n + 6] = at
-    return 2 * n + 2, 2 * n + 6
+def _starts(sizes: Ints) -> Ints:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)

@@ -23,7 +23,6 @@ from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.table import Stands, turned_checks
 from ebamcheck.checks.text_heat import scans_of
-from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import Layers
@@ -48,6 +47,7 @@ from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
 from ebamcheck.slicers.slicing import Slicing
+from ebamcheck.surface.part_surface import keep_surface_of
 
 ROOM_K = 10.0  # room under the limit beside what was found over it: with other waits and power beads are entered at other moments
 MOST_K = 150.0  # more than this no plan is to aim lower

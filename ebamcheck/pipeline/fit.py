@@ -233,8 +233,7 @@ def fit_result(
 ) -> FitResult:
     """Put a fit beside those of other methods, and beside a finer tessellation of the part where there is one."""
     curves = verdict.curves
-    figures = {curves.method: _figures(curves, table)}
-    figures |= {name: _figures(other, fit_deviation(other, layers)) for name, other in others.items()}
+    figures = {name: _figures(one) for name, one in {curves.method: curves, **others}.items()}
     tables: dict[str, Table] = {"curves.parquet": curves, "fit.csv": table}
     if fine is not None:
         found, of_reference = _against_reference(layers, {curves.method: curves, **others}, fine, go_on)
@@ -242,11 +241,14 @@ def fit_result(
     return FitResult(verdict, len(layers.points), figures, tables)
 
 
-def _figures(curves: Curves, deviation: pd.DataFrame) -> MethodFigures:
+def _figures(curves: Curves) -> MethodFigures:
+    found = curves.evidence
+    if found is None:
+        raise ValueError("curves of a fit carry its evidence")
     return MethodFigures(
         blocks=int(curves.block_count()),
-        max_points_mm=float(deviation["points_mm"].max()),
-        max_bulge_mm=float(deviation["bulge_mm"].max()),
+        max_points_mm=float(found.points_mm.max(initial=0.0)),
+        max_bulge_mm=float(found.bulge_mm.max(initial=0.0)),
     )
 
 

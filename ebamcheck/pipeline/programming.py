@@ -17,7 +17,6 @@ from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.checks.rules import with_remedies
 from ebamcheck.checks.text_heat import build_times_s, known_sections
 from ebamcheck.curves import Curves
-from ebamcheck.curves.per_part import surface_kept
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
@@ -45,6 +44,7 @@ from ebamcheck.program import read_program, verify_program
 from ebamcheck.result import Check, has_fault
 from ebamcheck.scan import ScanPlan
 from ebamcheck.settings.config import Config
+from ebamcheck.surface.part_surface import surface_kept
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import least_squares
 
-from ebamcheck.curves.exact.forms import (
+from ebamcheck.kernels import Floats
+from ebamcheck.surface.exact_forms import (
     CONE,
     CYLINDER,
     KIND,
@@ -23,9 +24,8 @@ from ebamcheck.curves.exact.forms import (
     SIZE,
     SPHERE,
     TORUS,
-    distances,
+    signed_distances,
 )
-from ebamcheck.kernels import Floats
 
 MOST_POINTS = 400
 """Most vertices used for a fit, evenly spread; all are then checked against it."""
@@ -105,7 +105,7 @@ def _kept(row: Floats | None, points: Floats, size: float, tolerance_mm: float) 
     found = refined(row, points, tolerance_mm)
     if np.abs(found[OWN : OWN + 5]).max() > MOST_RADIUS * size:
         return
-    off = distances(found, points)
+    off = signed_distances(found[None], points)[:, 0]
     if np.abs(off).max() <= tolerance_mm:
         yield found
 
@@ -130,7 +130,7 @@ class _Quadrics:
         row = np.zeros(SIZE)
         row[PLACE - 1], row[PLACE : PLACE + 3] = QUADRIC, middle
         row[OWN : OWN + 10] = own / np.concatenate([np.full(6, size * size), np.full(3, size), [1.0]])
-        if np.abs(distances(row, points)).max() > tolerance_mm:
+        if np.abs(signed_distances(row[None], points)[:, 0]).max() > tolerance_mm:
             self.count = 0
             return
         self.only = row
@@ -239,8 +239,10 @@ def _is_ruled(row: Floats, points: Floats, tolerance_mm: float, straight: bool) 
     off = points - row[PLACE : PLACE + 3]
     flat = off @ _across(axis).T
     reach = float(np.linalg.norm(flat, axis=1).max())
-    angles = np.unwrap(np.sort(np.arctan2(flat[:, 1], flat[:, 0]))) * reach
-    rulings = _distinct(angles, APART * tolerance_mm)
+    around = np.sort(np.arctan2(flat[:, 1], flat[:, 0])) * reach
+    rulings = _distinct(around, APART * tolerance_mm)
+    # One ruling may have its points on both sides of the half turn.
+    rulings -= rulings > 1 and around[0] + 2.0 * np.pi * reach - around[-1] <= APART * tolerance_mm
     if rulings < LEAST_RULINGS:
         return False
     if straight and len(points) >= 2 * rulings:
@@ -273,8 +275,7 @@ LOST = 100.0
 
 MOST_STEPS = 40
 
-STEP = 1e-6
-"""Step of the difference quotients: a fraction of the points' extent, or rad."""
+STEP = 1e-6  # of the difference quotients: a fraction of the points' extent, or rad
 
 UNKNOWNS = {SPHERE: 4, CYLINDER: 5, CONE: 6, TORUS: 7}
 
@@ -283,18 +284,29 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
     """The form (SIZE,) of least squares from a first guess; one that stays far beyond the tolerance is given up early."""
     size = float(np.ptp(points, axis=0).max())
     count = UNKNOWNS[int(row[KIND])]
+    frame = _across(row[OWN : OWN + 3])
+    tries = np.concatenate([np.zeros((1, count)), STEP * np.eye(count)])
+
+    def off(moves: Floats) -> Floats:
+        rows = np.repeat(_moved(row, frame, moves, size), len(points), axis=0)
+        found = signed_distances(rows, np.tile(points, (len(moves), 1)))[:, 0]
+        return np.asarray(found.reshape(len(moves), -1) / size)
+
+    def off_at(move: Floats) -> Floats:
+        return np.asarray(off(move[None])[0])
+
+    def slopes(move: Floats) -> Floats:
+        here, *beside = off(move + tries)
+        return np.column_stack([there - here for there in beside]) / STEP
+
     move = np.zeros(count)
-
-    def off(x: Floats) -> Floats:
-        return distances(_moved(row, x, size), points) / size
-
     for steps in (FIRST_STEPS, MOST_STEPS):
         found = least_squares(
-            off,
+            off_at,
             move,
-            method="lm" if len(points) >= count else "trf",
-            diff_step=np.full(count, STEP),
-            max_nfev=steps * (count + 1),
+            slopes,
+            method="lm",
+            max_nfev=steps,
             xtol=1e-15,
             ftol=1e-15,
             gtol=1e-15,
@@ -302,29 +314,28 @@ def refined(row: Floats, points: Floats, tolerance: float) -> Floats:
         move = found.x
         if not np.sqrt(np.mean(found.fun * found.fun)) * size <= LOST * tolerance:
             break
-    return _moved(row, move, size)
+    return np.asarray(_moved(row, frame, move[None], size)[0])
 
 
-def _moved(row: Floats, move: Floats, size: float) -> Floats:
-    """A form after a small move: of its place and sizes in units of `size`, of its axis and angles in rad."""
+def _moved(row: Floats, frame: Floats, moves: Floats, size: float) -> Floats:
+    """A form after small moves (n, unknowns): of its place and sizes in units of `size`, of its axis and angles in rad."""
     kind = int(row[KIND])
-    found = row.copy()
+    found = np.repeat(row[None], len(moves), axis=0)
     if kind == SPHERE:
-        found[PLACE : PLACE + 3] += size * move[:3]
-        found[OWN] += size * move[3]
+        found[:, PLACE : PLACE + 3] += size * moves[:, :3]
+        found[:, OWN] += size * moves[:, 3]
         return found
     axis = row[OWN : OWN + 3]
-    u, v = _across(axis)
-    turned = axis + move[0] * u + move[1] * v
-    found[OWN : OWN + 3] = turned / np.linalg.norm(turned)
-    found[PLACE : PLACE + 3] += size * (move[2] * u + move[3] * v)
+    turned = axis + moves[:, :2] @ frame
+    found[:, OWN : OWN + 3] = turned / np.linalg.norm(turned, axis=1)[:, None]
+    found[:, PLACE : PLACE + 3] += size * (moves[:, 2:4] @ frame)
     if kind == CYLINDER:
-        found[OWN + 3] += size * move[4]
+        found[:, OWN + 3] += size * moves[:, 4]
         return found
-    found[PLACE : PLACE + 3] += size * move[4] * axis
+    found[:, PLACE : PLACE + 3] += size * moves[:, 4:5] * axis
     if kind == CONE:
-        angle = np.arctan2(row[OWN + 4], row[OWN + 3]) + move[5]
-        found[OWN + 3], found[OWN + 4] = np.cos(angle), np.sin(angle)
+        angle = np.arctan2(row[OWN + 4], row[OWN + 3]) + moves[:, 5]
+        found[:, OWN + 3], found[:, OWN + 4] = np.cos(angle), np.sin(angle)
     else:
-        found[OWN + 3 : OWN + 5] += size * move[5:7]
+        found[:, OWN + 3 : OWN + 5] += size * moves[:, 5:7]
     return found

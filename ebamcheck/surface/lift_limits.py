@@ -4,7 +4,7 @@ Tessellation and decimation keep to a chord error. If the normals of an edge dem
 its ends have by their dihedral angles, it is a long side that borders on a fine rounding, whose normals it has, or its ends were
 moved. Its lift is then made smaller the more the normals demand. Meshes of scattered points keep to no chord error: there the
 long edges do need a larger lift. On a mesh that is no tessellator's, an edge far longer than the chords ahead of it is lifted
-by no more than the turns there tell (:mod:`ebamcheck.curves.ends_ahead`). Where the normals are noise nothing is lifted.
+by no more than the turns there tell (:mod:`ebamcheck.surface.turns_ahead`). Where the normals are noise nothing is lifted.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.ends_ahead import EndsAhead, Ground, ends_ahead
-from ebamcheck.curves.regions import FREEFORM, PLANE, STRIP
-from ebamcheck.curves.vertex_normals import PartSurface
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.topology import NO_TWIN
+from ebamcheck.surface.part_surface import PartSurface
+from ebamcheck.surface.regions import FREEFORM, PLANE, STRIP
+from ebamcheck.surface.turns_ahead import EndsAhead, Ground, circumcentres, ends_ahead
 
 LIMITS = ("plane", "sagitta of the mesh", "sagittas near", "scattered points", "turns ahead")
 """What limits the lift of an edge, by number."""
@@ -316,6 +316,7 @@ def _ground(surface: PartSurface) -> Ground:
         np.ascontiguousarray(surface.facet_normals),
         starts.astype(np.int32),
         corners.astype(np.int32),
+        circumcentres(surface.vertices[surface.faces]),
     )
 
 

@@ -2,25 +2,28 @@
 
 A *sector* is a set of facet corners about one vertex that no crease separates: a smooth vertex has one, a
 vertex on a sharp edge two, the corner of a cube three. Each sector has a normal of its own, by the regions of the mesh
-(:mod:`ebamcheck.curves.regions.normals`).
+(:mod:`ebamcheck.surface.normals`).
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import Any, NamedTuple, TypeVar
+from weakref import WeakKeyDictionary, WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.curves.exact import ExactSurfaces, exact_surfaces
-from ebamcheck.curves.per_part import once_a_part
-from ebamcheck.curves.regions import FREEFORM, PLANE, find_regions
-from ebamcheck.curves.regions.normals import region_normals
-from ebamcheck.curves.regions.offsets import Offsets, vertex_offsets
 from ebamcheck.kernels import Bools, Floats
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, edge_groups, twins
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.surface.exact_surfaces import ExactSurfaces, exact_surfaces
+from ebamcheck.surface.normals import region_normals
+from ebamcheck.surface.offsets import Offsets, vertex_offsets
+from ebamcheck.surface.regions import FREEFORM, PLANE, find_regions
 
 LEAST_SAGITTA_MM = 1e-6
 """Facets with a smaller sagitta are left out of the median."""
@@ -70,6 +73,56 @@ class PartSurface(NamedTuple):
     def smooth(self) -> Bools:
         """(3 F,) whether the surface continues across each half-edge without a crease."""
         return np.asarray(self.twin != NO_TWIN)
+
+
+# -- what is computed from a mesh alone, kept for parts whose layers are fitted one after the other ---------------
+
+_Found = TypeVar("_Found")
+_Key = TypeVar("_Key", bound=Hashable)
+
+_kept: WeakSet[Part] = WeakSet()
+
+_memories: list[WeakKeyDictionary[Part, Any]] = []
+"""Last key and result of each decorated function, by part."""
+
+
+def keep_surface_of(part: Part) -> None:
+    """Keep what is computed from a part's mesh for as long as the part exists: some 100 bytes per facet."""
+    _kept.add(part)
+
+
+@contextmanager
+def surface_kept(part: Part) -> Iterator[None]:
+    """Keep what is computed from a part's mesh within the block, in which several fits need the same."""
+    if part in _kept:
+        yield
+        return
+    _kept.add(part)
+    try:
+        yield
+    finally:
+        _kept.discard(part)
+        for memory in _memories:
+            memory.pop(part, None)
+
+
+def once_a_part(function: Callable[[Part, _Key], _Found]) -> Callable[[Part, _Key], _Found]:
+    """Decorate a function of a part and a key, such as settings, so that its last result is kept.
+
+    It is kept only for parts named by :func:`keep_surface_of` or :func:`surface_kept`. Callers must not modify it.
+    """
+    known: WeakKeyDictionary[Part, tuple[_Key, _Found]] = WeakKeyDictionary()
+    _memories.append(known)
+
+    @wraps(function)
+    def kept(part: Part, key: _Key) -> _Found:
+        if part not in _kept:
+            return function(part, key)
+        if part not in known or known[part][0] != key:
+            known[part] = key, function(part, key)
+        return known[part][1]
+
+    return kept
 
 
 @once_a_part

@@ -13,13 +13,12 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.curves.exact.fitting import told_forms
-from ebamcheck.curves.exact.forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, signed_distances
-from ebamcheck.curves.exact.growing import Ground, grown
-from ebamcheck.curves.regions.segmentation import PLANE, STRIP, Regions
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
+from ebamcheck.surface.exact_forms import FLAT, KIND, OWN, PLACE, SIDE, SIZE, Ground, grown, signed_distances
+from ebamcheck.surface.form_fits import told_forms
+from ebamcheck.surface.regions import PLANE, STRIP, Regions
 
 FIT = 3.0
 """Tolerance of a fitted surface, over that of a plane: errors of the fitted position and size add to those of the vertices."""
@@ -45,12 +44,7 @@ class ExactSurfaces(NamedTuple):
     label: Index
     """(F,) surface of each facet; :data:`NO_SURFACE` for none."""
     rows: Floats
-    """(S, SIZE) surfaces, in the layout of :mod:`ebamcheck.curves.exact.forms`."""
-
-
-def no_surfaces(facet_count: int) -> ExactSurfaces:
-    """Exact surfaces of a mesh on which none is known."""
-    return ExactSurfaces(np.full(facet_count, NO_SURFACE, np.int32), np.zeros((0, SIZE)))
+    """(S, SIZE) surfaces, in the layout of :mod:`ebamcheck.surface.exact_forms`."""
 
 
 def exact_surfaces(
@@ -150,7 +144,7 @@ class _Search:
         return False
 
     def _forms(self, groups: Index) -> Iterator[Floats]:
-        """Forms fitted to the told vertices of groups (:mod:`ebamcheck.curves.exact.finding`), with their sides set."""
+        """Forms fitted to the told vertices of groups (:mod:`ebamcheck.surface.exact_surfaces`), with their sides set."""
         ground = self.ground
         facets = _facets_of(ground, groups)
         corners = np.unique(ground.faces[facets][ground.told[facets]])

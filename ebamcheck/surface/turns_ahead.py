@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Floats, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.threads import run_blocks
 
@@ -65,19 +65,8 @@ class Ground(NamedTuple):
     """(fans + 1,) first corner of each fan in `corners`."""
     corners: Index
     """Corners 3 f + i by fan."""
-
-
-class Way(NamedTuple):
-    """Turns and chords met straight ahead of each end of an edge."""
-
-    turns: Floats
-    """(2, MOST_JOINTS) turns, the first at the end of the edge; positive towards the side that the edge bends to."""
     centres: Floats
-    """(2, MOST_JOINTS) distance from the end of the edge to the middle of the chord after each turn, mm."""
-    lengths: Floats
-    """(2, MOST_JOINTS + 1) how far the edge itself goes on without a turn, and the chord after each turn, mm."""
-    joints: Ints
-    """(2,) number of turns met."""
+    """(F, 3) circumcentres of the facets, of slivers their middles: there the surface has the facet's direction, on a sphere."""
 
 
 class EndsAhead(NamedTuple):
@@ -111,12 +100,14 @@ def ends_ahead(ground: Ground, flat_mm: float, step: int = 1) -> EndsAhead:
 
 @kernel
 def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: EndsAhead) -> None:
-    way = Way(
-        np.zeros((2, MOST_JOINTS)),
-        np.zeros((2, MOST_JOINTS)),
-        np.zeros((2, MOST_JOINTS + 1)),
-        np.zeros(2, np.int64),
+    # By end of an edge: turns and, ahead of the end, middles of the chords after them; how far the edge itself goes on without
+    # a turn, and the lengths of these chords.
+    turns, centres, lengths = (
+        np.empty((2, MOST_JOINTS)),
+        np.empty((2, MOST_JOINTS)),
+        np.empty((2, MOST_JOINTS + 1)),
     )
+    joints = np.empty(2, np.int64)
     for h in range(first, last):
         g = ground.twin[h]
         if h // 3 % step or g == NO_TWIN or (g < h and g // 3 % step == 0):
@@ -131,16 +122,37 @@ def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: E
         if length == 0.0 or size == 0.0:
             continue
         up /= size
-        way.turns[:], way.centres[:], way.lengths[:], way.joints[:] = 0.0, 0.0, 0.0, 0
-        _walk(ground, h, b, along, up, length, flat, 0, way)
-        _walk(ground, h, a, -along, up, length, flat, 1, way)
-        chord = length + way.lengths[0, 0] + way.lengths[1, 0]
-        found.turns[h] = found.turns[g] = way.joints[0] + way.joints[1]
         for end in range(2):
-            if way.joints[end] > 0:
-                height = 0.5 * chord * np.tan(0.25 * min(_span(chord, end, way), LARGEST_SPAN_RAD))
-                found.told[h, end] = found.told[g, end] = np.copysign(height, way.turns[end, 0])
-                found.ratio[h, end] = found.ratio[g, end] = chord / max(way.lengths[end, 1], 1e-9)
+            way = along if end == 0 else -along
+            joints[end] = _walk(
+                ground, h, b if end == 0 else a, way, up, length, flat, turns[end], centres[end], lengths[end]
+            )
+        chord = length + lengths[0, 0] + lengths[1, 0]
+        found.turns[h] = found.turns[g] = joints[0] + joints[1]
+        for end in range(2):
+            if joints[end] == 0:
+                continue
+            # What the chord spans: twice the turn at its end less what the surface beyond turns from there to its first
+            # middle. A far longer chord beyond is a flat side, and turns nothing: it would turn many times as much.
+            own, near = turns[end, 0], lengths[end, 1]
+            beside = 0.0
+            if near < WIDTH_RATIO * chord:
+                side = 1.0 if own > 0.0 else -1.0
+                bend = turned = 0.0
+                for k in range(1, joints[end]):
+                    if k > 1 and lengths[end, k + 1] >= WIDTH_RATIO * near:
+                        break  # the rounding ends here
+                    turned += turns[end, k]
+                    apart = centres[end, k] - centres[end, 0]
+                    if apart >= LEAST_APART * near:
+                        bend = side * turned / apart
+                beside = min(max(bend * centres[end, 0], 0.0), abs(own))
+                if joints[end] > 1 and min(chord, lengths[end, 2]) >= WIDTH_RATIO * near:
+                    beside = max(beside, min(0.5 * side * (own + turns[end, 1]), abs(own)))
+            span = min(2.0 * (abs(own) - beside), LARGEST_SPAN_RAD)
+            height = np.copysign(0.5 * chord * np.tan(0.25 * span), own)
+            found.told[h, end] = found.told[g, end] = height
+            found.ratio[h, end] = found.ratio[g, end] = chord / max(near, 1e-9)
 
 
 @kernel
@@ -152,31 +164,38 @@ def _walk(
     up: Floats,
     length: float,
     flat: float,
-    end: int,
-    way: Way,
-) -> None:
-    """Go straight ahead from the end of an edge, in the plane of a direction and an upward one, and note the turns.
+    turns: Floats,
+    centres: Floats,
+    lengths: Floats,
+) -> int:
+    """Go straight ahead from the end of an edge, in the plane of a direction and an upward one, and note the turns; how many.
 
     Where the way does not turn, to rounding, a chord goes on: so a flat side is one chord however it is cut up.
     """
     m = np.array([d[1] * up[2] - d[2] * up[1], d[2] * up[0] - d[0] * up[2], d[0] * up[1] - d[1] * up[0]])
     here, start = ground.vertices[vertex].copy(), ground.vertices[vertex]
-    there = np.empty(3)
+    lengths[0] = 0.0
     f, fan = h // 3, 0
     for k in range(3):
         if ground.faces[f, k] == vertex:
             fan = ground.fans[f, k]
-    at_vertex, edge, n = vertex, -1, 0
+    at_vertex, edge, n = True, -1, 0
     x, y, chord = 1.0, 0.0, length
     for _ in range(MOST_STEPS):
-        if at_vertex >= 0:
-            following = _through_fan(ground, fan, here, d, m)
+        from_vertex = at_vertex
+        if from_vertex:
+            edge = _through_fan(ground, fan, here, d, m)
+        elif ground.twin[edge] == NO_TWIN:
+            return n
         else:
-            following = _through_facet(ground, ground.twin[edge], here, m)
-        if following < 0:
-            return
-        from_vertex = at_vertex >= 0
-        edge = following
+            entry = ground.twin[edge]
+            f, k = entry // 3, (entry % 3 + 2) % 3
+            side = 0.0
+            for axis in range(3):
+                side += (ground.vertices[ground.faces[f, k], axis] - here[axis]) * m[axis]
+            edge = 3 * f + (k if side > 0.0 else (k + 2) % 3)
+        if edge < 0:
+            return n
         f, k = edge // 3, edge % 3
         p, q = ground.faces[f, k], ground.faces[f, (k + 1) % 3]
         right = left = 0.0
@@ -184,37 +203,33 @@ def _walk(
             right += (ground.vertices[p, axis] - here[axis]) * m[axis]
             left += (ground.vertices[q, axis] - here[axis]) * m[axis]
         s = right / (right - left) if right > left else 0.5
-        at_vertex = -1
-        if s < SNAP:
-            s, at_vertex, fan = 0.0, p, ground.fans[f, k]
-        elif s > 1.0 - SNAP:
-            s, at_vertex, fan = 1.0, q, ground.fans[f, (k + 1) % 3]
-        for axis in range(3):
-            there[axis] = (1.0 - s) * ground.vertices[p, axis] + s * ground.vertices[q, axis]
+        at_vertex = s < SNAP or s > 1.0 - SNAP
+        if at_vertex:
+            fan = ground.fans[f, k if s < SNAP else (k + 1) % 3]
+            s = 0.0 if s < SNAP else 1.0
         u = v = ahead = 0.0
         for axis in range(3):
-            step = there[axis] - here[axis]
-            u += step * d[axis]
-            v += step * up[axis]
-            ahead += (0.5 * (there[axis] + here[axis]) - start[axis]) * d[axis]
-        here[:] = there
+            there = (1.0 - s) * ground.vertices[p, axis] + s * ground.vertices[q, axis]
+            u += (there - here[axis]) * d[axis]
+            v += (there - here[axis]) * up[axis]
+            middle = 0.5 * (there + here[axis]) if from_vertex and at_vertex else ground.centres[f, axis]
+            ahead += (middle - start[axis]) * d[axis]
+            here[axis] = there
         size = np.hypot(u, v)
         if size == 0.0:
             continue
         turn = np.arctan2(y * u - x * v, x * u + y * v)
         if abs(turn) * chord * size / (chord + size) < flat:
-            way.lengths[end, n] += size
+            lengths[n] += size
             chord += size
             continue
         if n == MOST_JOINTS:
-            return
-        if not (from_vertex and at_vertex >= 0):
-            ahead = _centre_ahead(ground, f, start, d)
-        way.turns[end, n], way.centres[end, n] = turn, ahead
+            return n
+        turns[n], centres[n] = turn, ahead
         n += 1
-        way.joints[end] = n
-        way.lengths[end, n] = chord = size
+        lengths[n] = chord = size
         x, y = u / size, v / size
+    return n
 
 
 @kernel
@@ -242,58 +257,12 @@ def _through_fan(ground: Ground, fan: int, here: Floats, d: Floats, m: Floats) -
     return chosen
 
 
-@kernel
-def _through_facet(ground: Ground, entry: int, here: Floats, m: Floats) -> int:
-    """Half-edge by which the way leaves the facet that it enters by a half-edge; -1 at a crease."""
-    if entry == NO_TWIN:
-        return -1
-    f, k = entry // 3, entry % 3
-    r = ground.faces[f, (k + 2) % 3]
-    side = 0.0
-    for axis in range(3):
-        side += (ground.vertices[r, axis] - here[axis]) * m[axis]
-    return int(3 * f + ((k + 2) % 3 if side > 0.0 else (k + 1) % 3))
-
-
-@kernel
-def _centre_ahead(ground: Ground, f: int, start: Floats, d: Floats) -> float:
-    """How far ahead of a place a facet's circumcentre lies: there the surface has the facet's direction, on a sphere."""
-    a, b, c = (
-        ground.vertices[ground.faces[f, 0]],
-        ground.vertices[ground.faces[f, 1]],
-        ground.vertices[ground.faces[f, 2]],
-    )
-    p, q, r = b - c, c - a, a - b
-    pp, qq, rr = np.sum(p * p), np.sum(q * q), np.sum(r * r)
-    wa, wb, wc = pp * (qq + rr - pp), qq * (rr + pp - qq), rr * (pp + qq - rr)
-    total = wa + wb + wc
-    if total <= LEAST_SHAPE * (pp + qq + rr) ** 2:
-        wa, wb, wc, total = 1.0, 1.0, 1.0, 3.0
-    ahead = 0.0
-    for axis in range(3):
-        ahead += ((wa * a[axis] + wb * b[axis] + wc * c[axis]) / total - start[axis]) * d[axis]
-    return ahead
-
-
-@kernel
-def _span(chord: float, end: int, way: Way) -> float:
-    """What a chord spans: twice the turn at its end less what the surface beyond turns from there to its first middle.
-
-    A far longer chord beyond is a flat side, and turns nothing: where it did, it would turn many times as much.
-    """
-    own, centre, near = way.turns[end, 0], way.centres[end, 0], way.lengths[end, 1]
-    if near >= WIDTH_RATIO * chord:
-        return float(2.0 * abs(own))
-    side = 1.0 if own > 0.0 else -1.0
-    bend = turned = 0.0
-    for k in range(1, way.joints[end]):
-        if k > 1 and way.lengths[end, k + 1] >= WIDTH_RATIO * near:
-            break  # the rounding ends here
-        turned += way.turns[end, k]
-        apart = way.centres[end, k] - centre
-        if apart >= LEAST_APART * near:
-            bend = side * turned / apart
-    beside = min(max(bend * centre, 0.0), abs(own))
-    if way.joints[end] > 1 and min(chord, way.lengths[end, 2]) >= WIDTH_RATIO * near:
-        beside = max(beside, min(0.5 * side * (own + way.turns[end, 1]), abs(own)))
-    return float(2.0 * (abs(own) - beside))
+def circumcentres(corners: Floats) -> Floats:
+    """Circumcentres of triangles (F, 3, 3), mm; of slivers their middles."""
+    opposite = np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1)
+    square = (opposite * opposite).sum(axis=2)
+    total = square.sum(axis=1, keepdims=True)
+    weights = square * (total - 2.0 * square)
+    whole = weights.sum(axis=1, keepdims=True)
+    weights = np.where(whole <= LEAST_SHAPE * total * total, 1.0, weights)
+    return np.asarray((weights[:, :, None] * corners).sum(axis=1) / weights.sum(axis=1)[:, None])

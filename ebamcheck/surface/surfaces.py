@@ -13,13 +13,13 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ebamcheck.curves.exact.forms import CONE, CYLINDER, FLAT, KIND, NAMES, OWN, SPHERE, TORUS
-from ebamcheck.curves.regions.segmentation import PLANE, STRIP
-from ebamcheck.curves.vertex_normals import PartSurface, surface_of
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN
 from ebamcheck.settings.stages import CurveSettings
+from ebamcheck.surface.exact_forms import CONE, CYLINDER, FLAT, KIND, NAMES, OWN, SPHERE, TORUS
+from ebamcheck.surface.part_surface import PartSurface, surface_of
+from ebamcheck.surface.regions import PLANE, STRIP
 
 KINDS = ("plane", "cylinder", "cone", "sphere", "torus", "quadric", "ruled", "freeform")
 

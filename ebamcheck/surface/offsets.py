@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.regions.jets import Corners, predicted
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.topology import Index
+from ebamcheck.surface.jets import Corners, predicted
 from ebamcheck.threads import run_blocks
 
 VERTICES_A_BLOCK = 512

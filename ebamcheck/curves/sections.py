@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.exact.finding import ExactSurfaces
-from ebamcheck.curves.exact.forms import FLAT, KIND, SIDE, signed_distances
-from ebamcheck.curves.sides import NO_FORM, NO_PLANE, Sides
+from ebamcheck.curves.oriented_contours import NO_FORM, NO_PLANE, Sides
+from ebamcheck.curves.splitting import angles
 from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.surface.exact_forms import FLAT, KIND, SIDE, signed_distances
+from ebamcheck.surface.exact_surfaces import ExactSurfaces
 
 MOST_STEPS = 40
 """Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level."""
@@ -231,14 +232,7 @@ def _divided(rows: Floats, sides: Sides, i: Ints, j: Ints, heights: Floats, part
     starts = np.concatenate([sides.after[i][:, None], ways], axis=1)
     ends = np.concatenate([ways, sides.before[j][:, None]], axis=1)
     chord = np.diff(points, axis=1)
-    start, end = _angle(starts, chord), _angle(chord, ends)
+    start, end = angles(starts, chord), angles(chord, ends)
     span = np.abs(start) + np.abs(end)
     uneven = (span > LEAST_SPAN_RAD) & (np.abs(start - end) > UNEVEN * span)
     return _Divided(every_known, ~((span > LARGEST_SPAN_RAD) | uneven).any(axis=1), at, ways)
-
-
-def _angle(a: Floats, b: Floats) -> Floats:
-    """Signed angle between vectors (..., 2), rad."""
-    return np.arctan2(
-        a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0], a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
-    )

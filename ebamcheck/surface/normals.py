@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ebamcheck.curves.regions.borders import LIKE
-from ebamcheck.curves.regions.jets import Corners, jets
-from ebamcheck.curves.regions.segmentation import FREEFORM, PLANE, STRIP, Regions
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import NO_TWIN, Index, split_corners
+from ebamcheck.surface.borders import LIKE, Borders
+from ebamcheck.surface.jets import Corners, jets
+from ebamcheck.surface.regions import FREEFORM, PLANE, STRIP, Regions
 
 ALONG_COSINE = 0.9
 """Least cosine between a sharp border of a strip and its rulings for the border to run along these; else it runs across them."""
@@ -54,7 +54,7 @@ def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:
     inner = (twin != NO_TWIN) & ((a == b) | ((kind[a] == FREEFORM) & (kind[b] == FREEFORM)))
     rows = split_corners(faces, np.where(inner, twin, NO_TWIN).astype(twin.dtype))
     row_count = int(rows.max(initial=-1)) + 1
-    strips = _strip_normals(part, twin, regions, found.normals[sectors], rows, row_count)
+    strips = _strip_normals(twin, regions, found.normals[sectors], rows, row_count)
     normals = _put_together(regions, sectors, found.normals, rows, strips, count)
     noise = np.full(row_count, np.nan)
     free = np.repeat(kind[label] == FREEFORM, 3)
@@ -104,18 +104,14 @@ def _across(normals: Floats, along: Floats) -> Floats:
     return np.asarray(normals - (normals * along).sum(axis=1)[:, None] * along)
 
 
-def _strip_normals(
-    part: Part, twin: Index, regions: Regions, curved: Floats, rows: Index, row_count: int
-) -> Floats:
+def _strip_normals(twin: Index, regions: Regions, curved: Floats, rows: Index, row_count: int) -> Floats:
     """Sums of normals (rows, 3) at the corners of strips, by their rulings; 0 elsewhere. `curved` (F, 3, 3) are the jets'.
 
     Between two strips of a circle the normal turns by the share of each in their width. At a sharp border along the
     rulings it goes on as it came. Corners that lie on no ruling take the jet's normal, less its part along the rulings.
     """
     groups, borders, kind = regions.groups, regions.borders, regions.kind
-    label, width, normals = groups.label, borders.width, groups.normals
-    ahead = np.roll(part.faces, -1, axis=1)
-    direction = _unit((part.vertices[ahead] - part.vertices[part.faces]).reshape(-1, 3))
+    label, width, normals, direction = groups.label, borders.width, groups.normals, borders.along
     mine, other = np.repeat(label, 3), label[twin // 3]
     link = (twin != NO_TWIN) & (mine != other) & (width < LIKE * width[twin])
     kinds = kind[mine], kind[other]
@@ -124,7 +120,7 @@ def _strip_normals(
     ends = _between(normals[mine[ruled]], normals[other[ruled]], share[ruled])
     free = np.flatnonzero(link & (kinds[0] == STRIP) & (kinds[1] == FREEFORM))
     sharp = np.flatnonzero((twin == NO_TWIN) & (kinds[0] == STRIP))
-    beyond = _ruling_along(sharp, mine, link, direction, regions)
+    beyond = _ruling_along(sharp, mine, link, borders)
     sharp, beyond = sharp[beyond >= 0], beyond[beyond >= 0]
     known = kinds[1][beyond] != FREEFORM
     sharp, beyond = sharp[known], beyond[known]
@@ -144,15 +140,10 @@ def _strip_normals(
     return sums
 
 
-def _ruling_along(sharp: Ints, mine: Index, link: Bools, direction: Floats, regions: Regions) -> Ints:
+def _ruling_along(sharp: Ints, mine: Index, link: Bools, borders: Borders) -> Ints:
     """The first ruling of its strip along each sharp half-edge; -1 for none."""
-    borders = regions.borders
-    group = mine[sharp]
-    sizes = (borders.starts[group + 1] - borders.starts[group]).astype(np.int64)
-    edge = np.repeat(np.arange(sharp.size), sizes)
-    skipped = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.int64)
-    ruling = borders.half_edges[(borders.starts[group] - skipped)[edge] + np.arange(edge.size)]
-    along = np.abs((direction[sharp[edge]] * direction[ruling]).sum(axis=1)) >= ALONG_COSINE
+    edge, ruling = borders.of_groups(mine[sharp])
+    along = np.abs((borders.along[sharp[edge]] * borders.along[ruling]).sum(axis=1)) >= ALONG_COSINE
     fits = np.flatnonzero(along & link[ruling])[::-1]
     found = np.full(sharp.size, -1, np.int64)
     found[edge[fits]] = ruling[fits]
