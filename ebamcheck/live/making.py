@@ -44,6 +44,7 @@ from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import stack_plans
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome, declared_bounds
@@ -286,14 +287,15 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         """Plan of the layer on what stands; the same with the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
         section = smooth.section(0)
-        stack = Stack(
-            [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
-        )
+        contours = [contour_region(section, config)]
+        beads = stages.contour_curves(smooth, contours, config, wanted.layer)
+        numbers = [wanted.layer + wanted.shifted]
+        stack = Stack([section], np.array([smooth.heights[0]]), numbers, self.bottom_mm, contours)
         laid, islands = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
         warm, passes = preheated(before.part, [section], 0, wanted.base_mm, config, under)
-        power_of = stages.power_by_wire([section], config, before.surface, wanted.layer)
+        power_of = stages.power_by_wire([section], beads, config, before.surface)
         done, part, last = ordered_on(
             warm,
             before.last,
@@ -310,7 +312,8 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = replace(stack_plans([done], config, order, seed), under=under, stands=before.surface)
+        plan = stack_plans([done], config, order, seed)
+        plan = replace(plan, under=under, stands=before.surface, beads=beads)
         wait_s = 0.0 if last is None or last is before.last else last.wait_s
         return plan, replace(before, part=part, last=last), wait_s
 

@@ -60,12 +60,17 @@ class Regions:
     bare_walls: list[shapely.Polygon]
 
 
-def layer_regions(section: BaseGeometry, config: Config) -> Regions:
-    """Split the section of a layer into contour, solids and thin walls."""
+def contour_region(section: BaseGeometry, config: Config) -> BaseGeometry:
+    """Region whose border is the centre line of the contour bead of a section."""
+    return inset(section, config.contour_offset_mm)
+
+
+def layer_regions(section: BaseGeometry, config: Config, contour: BaseGeometry | None = None) -> Regions:
+    """Split the section of a layer into contour, solids and thin walls; the contour is made unless it is known."""
     width = config.process.bead_width_mm
     spacing = config.process.hatch_spacing_mm
     offset = config.contour_offset_mm
-    contour = inset(section, offset)
+    contour = contour_region(section, config) if contour is None else contour
     fill = shapely.simplify(inset(contour, 0.5 * spacing), FILL_TOLERANCE * width)
     narrow = max(THIN_WALL_BEADS * width - 2.0 * offset - spacing, spacing)
     solids, thin = split_thin(fill, narrow, CORNER * narrow**2)
