@@ -17,9 +17,9 @@ from ebamcheck.heat.melting import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.stages import bead_paths, contour_curves, power_by_wire
 from ebamcheck.program import read_program, verify_program
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.laying import bead_sequence, contour_beads
 from ebamcheck.scan.plan.stacking import stack_plans
-from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import planned_path

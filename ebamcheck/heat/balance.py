@@ -27,9 +27,9 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.heat.marching import FEW_STEPS, SHORT_S, STEPS, BeadTimes, ColumnFields, cooled, driven, march
+from ebamcheck.heat.marching import BeadTimes, ColumnFields, bed_temperature_k, driven
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4, EnthalpyTables, enthalpy_tables
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.settings.config import Config
 
 LARGEST_CELL_MM = 2.5
@@ -41,6 +41,8 @@ surface is the smoother the deeper it is."""
 
 JOINED_FROM_MM = 10.0
 """Depth from which cells are joined."""
+
+NO_TIME: Floats = np.zeros(1)
 
 
 @dataclass(frozen=True)
@@ -115,21 +117,22 @@ class HeatColumn:
         """Mean temperature of the uppermost layer, K; ambient before there is any."""
         if not len(self.content):
             return self._bare_k
-        return self._mean_k(self._top, len(self.content))
+        size = self._cells[0, self._top :]
+        return float(self._material.temperature(self.content[self._top :]) @ size / size.sum())
 
     @property
     def _bare_k(self) -> float:
         """Temperature of the bare base plate, before the first layer, K."""
         if not len(self.warm_plate):
             return self.config.process.ambient_temperature_k
-        return self._material.temperature_of(float(self.warm_plate[-1]))
+        return float(self._material.temperature(self.warm_plate[-1]))
 
     @property
     def bed_k(self) -> float:
         """Temperature of the metal on which the next bead is laid, K: the warmer of the uppermost layer and the one under it."""
-        if not len(self.content):
+        if self._fields is None:
             return self._bare_k
-        return max(self.surface_k, self._mean_k(self._under, self._top))
+        return float(bed_temperature_k(self.content, self._fields, self._under, self._top))
 
     @property
     def mean_rise_k(self) -> float:
@@ -138,13 +141,6 @@ class HeatColumn:
             return 0.0
         rise_k = self.temperature_k - self.config.process.ambient_temperature_k
         return float(np.average(rise_k, weights=self._cells[0] * self._cells[1]))
-
-    def _mean_k(self, start: int, stop: int) -> float:
-        if stop == start + 1:
-            size_mm = self._cells.item(0, start)
-            return float(self._material.temperature_of(self.content.item(start)) * size_mm / size_mm)
-        temperature_k, size = self._material.temperature(self.content[start:stop]), self._cells[0, start:stop]
-        return float((temperature_k * size).sum() / size.sum())
 
     @property
     def stored_j(self) -> float:
@@ -212,23 +208,15 @@ class HeatColumn:
 
     def advance(self, duration_s: float, energy_j: float = 0.0) -> None:
         """Let time pass while the uppermost layer takes up heat."""
-        if duration_s <= 0.0 or self._fields is None:
-            return
-        steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
-        gone = march(self.content, self._fields, self._top, energy_j / duration_s, duration_s, steps)
-        self.absorbed_j += energy_j
-        self._gone(gone)
+        if duration_s > 0.0 and self._fields is not None:
+            self.drive((NO_TIME, np.array([duration_s]), np.array([energy_j], np.float64)))
 
     def wait_until(self, bed_k: float, longest_s: float) -> float:
         """Let time pass, in growing steps, until the metal under the next bead is no warmer than `bed_k`; returns the wait, s.
 
         The wait ends after the step that exceeds `longest_s`.
         """
-        if self._fields is None:
-            return 0.0 if self.bed_k <= bed_k else math.inf
-        wait_s, gone = cooled(self.content, self._fields, self._under, self._top, bed_k, longest_s)
-        self._gone(gone)
-        return wait_s
+        return float(self.drive((NO_TIME, NO_TIME, NO_TIME), bed_k, longest_s)[1][0])
 
     def drive(
         self, beads: BeadTimes, limit_k: float = math.inf, longest_s: float = math.inf
@@ -249,11 +237,6 @@ class HeatColumn:
         found = driven(self.content, self._fields, self._under, self._top, beads, limit_k, longest_s, counted)
         self.absorbed_j, self.base_j, self.radiated_j = counted.tolist()
         return found
-
-    def _gone(self, heat_j: Floats) -> None:
-        """Add to the heat passed to the table and to that radiated, J."""
-        self.base_j += heat_j.item(0)
-        self.radiated_j += heat_j.item(1)
 
 
 def radiating_mm2(
@@ -277,24 +260,18 @@ def radiating_mm2(
     return result
 
 
-@kernel
 def joined_cells(size: Floats, area: Floats, hole: Floats, under: int) -> Ints:
     """Owner (n,) of each cell after neighbours that are thin for their depth are joined; from `under` on none is.
 
     Cells beside a step of the outline, or where a channel begins or ends, stay.
     """
-    count = len(size)
-    owner = np.empty(count, np.int64)
-    below, joined, owned = 0.0, 0.0, 0
-    for i in range(count - 1, -1, -1):
-        new = i >= under - 1 or below < JOINED_FROM_MM or joined + size[i] > GROWTH * below
-        if not new:
-            step = abs(area[i] + hole[i] - area[i + 1] - hole[i + 1]) > GROWTH * area[i]
-            new = step or (hole[i] > 0.0) != (hole[i + 1] > 0.0) or i == 0
-        if new:
-            joined = 0.0
-            owned += 1
-        joined += size[i]
-        below += size[i]
-        owner[i] = owned - 1
-    return owned - 1 - owner
+    whole, count = area + hole, len(size)
+    steps = np.ones(count, np.bool_)
+    steps[1:-1] = np.abs(whole[1:-1] - whole[2:]) > GROWTH * area[1:-1]
+    steps[1:-1] |= (hole[1:-1] > 0.0) != (hole[2:] > 0.0)
+    begins, below, joined = np.zeros(count, np.bool_), 0.0, 0.0
+    for i, (mm, step) in reversed(list(enumerate(zip(size.tolist(), steps.tolist(), strict=True)))):
+        begins[i] = step or i >= under - 1 or below < JOINED_FROM_MM or joined + mm > GROWTH * below
+        joined, below = mm if begins[i] else joined + mm, below + mm
+    owner = np.cumsum(begins[::-1])[::-1]
+    return np.asarray(owner[0] - owner, np.int64)

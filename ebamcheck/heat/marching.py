@@ -168,28 +168,6 @@ FIRST_WAIT_S, WAIT_GROWTH = 1.0, 0.5
 
 
 @kernel
-def cooled(
-    content: Floats, fields: ColumnFields, under: int, top: int, bed_k: float, longest_s: float
-) -> tuple[float, Floats]:
-    """Age a column, without power, until its bed is no warmer than `bed_k`, or the wait is over `longest_s`.
-
-    All steps are taken in here: a wait takes dozens of them, and each alone would wait for the interpreter.
-
-    `content`, `fields`: as :func:`~ebamcheck.heat.marching.march` has them; `under`, `top`: first cell of the layer under
-    the uppermost one, and of that.
-
-    Returns the wait, s, and the heat to the table and radiated, J.
-    """
-    wait_s, step_s, gone = 0.0, FIRST_WAIT_S, np.zeros(2)
-    while bed_temperature_k(content, fields, under, top) > bed_k:
-        gone += march(content, fields, top, 0.0, step_s, FEW_STEPS if step_s <= SHORT_S else STEPS)
-        wait_s, step_s = wait_s + step_s, max(FIRST_WAIT_S, WAIT_GROWTH * wait_s)
-        if wait_s > longest_s:
-            break
-    return wait_s, gone
-
-
-@kernel
 def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: int) -> float:
     """Mean temperature of the warmer one of the uppermost layer and that under it; NaN where a heat content is none, after a time
     without end for instance."""
@@ -212,9 +190,6 @@ def bed_temperature_k(content: Floats, fields: ColumnFields, under: int, top: in
 BeadTimes = tuple[Floats, Floats, Floats]
 """Time with the beam off before each bead, s, its own time, s, and the energy that the layer takes up in it, J; (n,) each."""
 
-ABSORBED, BASE, RADIATED = range(3)
-"""Totals of a column, J: heat taken up, passed to the table, and radiated."""
-
 
 @kernel
 def driven(
@@ -227,38 +202,40 @@ def driven(
     longest_s: float,
     counted: Floats,
 ) -> tuple[Floats, Floats]:
-    """Drive beads; `content` and `counted` (3,) go from their first to their last state.
+    """Drive beads; `content` and what is `counted` (3,) go from their first to their last state.
 
-    `content`, `fields`, `under`, `top`: as :func:`~ebamcheck.heat.marching.cooled` has them; `limit_k`: temperature of what
-    a bead lies on above which it is waited for; endless for no waits; `longest_s`: after a longer wait for one bead the
-    rest is left out.
+    All steps are taken in here: a wait takes dozens of them, and each alone would wait for the interpreter.
+
+    `content`, `fields`: as :func:`march` has them; `under`, `top`: first cell of the layer under the uppermost one, and of that;
+    `limit_k`: temperature of what a bead lies on above which it is waited for; endless for no waits; `longest_s`: after a longer
+    wait for one bead the rest is left out; `counted`: heat taken up, passed to the table, and radiated, J.
 
     Returns (n,) temperature of what each bead lies on when the beam comes to it, K, and how long it is waited for, s.
     """
     off_s, time_s, energy_j = beads
     bed_k, waits_s = np.full(len(off_s), np.nan), np.zeros(len(off_s))
-    for n in range(len(off_s)):
-        _aged(content, fields, top, off_s[n], 0.0, counted)
-        bed_k[n] = bed_temperature_k(content, fields, under, top)
-        if bed_k[n] > limit_k:
-            waits_s[n], gone = cooled(content, fields, under, top, limit_k, longest_s)
-            counted[BASE] += gone[0]
-            counted[RADIATED] += gone[1]
-            if waits_s[n] > longest_s:
+    bead, waiting, laying, step_s = 0, False, False, FIRST_WAIT_S
+    while bead < len(off_s):
+        duration_s = time_s[bead] if laying else step_s if waiting else off_s[bead]
+        if duration_s > 0.0:
+            power_w = energy_j[bead] / duration_s if laying else 0.0
+            gone = march(
+                content, fields, top, power_w, duration_s, FEW_STEPS if duration_s <= SHORT_S else STEPS
+            )
+            counted[0] += energy_j[bead] if laying else 0.0
+            counted[1] += gone[0]
+            counted[2] += gone[1]
+        if laying:
+            bead, laying = bead + 1, False
+            continue
+        now_k = bed_temperature_k(content, fields, under, top)
+        if waiting:
+            waits_s[bead] += step_s
+            step_s = max(FIRST_WAIT_S, WAIT_GROWTH * waits_s[bead])
+            if waits_s[bead] > longest_s:
                 break
-        _aged(content, fields, top, time_s[n], energy_j[n], counted)
+        else:
+            bed_k[bead], step_s = now_k, FIRST_WAIT_S
+        waiting = now_k > limit_k
+        laying = not waiting
     return bed_k, waits_s
-
-
-@kernel
-def _aged(
-    content: Floats, fields: ColumnFields, top: int, duration_s: float, energy_j: float, counted: Floats
-) -> None:
-    """Let a time go by, in which the cells from `top` up take up heat; none where it is no time."""
-    if duration_s <= 0.0:
-        return
-    steps = FEW_STEPS if duration_s <= SHORT_S else STEPS
-    gone = march(content, fields, top, energy_j / duration_s, duration_s, steps)
-    counted[ABSORBED] += energy_j
-    counted[BASE] += gone[0]
-    counted[RADIATED] += gone[1]

@@ -40,11 +40,11 @@ from ebamcheck.pipeline.fit import fitted
 from ebamcheck.plugins import registry
 from ebamcheck.program import ProgramFiles, verify_program
 from ebamcheck.result import Check
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import stack_plans
-from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome, declared_bounds

@@ -18,8 +18,8 @@ LEAST_RIM, MOST_RIM = 1.0 / 1.15, 1.4
 """Factors by which all widths of a layer are changed at most so that the sum of the metal is right. Walls that are a little wider
 than a bead get less than three quarters of their metal by their middle, where pools overlap, and which counts most."""
 
-ITERATIONS = 20
-"""Steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after ten."""
+ITERATIONS = 10
+"""Steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after so many."""
 
 
 def balanced_widths(
