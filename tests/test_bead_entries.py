@@ -13,7 +13,7 @@ from benchmarks.faults.program_text import without_comments
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.gcode.writing import write_plain_gcode
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.stages import bead_paths, contour_curves, power_by_wire
 from ebamcheck.program import read_program, verify_program

@@ -9,7 +9,7 @@ import shapely
 from ebamcheck.checks.interpass_checks import INTERPASS, heat_checks
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.sinumerik.writing import write_program
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.pipeline.stages import bead_paths, contour_curves, power_by_wire
 from ebamcheck.program import read_program

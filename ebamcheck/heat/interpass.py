@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from ebamcheck.heat.balance import LayerShape
-from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
+from ebamcheck.heat.medium import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config

@@ -25,7 +25,8 @@ from ebamcheck.checks.table import Stands, turned_checks
 from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.curves.per_part import keep_surface_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
+from ebamcheck.heat.preheating import asked_for, preheated
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.live.heights import at_layer_feed
@@ -43,7 +44,6 @@ from ebamcheck.result import Check
 from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
-from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config

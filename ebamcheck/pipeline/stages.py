@@ -30,9 +30,8 @@ from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import run_each
-from ebamcheck.writing.bead_ends import planned_path, uppermost_seams, with_bead_ends, written_form
+from ebamcheck.writing.bead_ends import NO_SEAMS, planned_path, uppermost_seams, with_bead_ends, written_form
 from ebamcheck.writing.bead_parts import along_beads
-from ebamcheck.writing.seams import NO_SEAMS
 from ebamcheck.writing.tracks import Toolpath, toolpath
 from ebamcheck.writing.wire import bare_surface, wired
 

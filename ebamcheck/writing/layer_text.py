@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ebamcheck.heat.preheating import pass_lines
+from ebamcheck.heat.preheating import pass_lines, scanned
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.conventions import comment, header_lines, plain, safe_end_mm
 from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.nc.templates import ProcessValues, process_values, usable_templates
-from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import feed_shares, wire_at
 from ebamcheck.writing.bead_ends import driven_path

@@ -16,7 +16,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import ARC_SEGMENTS
-from ebamcheck.heat.melting import width_limits_mm
+from ebamcheck.heat.medium import width_limits_mm
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.footprints import pooled

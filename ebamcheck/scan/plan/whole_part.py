@@ -21,12 +21,12 @@ from ebamcheck.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.heat.part_heat import BeadPower, Beads, PartHeat
+from ebamcheck.heat.preheating import preheated
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.laying import ContourBeads, LaidLayer, bead_sequence, contour_beads, lay_islands
-from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import thread_count, worker_threads
 
