@@ -333,7 +333,7 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
             FEWEST_POINTS,
         )
     )
-    return np.maximum(share, LEAST_SHARE)
+    return np.asarray(np.maximum(share, LEAST_SHARE), np.float64)
 
 
 @cache

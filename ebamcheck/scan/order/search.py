@@ -353,7 +353,8 @@ def improved(
     count = len(order)
     kept, tried = order.copy(), order.copy()
     by_heat = np.arange(count)
-    begin, changed = np.int64(0), True
+    # A number, not a literal, which would be compiled once more.
+    begin, changed = count - count, True
     time_from(begin, kept, layer, log)
     total = powers_from(begin, begin, begin, by_heat, kept, layer, np.inf, log)
     cost = (total / count) ** (1.0 / 12.0)
