@@ -36,7 +36,7 @@ from ebamcheck.checks.text_heat import (
     text_shapes,
 )
 from ebamcheck.controls.sinumerik.writing import write_program
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.pipeline.stages import bead_paths

@@ -13,10 +13,11 @@ from benchmarks.faults.program_text import without_comments
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.gcode.writing import write_plain_gcode
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.pipeline.stages import bead_paths, power_by_wire
+from ebamcheck.pipeline.stages import bead_paths, contour_curves, power_by_wire
 from ebamcheck.program import read_program, verify_program
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.laying import bead_sequence, contour_beads
 from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
@@ -59,7 +60,9 @@ class Made:
         heights = (np.arange(LAYERS) + 0.5) * config.layer_height_mm
         self.layers = from_polygons(heights, [[SECTION]] * LAYERS)
         stack = Stack([self.layers.section(k) for k in range(LAYERS)], heights, range(LAYERS))
-        self.powers, by_wire = [], power_by_wire(stack.sections, config)
+        contours = [contour_region(section, config) for section in stack.sections]
+        beads = contour_curves(self.layers, contours, config)
+        self.powers, by_wire = [], power_by_wire(stack.sections, beads, config)
 
         def power_of(layer, thickness_mm):
             self.powers.append(by_wire(layer, thickness_mm))

@@ -9,10 +9,11 @@ import shapely
 from ebamcheck.checks.interpass_checks import INTERPASS, heat_checks
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.sinumerik.writing import write_program
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.layers.stack import from_polygons
-from ebamcheck.pipeline.stages import bead_paths, power_by_wire
+from ebamcheck.pipeline.stages import bead_paths, contour_curves, power_by_wire
 from ebamcheck.program import read_program
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, ordered_layers
 from ebamcheck.settings.config import Config
@@ -55,7 +56,9 @@ def made(shape, config, folder):
     layers = from_polygons(heights, [[shape((k + 0.5) / LAYERS)] for k in range(LAYERS)])
     order, seed = config.scan.order, config.scan.seed
     stack = Stack([layers.section(k) for k in range(LAYERS)], heights, range(LAYERS))
-    power_of = power_by_wire(stack.sections, config)
+    contours = [contour_region(section, config) for section in stack.sections]
+    beads = contour_curves(layers, contours, config)
+    power_of = power_by_wire(stack.sections, beads, config)
     done = list(ordered_layers(stack, config, order, seed, carry=True, power_of=power_of))
     plan = stack_plans(list(done), config, order, seed)
     files = write_program(bead_paths(layers, plan, config), plan, config, folder)

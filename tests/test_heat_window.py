@@ -23,7 +23,7 @@ from ebamcheck.checks.interpass_checks import (
 from ebamcheck.checks.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import MELTING, melting_check, spread_mm
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import least_power_share, melted_mm3_s, own_power_shares
+from ebamcheck.heat.medium import least_power_share, melted_mm3_s, own_power_shares
 from ebamcheck.nc.inputs import interpass_of
 from ebamcheck.nc.roles import by_height
 from ebamcheck.pipeline.gates import heat_gate

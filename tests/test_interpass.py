@@ -23,8 +23,8 @@ from ebamcheck.errors import SettingsError
 from ebamcheck.heat import interpass
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.interpass import shortest_wait_s
-from ebamcheck.heat.medium import enthalpy_tables
-from ebamcheck.heat.melting import (
+from ebamcheck.heat.medium import (
+    enthalpy_tables,
     entry_limit_k,
     least_power_share,
     melting_heat_j_kg,

@@ -13,7 +13,7 @@ from slicers_here import runs_cut_here as runs_cut_here
 
 from ebamcheck.checks.metal import deposit
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import melting_heat_j_kg
+from ebamcheck.heat.medium import melting_heat_j_kg
 from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building
 from ebamcheck.live.height_map import HeightMap, figures_of, in_cells

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 from parts import box
 from scipy.interpolate import BSpline
 
@@ -11,7 +12,7 @@ from ebamcheck import installed
 from ebamcheck.checks.path_checks import spline_points
 from ebamcheck.heat.interpass import greatest_that_fits
 from ebamcheck.heat.medium import enthalpy_tables
-from ebamcheck.heat.near_field import DIRECTIONS, ON_OUTLINE_MM, _stretches, in_sight, sector_table
+from ebamcheck.heat.near_field import DIRECTIONS, FELT, ON_OUTLINE_MM, enclosed_share, ray_table
 from ebamcheck.installed import entry_points
 from ebamcheck.settings.checking import as_toml
 from ebamcheck.settings.config import Config
@@ -27,7 +28,6 @@ def test_temperatures_are_those_of_an_interpolation_to_the_last_bit():
         content / tables.step_j_mm3, np.arange(len(tables.temperature_k)), tables.temperature_k
     )
     assert np.array_equal(tables.temperature(content), wanted)
-    assert [tables.temperature_of(float(h)) for h in content] == wanted.tolist()
 
 
 @pytest.mark.parametrize("count", [4, 5, 12, 40])
@@ -61,30 +61,31 @@ def test_the_greatest_that_fits_is_found_from_every_guess():
 
 @pytest.mark.parametrize("corners", [202, 7, 4 * DIRECTIONS])
 def test_what_is_in_sight_is_what_the_plain_sum_says(corners):
-    # Of the last ring every other corner lies on a ray from its middle, or a hair beside it.
+    # Of the last ring corners lie on rays from its middle, or a hair beside them.
     turn = np.linspace(0.0, 2.0 * np.pi, corners + 1)
     ring = np.column_stack([(50.0 + 10.0 * np.sin(7.0 * turn)) * f(turn) for f in (np.cos, np.sin)])
+    ring[-1] = ring[0]
     segments = np.hstack([ring[:-1], ring[1:]])
     draw = np.random.default_rng(0)
-    points, variance = draw.uniform(-40.0, 40.0, (11, 2)), draw.uniform(1.0, 900.0, (11, 3))
+    points, variance = draw.uniform(-25.0, 25.0, (11, 2)), draw.uniform(300.0, 900.0, (11, 3))
+    # All of the ring is felt.
+    variance[:, 2] = 110.0**2 / (2.0 * FELT)
     points[:4] = np.array([[0.0, 0.0], [1e-13, 0.0], [0.0, -1e-9], [1e-6, 1e-6]])
     a, b = segments[:, :2] - points[:, None], segments[:, 2:] - points[:, None]
     wanted = np.zeros(variance.shape)
-    for angle in 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS:
-        dx, dy = np.cos(angle), np.sin(angle)
+    for dx, dy, share in ray_table().T:
         left, right = dx * a[..., 1] - dy * a[..., 0], dx * b[..., 1] - dy * b[..., 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             place = a + (left / (left - right))[..., None] * (b - a)
         reach = place @ np.array([dx, dy])
         met = ((left > 0.0) != (right > 0.0)) & (reach > ON_OUTLINE_MM)
         nearest = np.where(met, reach, np.inf).min(axis=1)
-        wanted -= np.expm1(-0.5 * nearest[:, None] ** 2 / variance) / DIRECTIONS
-    # The last point closes the ring; a ring of its own, far away, follows: no segment goes from the one to the other.
-    far = np.array([[900.0, 0.0], [901.0, 0.0]])
-    goes_on = np.append(np.arange(len(ring)) + 1 < len(ring), [True, False])
-    outline = np.vstack([ring, far])
-    found = in_sight(points, variance, outline, goes_on, _stretches(outline), sector_table())
-    assert found == pytest.approx(wanted, abs=1e-12)
+        wanted -= share * np.expm1(-0.5 * nearest[:, None] ** 2 / variance)
+    # A second part, far away: no segment goes from the outline of the one to that of the other.
+    section = shapely.MultiPolygon([shapely.Polygon(ring), shapely.box(900.0, 0.0, 901.0, 1.0)])
+    assert enclosed_share(section, points, variance) == pytest.approx(wanted, abs=1e-10)
+    assert ray_table()[2].sum() == pytest.approx(1.0)
+    assert np.hypot(*ray_table()[:2]) == pytest.approx(np.ones(DIRECTIONS))
 
 
 def test_what_follows_from_a_part_is_worked_out_once_where_it_is_kept():

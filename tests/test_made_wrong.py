@@ -20,7 +20,7 @@ from ebamcheck.checks.heat_again import (
 from ebamcheck.checks.interpass_checks import AGAIN, INTERPASS, heat_checks
 from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import MELTING, window_check
-from ebamcheck.heat import interpass, melting
+from ebamcheck.heat import interpass, medium
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.metal import target
 from ebamcheck.nc import files, inputs
@@ -113,13 +113,13 @@ def test_layers_that_the_model_takes_for_wider_are_found(monkeypatch, tmp_path):
 
 
 def test_a_limit_that_the_plan_takes_too_high_is_found(monkeypatch, tmp_path):
-    right = melting.entry_limit_k
+    right = medium.entry_limit_k
     monkeypatch.setattr(interpass, "entry_limit_k", lambda config: right(config) + 300.0)
     assert not heat_of(Made(tmp_path, FRAME, WARM))[INTERPASS].passed
 
 
 def test_a_power_that_does_not_melt_the_wire_is_found(monkeypatch, tmp_path):
-    right = melting.least_power_share
+    right = medium.least_power_share
     monkeypatch.setattr(interpass, "least_power_share", lambda *given: 0.6 * right(*given))
     assert not heat_of(Made(tmp_path, FRAME, WARM))[MELTING].passed
 
@@ -139,10 +139,10 @@ SETTINGS = (
 @pytest.mark.parametrize("changes", SETTINGS)
 def test_limits_of_plan_and_gate_are_the_same(changes):
     config = Config().changed(**changes)
-    assert highest_entry_k(config) == melting.entry_limit_k(config)
+    assert highest_entry_k(config) == medium.entry_limit_k(config)
     for thickness_mm in (0.5, 1.6755, 3.0):
         share = melting_power_w(config, thickness_mm) / config.process.power_w
-        assert share == pytest.approx(melting.least_power_share(config, thickness_mm), rel=1e-3)
+        assert share == pytest.approx(medium.least_power_share(config, thickness_mm), rel=1e-3)
 
 
 HEAT_PARTS = {

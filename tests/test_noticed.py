@@ -14,7 +14,7 @@ from parts import box, moved
 
 from ebamcheck.checks.interpass_checks import INTERPASS
 from ebamcheck.checks.process_checks import seam_turns
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.pipeline import findings
 from ebamcheck.preflight.room import of_bodies, suspicions

@@ -13,7 +13,6 @@ from ebamcheck.checks.preheating import WIDEST, pass_way, preheat_checks, widest
 from ebamcheck.heat import preheating
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.preheating import BeamWay, SurfaceHeat, pass_lines
-from ebamcheck.scan.plan import preheated
 from ebamcheck.settings.config import Config
 
 
@@ -110,7 +109,7 @@ def test_the_check_drives_a_pass_as_the_plan_does(radii, spacing, number, patter
     """Two codes by one description of the settings."""
     region, config = outline(radii), config_of(pattern=pattern, spacing_mm=spacing)
     here = np.array([-150.0, 20.0]) if from_aside else None
-    plan = preheated.pass_way(*pass_lines(region, config, number), config, here)
+    plan = preheating.pass_way(*pass_lines(region, config, number), config, here)
     check = pass_way(region, config, number, here)
     for name in ("start", "end", "time_s", "power_w"):
         np.testing.assert_allclose(getattr(check, name), getattr(plan, name), atol=1e-9)

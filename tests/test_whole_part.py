@@ -152,9 +152,9 @@ def test_carried_heat_changes_the_order_alone_and_makes_it_cooler():
     driven = list(scan_part(sections_of(layers), layers.heights, free, as_planned, 0))
     planned_k = np.array([row["entry_max_k"] - row["body_mean_k"] for row in driven])
     carried_k = (warm_plan.metrics["entry_max_k"] - warm_plan.metrics["body_mean_k"]).to_numpy()
-    # Over the mean of the section, which no order changes: a little in the mean, and the worst layer most.
+    # Over the mean of the section, which no order changes: a little in the mean, and the worst layer over the lowest one most.
     assert carried_k.mean() < planned_k.mean()
-    assert carried_k.max() < 0.95 * planned_k.max()
+    assert carried_k[1:].max() < 0.95 * planned_k[1:].max()
 
 
 def test_orders_that_ask_no_heat_have_no_heat_in_their_metrics():

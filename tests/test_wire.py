@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ebamcheck.heat.melting import width_limits_mm
+from ebamcheck.heat.medium import width_limits_mm
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import wire_speed_mm_s
 from ebamcheck.writing.wire import WIDTH_DIGITS, rounded_widths

@@ -15,7 +15,7 @@ from ebamcheck.checks.heat_again import MODELS_K, BeadHeat, entries_k, highest_e
 from ebamcheck.checks.text_heat import TextBeads, sections_of_text, text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import melting_check, own_shares
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.heat.melting import scheduled_share
+from ebamcheck.heat.medium import scheduled_share
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import Interpass

@@ -31,7 +31,7 @@ from ebamcheck.columns_file import open_table, write_table
 from ebamcheck.errors import InputError
 from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.regions import valid_polygons
-from ebamcheck.heat.melting import width_limits_mm
+from ebamcheck.heat.medium import width_limits_mm
 from ebamcheck.json_values import parsed_json
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers

@@ -27,7 +27,7 @@ from ebamcheck.geometry.regions import (
     split_thin,
     valid_polygons,
 )
-from ebamcheck.heat.melting import least_power_share
+from ebamcheck.heat.medium import least_power_share
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s

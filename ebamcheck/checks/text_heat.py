@@ -14,7 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn, LayerShape
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.heat.preheating import BeamWay, SurfaceHeat, bare_plate
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers

@@ -20,7 +20,7 @@ from ebamcheck.checks.checks import (
 )
 from ebamcheck.checks.heat_again import melting_power_w
 from ebamcheck.checks.metal import bead_height_mm, bead_sections_mm2, wire_section_mm2
-from ebamcheck.heat.melting import width_limits_mm
+from ebamcheck.heat.medium import width_limits_mm
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.conventions import increments_of, power_slack_w
 from ebamcheck.nc.inputs import TrackColumns

@@ -72,7 +72,7 @@ def bare_samples(section: BaseGeometry, segments: Floats, bead_width_mm: float) 
     points, (ring_starts, _) = ring_columns(polygons)
     origin = np.array([x0, y0])
     grid = np.zeros((rows, columns), np.uint8)
-    mark_inside(grid, points - origin, ring_starts, step)
+    _mark_inside(grid, points - origin, ring_starts, step)
     solid = int(np.count_nonzero(grid))
     mark_beads(grid, segments - np.concatenate([origin, origin]), 0.5 * bead_width_mm, step)
     covered = 1.0 - int(np.count_nonzero(grid)) / solid if solid else 1.0
@@ -87,31 +87,46 @@ def oriented_rings(
     return np.ascontiguousarray((points - origin) / step), starts
 
 
-@kernel
-def mark_inside(grid: NDArray[np.uint8], points: Floats, ring_starts: Ints, step: float) -> None:
+def each_of(count: Ints) -> tuple[Ints, Ints]:
+    """Rows of a table that has `count` (n,) rows of each item: the item (m,), and the number of the row among those of it (m,).
+
+    Examples
+    --------
+    >>> [column.tolist() for column in each_of(np.array([2, 0, 3]))]
+    [[0, 0, 2, 2, 2], [0, 1, 0, 1, 2]]
+    """
+    owner = np.repeat(np.arange(len(count)), count)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def _sides(points: Floats, ring_starts: Ints) -> tuple[Floats, Floats]:
+    """Both ends (S, 2) of the sides of rings."""
+    inner = np.ones(max(len(points) - 1, 0), np.bool_)
+    inner[ring_starts[1:-1] - 1] = False
+    start = np.flatnonzero(inner)
+    return points[start], points[start + 1]
+
+
+def _mark_inside(grid: NDArray[np.uint8], points: Floats, ring_starts: Ints, step: float) -> None:
     """Set the samples to 1 that lie inside the rings (closed by a repeated point, even-odd)."""
     rows, columns = grid.shape
-    for ring in range(ring_starts.size - 1):
-        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-            ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-            low, high = min(ay, by), max(ay, by)
-            first = max(0, int(np.ceil(low / step - 0.5)))
-            for row in range(first, rows):
-                y = (row + 0.5) * step
-                if not (low <= y < high):
-                    if y >= high:
-                        break
-                    continue
-                x = ax + (bx - ax) * ((y - ay) / (by - ay))
-                # Every border flips the sample at its right; a running parity then tells inside.
-                column = max(0, int(np.ceil(x / step - 0.5)))
-                if column < columns:
-                    grid[row, column] ^= 1
-    for row in range(rows):
-        inside = 0
-        for column in range(columns):
-            inside ^= grid[row, column]
-            grid[row, column] = inside
+    a, b = _sides(points, ring_starts)
+    low, high = np.minimum(a[:, 1], b[:, 1]), np.maximum(a[:, 1], b[:, 1])
+    first, last = (np.clip(np.ceil(y / step - 0.5).astype(np.int64), 0, rows) for y in (low, high))
+    # One more to either side: whether the middle of a row is between the ends of a side is asked of the very numbers.
+    first, last = np.maximum(first - 1, 0), np.minimum(last + 1, rows)
+    side, row = each_of(last - first)
+    row += first[side]
+    y = (row + 0.5) * step
+    crossed = (low[side] <= y) & (y < high[side])
+    side, row, y = side[crossed], row[crossed], y[crossed]
+    a, b = a[side], b[side]
+    x = a[:, 0] + (b[:, 0] - a[:, 0]) * ((y - a[:, 1]) / (b[:, 1] - a[:, 1]))
+    column = np.maximum(np.ceil(x / step - 0.5).astype(np.int64), 0)
+    # Every border flips the sample at its right; a running parity then tells inside.
+    held = column < columns
+    flips = np.bincount(row[held] * columns + column[held], minlength=grid.size).reshape(grid.shape)
+    grid[:] = np.cumsum(flips, axis=1) & 1
 
 
 @kernel
@@ -124,112 +139,72 @@ def mark_beads(grid: NDArray[np.uint8], segments: Floats, radius: float, step: f
         first = max(0, int(np.ceil((min(ay, by) - radius) / step - 0.5)))
         last = min(rows - 1, int(np.floor((max(ay, by) + radius) / step - 0.5)))
         for row in range(first, last + 1):
-            left, right = _capsule_row((row + 0.5) * step, ax, ay, bx, by, length, radius)
-            start = max(0, int(np.ceil(left / step - 0.5)))
-            stop = min(columns - 1, int(np.floor(right / step - 0.5)))
+            # From left to right the row lies within reach of the segment, which is convex: first of its ends, then of its length.
+            y = (row + 0.5) * step
+            left, right = np.inf, -np.inf
+            for cx, cy in ((ax, ay), (bx, by)):
+                off = y - cy
+                if abs(off) <= radius:
+                    reach = np.sqrt(radius * radius - off * off)
+                    left, right = min(left, cx - reach), max(right, cx + reach)
+            if length > 0.0:
+                ux, uy = (bx - ax) / length, (by - ay) / length
+                # Along: 0 <= ux X + uy Y <= length; across: |ux Y - uy X| <= radius, with X, Y from (ax, ay).
+                low, high = -np.inf, np.inf
+                along, across = uy * (y - ay), ux * (y - ay)
+                for slope, shift, least, most in ((ux, along, 0.0, length), (-uy, across, -radius, radius)):
+                    if abs(slope) >= 1e-15:
+                        a, b = (least - shift) / slope, (most - shift) / slope
+                        low, high = max(low, min(a, b)), min(high, max(a, b))
+                    elif not (least <= shift <= most):
+                        high = -np.inf
+                if low <= high:
+                    left, right = min(left, ax + low), max(right, ax + high)
+            start = max(0, int(np.ceil(left / step - 0.5))) if left <= right else columns
+            stop = min(columns - 1, int(np.floor(right / step - 0.5))) if left <= right else -1
             if start <= stop:
                 grid[row, start : stop + 1] = 0
 
 
-@kernel
-def _capsule_row(
-    y: float, ax: float, ay: float, bx: float, by: float, length: float, radius: float
-) -> tuple[float, float]:
-    """Where the line at height y lies within a radius of a segment: from left to right, which is convex."""
-    left, right = np.inf, -np.inf
-    for cx, cy in ((ax, ay), (bx, by)):
-        off = y - cy
-        if abs(off) <= radius:
-            reach = np.sqrt(radius * radius - off * off)
-            left, right = min(left, cx - reach), max(right, cx + reach)
-    if length > 0.0:
-        ux, uy = (bx - ax) / length, (by - ay) / length
-        # Along: 0 <= ux X + uy Y <= length; across: |ux Y - uy X| <= radius, with X, Y from (ax, ay).
-        low, high = -np.inf, np.inf
-        along, across = uy * (y - ay), ux * (y - ay)
-        for slope, shift, least, most in ((ux, along, 0.0, length), (-uy, across, -radius, radius)):
-            if abs(slope) < 1e-15:
-                if not (least <= shift <= most):
-                    return left, right
-            else:
-                a, b = (least - shift) / slope, (most - shift) / slope
-                low, high = max(low, min(a, b)), min(high, max(a, b))
-        if low <= high:
-            left, right = min(left, ax + low), max(right, ax + high)
-    return left, right
-
-
 def cell_shares(points: Floats, ring_starts: Ints, rows: int, columns: int) -> Floats:
     """Share of every cell inside the rings (closed by a repeated point, solid to the left)."""
-    gain = np.zeros((rows, columns + 1))
-    _add_rings(gain, points, ring_starts)
-    shares: Floats = np.clip(np.cumsum(gain, axis=1), 0.0, 1.0)
-    return shares[:, :columns]
+    shares = np.zeros(rows * columns)
+    every = np.array([0, len(ring_starts) - 1])
+    _, place, share = islands_in_cells(points, ring_starts, every, (rows, columns))
+    shares[place] = share
+    return shares.reshape(rows, columns)
 
 
-@kernel
-def _add_rings(gain: Floats, points: Floats, ring_starts: Ints) -> None:
-    for ring in range(ring_starts.size - 1):
-        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-            add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], 0, 0)
-
-
-@kernel
-def add_segment(gain: Floats, ax: float, ay: float, bx: float, by: float, column0: int, row0: int) -> None:
-    """Add what a segment of the border changes in the shares: all cells to its right, in its rows.
-
-    A piece of height dy (downwards: solid to its right) adds dy to all cells beyond it and, to its own, dy
-    times the part of the cell that lies to its right.
-    """
-    rows, columns = gain.shape[0], gain.shape[1] - 1
-    if ay == by:
-        return
-    slope = (bx - ax) / (by - ay)
-    low, high = min(ay, by), max(ay, by)
-    sign = 1.0 if by < ay else -1.0
-    for row in range(max(int(np.floor(low)), row0), min(int(np.ceil(high)), row0 + rows)):
-        p, q = max(low, float(row)), min(high, float(row + 1))
-        if q <= p:
-            continue
-        xp, xq = ax + (p - ay) * slope, ax + (q - ay) * slope
-        left, right = min(xp, xq), max(xp, xq)
-        first = min(max(int(np.floor(left)), column0), column0 + columns - 1)
-        last = min(max(int(np.ceil(right)) - 1, first), column0 + columns - 1)
-        for column in range(first, last + 1):
-            u = left if column == first else float(column)
-            v = right if column == last else float(column + 1)
-            height = (q - p) if right == left else (q - p) * ((v - u) / (right - left))
-            beyond = 0.5 * (u + v) - column
-            gain[row - row0, column - column0] += sign * height * (1.0 - beyond)
-            gain[row - row0, column - column0 + 1] += sign * height * beyond
-
-
-@kernel
 def face_shares(points: Floats, ring_starts: Ints, rows: int, columns: int) -> Floats:
     """Share of every upright face inside the rings, (rows, columns + 1); its sign is that of the rings."""
-    gain = np.zeros((rows + 1, columns + 1))
-    for ring in range(ring_starts.size - 1):
-        for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-            ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
-            low, high = min(ax, bx), max(ax, bx)
-            # A face on the border belongs to what lies to its right: low <= x < high.
-            for column in range(max(int(np.ceil(low)), 0), min(int(np.ceil(high)), columns + 1)):
-                y = ay + (by - ay) * ((column - ax) / (bx - ax))
-                row = min(max(int(np.floor(y)), 0), rows - 1)
-                sign = 1.0 if bx > ax else -1.0
-                gain[row, column] += sign * (row + 1 - y)
-                gain[row + 1, column] += sign * (y - row)
-    for column in range(columns + 1):
-        for row in range(1, rows + 1):
-            gain[row, column] += gain[row - 1, column]
-    return gain[:rows]
+    a, b = _sides(points, ring_starts)
+    low, high = np.minimum(a[:, 0], b[:, 0]), np.maximum(a[:, 0], b[:, 0])
+    # A face on the border belongs to what lies to its right: low <= x < high.
+    first, last = (np.clip(np.ceil(x).astype(np.int64), 0, columns + 1) for x in (low, high))
+    side, column = each_of(last - first)
+    column += first[side]
+    a, b = a[side], b[side]
+    y = a[:, 1] + (b[:, 1] - a[:, 1]) * ((column - a[:, 0]) / (b[:, 0] - a[:, 0]))
+    row = np.clip(np.floor(y).astype(np.int64), 0, rows - 1)
+    sign = np.where(b[:, 0] > a[:, 0], 1.0, -1.0)
+    place = row * (columns + 1) + column
+    gain = np.bincount(
+        np.concatenate([place, place + columns + 1]),
+        np.concatenate([sign * (row + 1 - y), sign * (y - row)]),
+        minlength=(rows + 1) * (columns + 1),
+    )
+    return np.asarray(np.cumsum(gain.reshape(rows + 1, columns + 1), axis=0)[:rows], np.float64)
 
 
 @kernel
 def islands_in_cells(
     points: Floats, ring_starts: Ints, island_rings: Ints, shape: tuple[int, int]
 ) -> tuple[Ints, Ints, Floats]:
-    """Islands, flat places of cells, and the share of each cell that lies in the island."""
+    """Islands, flat places of cells, and the share of each cell that lies in the island.
+
+    A piece of the border of height dy (downwards: solid to its right) adds dy to all cells of its row beyond it and, to its own, dy
+    times the part of the cell that lies to its right.
+    """
     count = island_rings.size - 1
     boxes = np.zeros((count, 4), np.int64)
     total = 0
@@ -251,7 +226,27 @@ def islands_in_cells(
         gain = np.zeros((y1 - y0, x1 - x0 + 1))
         for ring in range(island_rings[k], island_rings[k + 1]):
             for i in range(ring_starts[ring], ring_starts[ring + 1] - 1):
-                add_segment(gain, points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1], x0, y0)
+                ax, ay, bx, by = points[i, 0], points[i, 1], points[i + 1, 0], points[i + 1, 1]
+                if ay == by:
+                    continue
+                slope = (bx - ax) / (by - ay)
+                low, high = min(ay, by), max(ay, by)
+                sign = 1.0 if by < ay else -1.0
+                for row in range(max(int(np.floor(low)), y0), min(int(np.ceil(high)), y1)):
+                    p, q = max(low, float(row)), min(high, float(row + 1))
+                    if q <= p:
+                        continue
+                    xp, xq = ax + (p - ay) * slope, ax + (q - ay) * slope
+                    left, right = min(xp, xq), max(xp, xq)
+                    first = min(max(int(np.floor(left)), x0), x1 - 1)
+                    last = min(max(int(np.ceil(right)) - 1, first), x1 - 1)
+                    for column in range(first, last + 1):
+                        u = left if column == first else float(column)
+                        v = right if column == last else float(column + 1)
+                        height = (q - p) if right == left else (q - p) * ((v - u) / (right - left))
+                        beyond = 0.5 * (u + v) - column
+                        gain[row - y0, column - x0] += sign * height * (1.0 - beyond)
+                        gain[row - y0, column - x0 + 1] += sign * height * beyond
         for row in range(y1 - y0):
             running = 0.0
             for column in range(x1 - x0):

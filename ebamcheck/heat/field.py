@@ -77,7 +77,8 @@ class Field:
 
     def rise_k(self, shape: Floats, in_layer: Floats, after_s: float) -> float:
         """Rise of a place with the means (K,) after a time, where the depth's modes have the means (N,)."""
-        return read_after(self.state, self.plane_rate, self.depth_rate, in_layer, shape, after_s)
+        across, through = np.exp(-self.plane_rate * after_s), np.exp(-self.depth_rate * after_s)
+        return float((shape * across) @ self.state @ (in_layer * through))
 
     def surface(self) -> Floats:
         """Amplitudes (K,) of the section's modes in the layer."""
@@ -152,19 +153,6 @@ def heated(
                 if decays < LEAST_DECAY:
                     held = duration * (1.0 - 0.5 * decays)
                 state[k, n] = state[k, n] * fall + strength * held * in_layer[n]
-
-
-@kernel
-def read_after(
-    state: Floats, plane_rate: Floats, depth_rate: Floats, in_layer: Floats, shape: Floats, time: float
-) -> float:
-    """Rise of a place whose modes have the means `shape` (K,), after a time, K."""
-    through, total = in_layer * np.exp(-depth_rate * time), 0.0
-    for k in range(len(plane_rate)):
-        weight = shape[k] * np.exp(-plane_rate[k] * time)
-        for n in range(len(depth_rate)):
-            total += weight * state[k, n] * through[n]
-    return total
 
 
 @kernel

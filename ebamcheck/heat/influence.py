@@ -106,7 +106,7 @@ def influence(heat: IslandHeat, time_s: Floats, longest_s: float) -> Influence:
     )
     rise[:, count] = first_heat(heat, since)
     of_fresh = near, heat.modes.source_k_s, time_s, since[:YOUNG_NODES]
-    run_blocks(lambda a, b: add_young_heat(*of_fresh, rise, a, b), count, SOURCES)
+    add_young_heat(*of_fresh, rise)
     fresh = fresh_table(*of_fresh)
     per_root = spacing**-0.5 if spacing > 0.0 else 0.0
     return Influence(rise, per_root, fresh)
@@ -199,17 +199,25 @@ def _spans(plane_rate: Floats, since_s: Floats, horizon_s: float, start: int) ->
     return spans
 
 
-@kernel
-def add_young_heat(
-    near: NearField, source: Floats, time: Floats, since: Floats, rise: Table, start: int, stop: int
-) -> None:
-    """Add the young heat of some islands to the rises of the means at the first times; after the horizon it is nothing."""
-    for j in range(start, stop):
-        for p in range(near.first[j], near.first[j + 1]):
-            i = near.other[p]
-            for n in range(len(since)):
-                if i != j:
-                    rise[i, j, n] += source[j] * young_mean(near, near.pair[p], since[n], time[j])
+def add_young_heat(near: NearField, source: Floats, time_s: Floats, since_s: Floats, rise: Table) -> None:
+    """Add the young heat of islands to the rises of the means at the first times; after the horizon it is nothing."""
+    of = np.repeat(np.arange(len(time_s)), np.diff(near.first))
+    apart = np.flatnonzero(of != near.other)
+    j, i, exact = of[apart], near.other[apart], near.exact[near.pair[apart]]
+    for n, since in enumerate(since_s):
+        late, early = (
+            at_roots(exact, np.sqrt(np.clip(age / near.horizon_s, 0.0, 1.0)))
+            for age in (since + time_s[j], np.full(len(j), since))
+        )
+        rise[i, j, n] += source[j] * (late - early)
+
+
+def at_roots(tables: Floats, root: Floats) -> Floats:
+    """Values of tables (n, Q + 1), each at a root (n,): as :func:`~ebamcheck.heat.near_field.at_root`."""
+    place = root * (tables.shape[1] - 1)
+    node = np.minimum(place.astype(np.int64), tables.shape[1] - 2)
+    low, high = (np.take_along_axis(tables, at[:, None], axis=1)[:, 0] for at in (node, node + 1))
+    return np.asarray(low + (high - low) * (place - node), np.float64)
 
 
 @kernel

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from ebamcheck.heat.balance import LayerShape
-from ebamcheck.heat.melting import entry_limit_k, least_power_share, scheduled_share
+from ebamcheck.heat.medium import entry_limit_k, least_power_share, scheduled_share
 from ebamcheck.heat.part_heat import AgedColumns, Beads, Before, PartHeat
 from ebamcheck.kernels import Floats
 from ebamcheck.settings.config import Config
@@ -286,15 +286,30 @@ def _found_k(
 
 
 def shortest_wait_s(bed_k: Callable[[float], float], limit_k: float) -> float:
-    """Shortest wait after which a bead finds no more than the limit, whole seconds; 0 where none is long enough."""
-    if bed_k(0.0) <= limit_k:
+    """Shortest wait after which a bead finds no more than the limit, whole seconds; 0 where none is long enough.
+
+    What a bead finds falls with the wait, ever more slowly. So a line through two waits reaches the limit too early: the next wait
+    that is tried is where it does, and where it is not past that, twice as long a wait or half of what is left.
+    """
+    low, low_k = 0.0, bed_k(0.0)
+    if low_k <= limit_k:
         return 0.0
-    low, high = 0, 1
-    while bed_k(float(high)) > limit_k:
-        low, high = high, 2 * high
-        if high > LONGEST_WAIT_S:
+    high, high_k = 1.0, bed_k(1.0)
+    while high_k > limit_k:
+        if 2.0 * high > LONGEST_WAIT_S:
             return 0.0
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if bed_k(float(middle)) <= limit_k else (middle, high)
-    return float(high)
+        slope = (low_k - high_k) / (high - low)
+        reached = high + (high_k - limit_k) / slope if slope > 0.0 else math.inf
+        low, low_k = high, high_k
+        high = float(math.ceil(min(max(reached, high + 1.0), 4.0 * high)))
+        high_k = bed_k(high)
+    while high - low > 1.0:
+        # Between the two the line lies over what is found: it reaches the limit too late, by less the nearer they are.
+        reached = low + (high - low) * (low_k - limit_k) / (low_k - high_k)
+        middle = min(max(math.floor(reached), low + 1.0), high - 1.0)
+        found_k = bed_k(middle)
+        if found_k <= limit_k:
+            high, high_k = middle, found_k
+        else:
+            low, low_k = middle, found_k
+    return high

@@ -81,8 +81,8 @@ class HeatModel:
         )
 
 
-HALVINGS = 60
-"""Bisections of an interval of pi/2: enough for the last bit of a double."""
+NEWTON_STEPS = 8
+"""Enough for the last bits of a double."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,15 +130,13 @@ def depth_modes(depth_mm: float, count: int, cooled: bool, loss_per_mm: float = 
     low: Floats = np.asarray(np.pi * (np.arange(count) + (0.5 if cooled else 0.0)), np.float64)
     if biot == 0.0:
         return DepthModes(depth_mm, cooled, low / depth_mm)
-    high = low + 0.5 * np.pi
-    # Both conditions read x sin(x - c) = biot cos(x - c), c = pi/2 if cooled: one root between low and high.
-    shift = 0.5 * np.pi if cooled else 0.0
-    sign = np.cos(low - shift)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        below = sign * (middle * np.sin(middle - shift) - biot * np.cos(middle - shift)) < 0.0
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return DepthModes(depth_mm, cooled, np.asarray(0.5 * (low + high) / depth_mm, np.float64))
+    # Both conditions read (low + t) tan(t) = biot, 0 < t < pi/2. Newton's method on t - atan(biot / (low + t)), which is concave,
+    # from where t stands for tan(t): beyond the root, and after one step under it, from where it only rises.
+    t = np.minimum(2.0 * biot / (low + np.sqrt(low**2 + 4.0 * biot)), 0.5 * np.pi)
+    for _ in range(NEWTON_STEPS):
+        x = low + t
+        t = t - (t - np.arctan2(biot, x)) / (1.0 + biot / (biot**2 + x**2))
+    return DepthModes(depth_mm, cooled, np.asarray((low + t) / depth_mm, np.float64))
 
 
 def carried(old: HeatModel, amplitudes: Floats, new: HeatModel) -> Floats:

@@ -27,6 +27,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.geometry.raster import each_of
+from ebamcheck.geometry.regions import equivalent_rectangles_mm
 from ebamcheck.heat.field import falling
 from ebamcheck.heat.medium import BEAM_SHARE
 from ebamcheck.heat.model import DepthModes, HeatModel, depth_modes
@@ -39,6 +41,9 @@ OPTIONS = 4
 HALVED, DECIMALS = 1, 6
 """Times that the triangles of an island are halved: a hexagon has 8 tiles then, each a Gaussian of its moment; and decimals
 of the corners, mm, by which they are cut."""
+
+FLAT = 0.05
+"""Deviation, over its width, by which the border of an island is simplified before it is cut into triangles."""
 
 DIED_OUT = 3.0
 """Exponent by which the shortest wave of the modes has fallen at the horizon, at least: to 5 %."""
@@ -287,8 +292,9 @@ def entry_rise(
 # -- Enclosed share: how much of a Gaussian around a point lies in the metal that the point sees ---------------
 
 
-DIRECTIONS, SIGHT_SIGMAS = 32, 3.0
-"""Rays from each point to the outline, which takes nothing where it is farther away than so many standard deviations."""
+DIRECTIONS, FELT = 32, 4.5
+"""Rays from each point to the outline, and the exponent from which on what a Gaussian has beyond the outline counts as nothing:
+at three standard deviations."""
 
 LEAST_SHARE = 0.05
 """Least share, that of a wedge of 18 degrees: a point on a tip holds its heat."""
@@ -296,18 +302,8 @@ LEAST_SHARE = 0.05
 ON_OUTLINE_MM = 1e-6
 """Crossings nearer than this are the outline on which the point lies, not what its ray meets."""
 
-SECTOR_BINS, SECTOR_ROUNDING = 1024, 1e-9
-"""Bins in a quarter turn by which sectors between rays are looked up: so fine that few hold a ray; and the rounding, in
-sectors, that is allowed for at their edges, far more than there is."""
-
-DOUBTFUL = 64
-"""Added to the sector of a bin that holds a ray."""
-
-FELT = 38.0
-"""Exponent from which on what a Gaussian has beyond the outline is nothing beside 1, not even by rounding."""
-
 STRETCH = 64
-"""Segments of the outline that are passed over together where all of them are too far away to be felt; whole words of marks."""
+"""Segments of the outline that are passed over together where all of them are too far away to be felt."""
 
 
 def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) -> Floats:
@@ -319,48 +315,52 @@ def enclosed_share(section: BaseGeometry, points: Floats, variance_mm2: Floats) 
 
     `section`: polygon or multi-polygon; `points`: (P, 2) mm; `variance_mm2`: (P, Q) along each axis.
     """
-    outline = shapely.boundary(section)
-    shapely.prepare(outline)
-    reach = SIGHT_SIGMAS * np.sqrt(variance_mm2.max(initial=0.0))
-    near = np.flatnonzero(shapely.dwithin(outline, shapely.points(points), reach))
-    share = np.ones(variance_mm2.shape)
-    rings = [shapely.get_coordinates(line) for line in shapely.get_parts(outline)]
-    points_of, goes_on = (
-        np.concatenate(rings),
-        np.concatenate([np.arange(1, len(r) + 1) < len(r) for r in rings]),
-    )
-    seen, variance, boxes = points[near], variance_mm2[near], _stretches(points_of)
-    share[near] = np.concatenate(
+    rings = [shapely.get_coordinates(line) for line in shapely.get_parts(shapely.boundary(section))]
+    outline = np.concatenate(rings)
+    goes_on = np.ones(len(outline), np.bool_)
+    goes_on[np.cumsum([len(ring) for ring in rings]) - 1] = False
+    starts = np.arange(0, len(outline) - 1, STRETCH)
+    # Each stretch ends with the first point of the next one.
+    stops = np.minimum(starts + STRETCH, len(outline) - 1)
+    low = np.minimum(np.minimum.reduceat(outline, starts), outline[stops])
+    high = np.maximum(np.maximum.reduceat(outline, starts), outline[stops])
+    boxes = np.ascontiguousarray(np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1))
+    rays = ray_table()
+    share = np.concatenate(
         run_blocks(
-            lambda a, b: in_sight(seen[a:b], variance[a:b], points_of, goes_on, boxes, sector_table()),
-            len(near),
+            lambda a, b: in_sight(points[a:b], variance_mm2[a:b], outline, goes_on, boxes, rays),
+            len(points),
             FEWEST_POINTS,
         )
     )
-    return np.maximum(share, LEAST_SHARE)
+    return np.asarray(np.maximum(share, LEAST_SHARE), np.float64)
+
+
+@cache
+def ray_table() -> Floats:
+    """Directions of the rays, and the share (32,) of all directions that each stands for, (3, 32).
+
+    They are even along a square on its corner: the way along it stands for the angle.
+    """
+    along = np.arange(2 * DIRECTIONS + 1) * (2.0 / DIRECTIONS)
+    x = np.where(along <= 2.0, 1.0 - along, along - 3.0)
+    y = np.where(along <= 1.0, along, np.where(along <= 3.0, 2.0 - along, along - 4.0))
+    turn = np.unwrap(np.arctan2(y, x)) / (2.0 * np.pi)
+    size = np.hypot(x, y)
+    return np.stack([(x / size)[1::2], (y / size)[1::2], np.diff(turn[::2])])
 
 
 @kernel
 def in_sight(
-    points: Floats,
-    variance: Floats,
-    outline: Floats,
-    goes_on: Bools,
-    boxes: Floats,
-    sectors: NDArray[np.uint8],
+    points: Floats, variance: Floats, outline: Floats, goes_on: Bools, boxes: Floats, rays: Floats
 ) -> Floats:
     """See :func:`enclosed_share`; from each of the points (S, 2) of the `outline` to the next goes a segment, or none.
 
-    `boxes` (B, 4) are those of stretches of the outline, `sectors` those of :func:`sector_table`.
+    `boxes` (B, 4) are those of stretches of the outline, `rays` those of :func:`ray_table`.
     """
-    nearest, angle = np.empty(DIRECTIONS), 2.0 * np.pi * (np.arange(DIRECTIONS) + 0.5) / DIRECTIONS
-    dx, dy = np.cos(angle), np.sin(angle)
-    share, parts = np.zeros(variance.shape), np.empty((DIRECTIONS, variance.shape[1]))
-    count = len(outline)
-    x, y, sector = np.empty(STRETCH + 1), np.empty(STRETCH + 1), np.empty(STRETCH + 1, np.uint8)
-    # What may be crossed is marked by itself, which the processor does for several segments at once, and looked for by words.
-    marked = np.zeros(STRETCH, np.uint8)
-    words = marked.view(np.uint64)
+    count, nearest = len(outline), np.empty(DIRECTIONS)
+    share = np.zeros(variance.shape)
+    x, y, place = np.empty(STRETCH + 1), np.empty(STRETCH + 1), np.empty(STRETCH + 1)
     for p in range(len(points)):
         nearest[:] = np.inf
         px, py, felt = points[p, 0], points[p, 1], 2.0 * FELT * variance[p].max()
@@ -369,86 +369,34 @@ def in_sight(
             above = max(boxes[b, 2] - py, py - boxes[b, 3], 0.0)
             if beside * beside + above * above > felt:
                 continue
-            first = b * STRETCH
-            length = min(STRETCH, count - 1 - first)
+            start = b * STRETCH
+            length = min(STRETCH, count - 1 - start)
             for s in range(length + 1):
-                x[s], y[s] = outline[first + s, 0] - px, outline[first + s, 1] - py
-            for s in range(length + 1):
-                # Stand-in for the angle, from 0 to 4, which grows with it: the way along a square on its corner.
+                x[s], y[s] = outline[start + s, 0] - px, outline[start + s, 1] - py
+                # The number of the ray in this direction, with the share on the way to the next.
                 around = abs(x[s]) + abs(y[s])
                 up = y[s] / (around if around > 0.0 else 1.0)
                 ahead = up if up >= 0.0 else 4.0 + up
-                sector[s] = sectors[int(SECTOR_BINS * (ahead if x[s] >= 0.0 else 2.0 - up))]
-            marked[length:] = 0
+                place[s] = 0.25 * DIRECTIONS * (ahead if x[s] >= 0.0 else 2.0 - up) - 0.5
             for s in range(length):
-                marked[s] = goes_on[first + s] & ((sector[s] != sector[s + 1]) | (sector[s] >= DOUBTFUL))
-            for word in range(len(words)):
-                if words[word] != 0:
-                    for s in range(8 * word, 8 * word + 8):
-                        if marked[s] != 0:
-                            _cross(nearest, dx, dy, x[s], y[s], x[s + 1], y[s + 1], sector[s], sector[s + 1])
+                low, high = min(place[s], place[s + 1]), max(place[s], place[s + 1])
+                if high - low > 0.5 * DIRECTIONS:
+                    low, high = high, low + DIRECTIONS
+                first, last = int(np.ceil(low)), int(np.floor(high))
+                if first > last or not goes_on[start + s]:
+                    continue
+                for ray in range(first, last + 1):
+                    n = (ray + DIRECTIONS) % DIRECTIONS
+                    dx, dy = rays[0, n], rays[1, n]
+                    left, right = dx * y[s] - dy * x[s], dx * y[s + 1] - dy * x[s + 1]
+                    part = left / (left - right) if left != right else 0.0
+                    reach = dx * (x[s] + part * (x[s + 1] - x[s])) + dy * (y[s] + part * (y[s + 1] - y[s]))
+                    if ON_OUTLINE_MM < reach < nearest[n]:
+                        nearest[n] = reach
         for n in range(DIRECTIONS):
             for q in range(variance.shape[1]):
-                parts[n, q] = -0.5 * nearest[n] * nearest[n] / variance[p, q]
-        flat = parts.ravel()
-        for m in range(len(flat)):
-            flat[m] = (1.0 - falling(flat[m])) / DIRECTIONS
-        for n in range(DIRECTIONS):
-            for q in range(variance.shape[1]):
-                share[p, q] += parts[n, q]
+                share[p, q] += rays[2, n] * (1.0 - falling(-0.5 * nearest[n] * nearest[n] / variance[p, q]))
     return share
-
-
-def _stretches(outline: Floats) -> Floats:
-    """Boxes (B, 4), least and greatest x, then y, around each :data:`STRETCH` segments of an outline (S, 2)."""
-    if len(outline) < 2:
-        return np.zeros((0, 4))
-    starts = np.arange(0, len(outline) - 1, STRETCH)
-    # Each stretch ends with the first point of the next one.
-    stops = np.minimum(starts + STRETCH, len(outline) - 1)
-    low = np.minimum(np.minimum.reduceat(outline, starts), outline[stops])
-    high = np.maximum(np.maximum.reduceat(outline, starts), outline[stops])
-    return np.ascontiguousarray(np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1))
-
-
-@kernel
-def _cross(
-    nearest: Floats, dx: Floats, dy: Floats, ax: float, ay: float, bx: float, by: float, start: int, end: int
-) -> None:
-    """Note how far the rays go to a segment from `start` to `end`, sectors as of :func:`sector_table`.
-
-    Only rays between the two, and those behind them, can have its ends on two sides; each is asked itself.
-    """
-    first, last = int(start) % DOUBTFUL, int(end) % DOUBTFUL
-    rays = (last - first) % DIRECTIONS
-    if rays > DIRECTIONS // 2:
-        first, rays = last, DIRECTIONS - rays
-    if start >= DOUBTFUL or end >= DOUBTFUL:
-        rays = min(rays + 1, DIRECTIONS // 2)
-    for m in range(2 * rays):
-        n = (first + m // 2 + (m % 2) * (DIRECTIONS // 2)) % DIRECTIONS
-        ahead, behind = dx[n] * ay - dy[n] * ax, dx[n] * by - dy[n] * bx
-        if (ahead > 0.0) == (behind > 0.0):
-            continue
-        part = ahead / (ahead - behind)
-        reach = dx[n] * (ax + part * (bx - ax)) + dy[n] * (ay + part * (by - ay))
-        if ON_OUTLINE_MM < reach < nearest[n]:
-            nearest[n] = reach
-
-
-@cache
-def sector_table() -> NDArray[np.uint8]:
-    """Sector between rays by even bins of the angle's stand-in; :data:`DOUBTFUL` more where it may be the next one, too.
-
-    Sector n lies before ray n. Beyond the last bin is that of an angle that was rounded up to a whole turn.
-    """
-    a = np.arange(4 * SECTOR_BINS + 1) / SECTOR_BINS
-    x, y = np.where(a < 2.0, 1.0 - a, a - 3.0), np.where(a < 1.0, a, np.where(a < 3.0, 2.0 - a, a - 4.0))
-    turn = np.arctan2(y, x) / (2.0 * np.pi)
-    turn[(turn < 0.0) | (np.arange(len(a)) == len(a) - 1)] += 1.0
-    low = np.floor(turn[:-1] * DIRECTIONS + 0.5 - SECTOR_ROUNDING).astype(np.int64)
-    high = np.floor(turn[1:] * DIRECTIONS + 0.5 + SECTOR_ROUNDING).astype(np.int64)
-    return np.append(low % DIRECTIONS + np.where(high > low, DOUBTFUL, 0), 0).astype(np.uint8)
 
 
 class Pieces(NamedTuple):
@@ -487,8 +435,7 @@ def line_pieces(
     before = after - length - (np.cumsum(total) - total)[island]
 
     pieces = np.maximum(np.ceil(length / longest_mm).astype(np.int64), 1)
-    line = np.repeat(np.arange(len(length)), pieces)
-    number = np.arange(len(line)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    line, number = each_of(pieces)
     along = (number + 0.5) / pieces[line]
     owner = island[line]
     forward = (before[line] + along * length[line]) / total[owner]
@@ -515,8 +462,7 @@ class Tiles(NamedTuple):
 def island_tiles(islands: NDArray[np.object_]) -> Tiles:
     """Cut polygons (I,) into triangles, each halved :data:`HALVED` times across its longest edge."""
     centroid = shapely.get_coordinates(shapely.centroid(islands))
-    cut = [_triangles(polygon) for polygon in _at_origin(islands, centroid)]
-    corners, island = np.concatenate(cut), np.repeat(np.arange(len(cut)), [len(own) for own in cut])
+    corners, island = _triangles(_simplified(islands, centroid))
     for _ in range(HALVED):
         corners, island = _halved(corners), np.repeat(island, 2)
     edge = np.diff(corners, axis=1)
@@ -532,30 +478,45 @@ def island_tiles(islands: NDArray[np.object_]) -> Tiles:
     )
 
 
-def _at_origin(islands: NDArray[np.object_], centroid: Floats) -> NDArray[np.object_]:
-    """Shift islands (I,) to their centroids, their corners rounded unless that makes them invalid.
+def _simplified(islands: NDArray[np.object_], centroid: Floats) -> NDArray[np.object_]:
+    """Islands (I,) shifted to their centroids, without corners that hardly matter; in full where one vanishes by that.
 
     The triangles of a regular hexagon are a matter of rounding: seen from its centroid it is the same wherever it lies.
-    A hair thinner than :data:`DECIMALS` falls onto itself by that.
     """
     points, owner = shapely.get_coordinates(islands, return_index=True)
     seen = points - centroid[owner]
+    shifted = shapely.set_coordinates(islands.copy(), seen)
+    width_mm, _ = equivalent_rectangles_mm(islands)
     rounded = shapely.set_coordinates(islands.copy(), np.round(seen, DECIMALS))
-    broken = ~shapely.is_valid(rounded) | (shapely.area(rounded) <= 0.0)
-    rounded[broken] = shapely.set_coordinates(islands.copy(), seen)[broken]
+    rounded = np.asarray(shapely.simplify(rounded, FLAT * width_mm), object)
+    broken = ~shapely.is_valid(rounded) | ~(shapely.area(rounded) > 0.0)
+    rounded[broken] = shifted[broken]
     return rounded
 
 
-def _triangles(polygon: shapely.Polygon) -> Floats:
-    """Corners (T, 3, 2) of triangles that cover a polygon; those of its hull where it cannot be cut into its own."""
+def _triangles(polygons: NDArray[np.object_]) -> tuple[Floats, Ints]:
+    """Corners (T, 3, 2) of triangles that cover polygons (I,), and whose each is; those of the hull of one that cannot be cut."""
     try:
-        parts = shapely.get_parts(shapely.constrained_delaunay_triangles(polygon))
+        cut = np.asarray(shapely.constrained_delaunay_triangles(polygons), object)
     except shapely.GEOSException:
-        parts = np.zeros(0, object)
-    if shapely.area(parts).sum() > 0.0:
-        return np.asarray(shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3], np.float64)
-    ring = shapely.get_coordinates(shapely.convex_hull(polygon))[:-1]
-    return np.stack([np.broadcast_to(ring[0], ring[2:].shape), ring[1:-1], ring[2:]], axis=1)
+        cut = np.array([_cut_or_nothing(polygon) for polygon in polygons], object)
+    lost = shapely.area(cut) <= 0.0
+    parts, owner = shapely.get_parts(cut[~lost], return_index=True)
+    corners = [shapely.get_coordinates(parts).reshape(-1, 4, 2)[:, :3]]
+    owners = [np.flatnonzero(~lost)[owner]]
+    for i in np.flatnonzero(lost):
+        ring = shapely.get_coordinates(shapely.convex_hull(polygons[i]))[:-1]
+        corners.append(np.stack([np.broadcast_to(ring[0], ring[2:].shape), ring[1:-1], ring[2:]], axis=1))
+        owners.append(np.full(len(ring) - 2, i))
+    order = np.argsort(np.concatenate(owners), kind="stable")
+    return np.concatenate(corners)[order], np.concatenate(owners)[order]
+
+
+def _cut_or_nothing(polygon: shapely.Polygon) -> BaseGeometry:
+    try:
+        return shapely.constrained_delaunay_triangles(polygon)
+    except shapely.GEOSException:
+        return shapely.Polygon()
 
 
 def _halved(corners: Floats) -> Floats:

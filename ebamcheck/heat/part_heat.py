@@ -25,7 +25,7 @@ class BeadPower:
 
     `bead`: which bead each is of, by its number in the sequence; `part`: its share of the bead's length, times what ramps
     leave it of the power; `least`: share of the full power that it has at least, see
-    :func:`ebamcheck.heat.melting.own_power_shares`.
+    :func:`ebamcheck.heat.medium.own_power_shares`.
     """
 
     bead: Ints

@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import least_power_share, melted_mm3_s
+from ebamcheck.heat.medium import least_power_share, melted_mm3_s
 from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
 from ebamcheck.settings.config import Config

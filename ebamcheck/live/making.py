@@ -24,7 +24,8 @@ from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.table import Stands, turned_checks
 from ebamcheck.checks.text_heat import scans_of
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
+from ebamcheck.heat.preheating import asked_for, preheated
 from ebamcheck.layers.stack import Layers
 from ebamcheck.live.before import Before, metal_checks
 from ebamcheck.live.heights import at_layer_feed
@@ -39,9 +40,9 @@ from ebamcheck.pipeline.fit import fitted
 from ebamcheck.plugins import registry
 from ebamcheck.program import ProgramFiles, verify_program
 from ebamcheck.result import Check
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.order.orders import needs_heat
 from ebamcheck.scan.plan.columns import ScanPlan
-from ebamcheck.scan.plan.preheated import asked_for, preheated
 from ebamcheck.scan.plan.stacking import stack_plans
 from ebamcheck.scan.plan.whole_part import Stack, laid_layer, ordered_on
 from ebamcheck.settings.config import Config
@@ -282,21 +283,23 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         """Plan of the layer on what stands; the same with the heat when it is done; and the wait before it, s."""
         order, seed = config.scan.order, config.scan.seed
         section = smooth.section(0)
-        stack = Stack(
-            [section], np.array([smooth.heights[0]]), [wanted.layer + wanted.shifted], self.bottom_mm
-        )
+        contours = [contour_region(section, config)]
+        beads = stages.contour_curves(smooth, contours, config, wanted.layer)
+        numbers = [wanted.layer + wanted.shifted]
+        stack = Stack([section], np.array([smooth.heights[0]]), numbers, self.bottom_mm, contours)
         laid, islands = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
         warm, passes = preheated(before.part, [section], 0, wanted.base_mm, config, under)
-        power_of = stages.power_by_wire([section], config, before.surface, wanted.layer)
+        power_of = stages.power_by_wire([section], beads, config, before.surface)
         how = wanted.thickness_mm, config, order, carry, not before.laid, power_of
         done, part, last = ordered_on(warm, before.last, laid, islands, *how)
         if done.heat is not None:
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:
             done = replace(done, heat=None)
-        plan = replace(stack_plans([done], config, order, seed), under=under, stands=before.surface)
+        plan = stack_plans([done], config, order, seed)
+        plan = replace(plan, under=under, stands=before.surface, beads=beads)
         wait_s = 0.0 if last is None or last is before.last else last.wait_s
         return plan, replace(before, part=part, last=last), wait_s
 

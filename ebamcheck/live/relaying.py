@@ -19,6 +19,7 @@ from ebamcheck.checks.metal_rules import MetalBelow
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.heat.balance import HeatColumn, LayerShape
 from ebamcheck.heat.part_heat import PartHeat
+from ebamcheck.heat.preheating import preheated
 from ebamcheck.json_values import json_text
 from ebamcheck.kernels import Floats
 from ebamcheck.live import publishing
@@ -32,7 +33,6 @@ from ebamcheck.nc.inputs import deposition_heights, layer_thickness
 from ebamcheck.nc.templates import checked_tilt
 from ebamcheck.record.run_folder import MANIFEST, RunFolder
 from ebamcheck.scan.plan.columns import PlanOfLayers
-from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.verification.verify import part_of_run
 from ebamcheck.writing.blocks import BlockFormat

@@ -1,7 +1,7 @@
 """The metal that beads lay: where it comes to lie, and how much wire each bead needs so that a layer comes out flat."""
 
-from ebamcheck.metal.balance import balanced_widths as balanced_widths
 from ebamcheck.metal.footprints import Footprints as Footprints
+from ebamcheck.metal.footprints import balanced_widths as balanced_widths
 from ebamcheck.metal.footprints import footprints as footprints
 from ebamcheck.metal.surface import Surface as Surface
 from ebamcheck.metal.surface import bead_centres as bead_centres

@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from ebamcheck.errors import SettingsError
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.kernels import Floats
 from ebamcheck.nc.codes import (
     AUXILIARY,

@@ -23,7 +23,7 @@ from ebamcheck.checks.process_checks import seam_turns
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.curves.gate import CAUSES
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.kernels import Floats
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.nc.control import control

@@ -16,7 +16,7 @@ from ebamcheck.checks.consumables import plate_record
 from ebamcheck.comparison import Comparison
 from ebamcheck.curves.gate import METHODS as FALLBACKS
 from ebamcheck.errors import ExitCode
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.json_values import sha256_of_file, sha256_of_json
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.nc.inputs import deposition_heights

@@ -26,11 +26,12 @@ from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.program import ProgramFiles
 from ebamcheck.result import Check
 from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.bead_ends import planned_path, uppermost_seams, with_bead_ends, written_form
+from ebamcheck.threads import run_each
+from ebamcheck.writing.bead_ends import NO_SEAMS, planned_path, uppermost_seams, with_bead_ends, written_form
 from ebamcheck.writing.bead_parts import along_beads
-from ebamcheck.writing.seams import NO_SEAMS
 from ebamcheck.writing.tracks import Toolpath, toolpath
 from ebamcheck.writing.wire import bare_surface, wired
 
@@ -55,21 +56,27 @@ def smooth_sections(curves: Curves, config: Config) -> Layers | None:
 def plan_program(layers: Layers, config: Config, progress: Progress | None = None) -> ScanPlan:
     """Plan a stack whose program is to be written: as :func:`ebamcheck.scan.plan_stack`, by the power that its beads will have."""
     sections = [layers.section(k) for k in range(len(layers))]
-    return plan_stack(layers, config, progress, power_of=power_by_wire(sections, config))
+    contours = run_each(lambda section: contour_region(section, config), sections)
+    beads = contour_curves(layers, contours, config)
+    power_of = power_by_wire(sections, beads, config)
+    return replace(plan_stack(layers, config, progress, power_of=power_of, contours=contours), beads=beads)
 
 
 def power_by_wire(
-    sections: Sequence[BaseGeometry], config: Config, stands: Surface | None = None, first_layer: int = 0
+    sections: Sequence[BaseGeometry],
+    beads: Curves,
+    config: Config,
+    stands: Surface | None = None,
 ) -> PowerOf | None:
     """Power along beads by their wire, layer by layer from below; None where every layer has the full power.
 
-    `stands` is what the lowest of them lies on (None: the plate), and `first_layer` its index in the build.
+    `beads` are the curves of the contour beads of all these layers; `stands` is what the lowest lies on (None: the plate).
     """
     process = config.process
     if isinstance(process.power_schedule, str) and process.interpass in ("off", "dwell"):
         return None
     surface = stands.copy() if stands is not None else None
-    seams, number = NO_SEAMS, first_layer
+    seams, number = NO_SEAMS, 0
 
     def power_of(layer: OrderedLayer, thickness_mm: float) -> BeadPower:
         nonlocal surface, seams, number
@@ -77,15 +84,8 @@ def power_by_wire(
             surface = bare_surface(sections, config)
         plan, machine = _OneLayer.of(layer), config.machine
         decimals = machine.printed_decimals
-        lines = from_polygons(plan.heights, [[layer.laid.regions.contour]])
-        path = toolpath(
-            bead_curves(lines, config, number),
-            plan,
-            config,
-            decimals,
-            written_form(machine),
-            machine.line_tolerance_mm,
-        )
+        curves = replace(beads.block(number, number + 1), heights=plan.heights)
+        path = toolpath(curves, plan, config, decimals, written_form(machine), machine.line_tolerance_mm)
         number += 1
         path = replace(path, z=np.array([config.base_mm + thickness_mm]))
         below, seams = seams, uppermost_seams(path, process, seams)
@@ -98,8 +98,21 @@ def power_by_wire(
     return power_of
 
 
-def bead_curves(lines: Layers, config: Config, first_layer: int = 0) -> Curves:
-    """Curves along the centre lines of contour beads, in the direction in which they are driven; `first_layer` as above."""
+def contour_curves(
+    layers: Layers, contours: Sequence[BaseGeometry], config: Config, first_layer: int = 0
+) -> Curves:
+    """Curves along the centre lines (L,) of the contour beads of layers, in the direction in which they are driven.
+
+    `first_layer` is the index in the build of the lowest of the layers.
+    """
+    lines = from_polygons(
+        layers.heights,
+        [[region] for region in contours],
+        part=layers.part,
+        direction=layers.direction,
+        backend=layers.backend,
+        settings=layers.settings,
+    )
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
     method = "bounded" if config.curves.method in LIFTED else config.curves.method
     # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
@@ -148,19 +161,9 @@ class _OneLayer:
 
 
 def bead_paths(layers: Layers, plan: ScanPlan, config: Config, first_layer: int = 0) -> Curves:
-    """Curves along the centre lines of the contour beads, in the direction in which they are driven.
-
-    `first_layer` is the index in the build of the lowest of the layers.
-    """
-    lines = from_polygons(
-        layers.heights,
-        [[region] for region in plan.contours],
-        part=layers.part,
-        direction=layers.direction,
-        backend=layers.backend,
-        settings=layers.settings,
-    )
-    return bead_curves(lines, config, first_layer)
+    """Curves along the contour beads of a plan: those that it was made with, or new ones as of :func:`contour_curves`."""
+    found: Curves | None = plan.beads
+    return contour_curves(layers, list(plan.contours), config, first_layer) if found is None else found
 
 
 class LaidOut(NamedTuple):

@@ -24,7 +24,7 @@ from ebamcheck.checks.rules import RULES, of_gate
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves
-from ebamcheck.heat.melting import entry_limit_k
+from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.json_values import plain, sha256_of_json
 from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.heights import cut_heights

@@ -15,6 +15,7 @@ from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
+from ebamcheck.heat.preheating import asked_for
 from ebamcheck.json_values import sha256_of_json
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.heights import cut_heights
@@ -43,7 +44,6 @@ from ebamcheck.record.run_folder import MANIFEST, RunFolder, own_file
 from ebamcheck.record.signing import trusted_keys
 from ebamcheck.result import Check, gate_of_record
 from ebamcheck.scan import ScanPlan
-from ebamcheck.scan.plan.preheated import asked_for
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.settings.files import differences
 from ebamcheck.slicers.slicing import slice_part

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ebamcheck.heat.melting import own_power_shares
+from ebamcheck.heat.medium import own_power_shares
 from ebamcheck.heat.part_heat import BeadPower
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, Interpass

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ebamcheck.heat.preheating import pass_lines
+from ebamcheck.heat.preheating import pass_lines, scanned
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.control import Control
 from ebamcheck.nc.conventions import comment, header_lines, plain, safe_end_mm
 from ebamcheck.nc.inputs import CurveColumns, Interpass, ScanColumns, interpass_of
 from ebamcheck.nc.templates import ProcessValues, process_values, usable_templates
-from ebamcheck.scan.plan.preheated import scanned
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import feed_shares, wire_at
 from ebamcheck.writing.bead_ends import driven_path
@@ -138,6 +137,9 @@ class _Layer:
             ("beam_on", "wire_start"),
             ends if self._values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
         )
+        texts = ["".join(line for n in names for line in self._templates[n]) for names in self._names]
+        # Whether the blocks of a group depend on the power, and on the wire.
+        self._asked = [("{power_w" in text or "{current_ma" in text, "{wire_mm_s" in text) for text in texts]
         self._values_at: dict[tuple[float, float], ProcessValues] = {}
         self._blocks: dict[tuple[int, float, float], list[str]] = {}
         self._feeds: dict[float, str] = {}
@@ -151,10 +153,10 @@ class _Layer:
         self.rise()
         if config.machine.optional_stop:
             self.lines.append("M1")
-        wire = path.width / config.process.bead_metal_mm
+        first, last = path.track_starts[path.layer_starts[k : k + 2]].tolist()
+        wire = path.width[first:last] / config.process.bead_metal_mm
         feed = feed_shares(wire * speed, config, share)
         wire = wire_at(wire * speed, feed, config) / speed if (feed != 1.0).any() else wire
-        first, last = path.track_starts[path.layer_starts[k : k + 2]].tolist()
         power = layer_power(path, k, slice(first, last), share, config)
         island, entered = -1, False
         for t in range(int(path.layer_starts[k]), int(path.layer_starts[k + 1])):
@@ -172,20 +174,20 @@ class _Layer:
                     self.wait(float(heat.inner_wait_s[island]) if entered else 0.0)
                     entered = True
                 own = slice(a - first, b - first)
-                self.deposit(path.start[t], path.end[b - 1], motions[a:b], power[own], wire[a:b], feed[a:b])
+                self.deposit(path.start[t], path.end[b - 1], motions[a:b], power[own], wire[own], feed[own])
         self.rise()
 
     def _switches(self, group: int) -> list[str]:
         """Blocks of the moment: those that set power (0) or wire speed (1), or those before (2) and after a bead (3)."""
-        now = (self._power, self._wire)
-        found = self._blocks.get((group, *now))
-        if found is None:
+        power, wire = self._asked[group]
+        key = (group, self._power if power else 0.0, self._wire if wire else 0.0)
+        if key not in self._blocks:
+            now = (self._power, self._wire)
             if now not in self._values_at:
                 self._values_at[now] = self._values.at(*now)
-            values = self._values_at[now]
-            found = [line for name in self._names[group] for line in values.fill(name, self._templates[name])]
-            self._blocks[group, *now] = found
-        return found
+            values, names = self._values_at[now], self._names[group]
+            self._blocks[key] = [line for n in names for line in values.fill(n, self._templates[n])]
+        return self._blocks[key]
 
     def _feed(self, share: float) -> str:
         """Word of the feed at a share of that of the process."""

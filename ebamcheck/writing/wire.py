@@ -16,8 +16,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.geometry.regions import ARC_SEGMENTS
-from ebamcheck.heat.melting import width_limits_mm
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.heat.medium import width_limits_mm
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.metal import Footprints, Surface, Target, balanced_widths, footprints, target_of
 from ebamcheck.metal.footprints import pooled
 from ebamcheck.metal.surface import HALF
@@ -187,19 +187,15 @@ class _Division:
         return Stretches(track[kept], low[kept], high[kept], lap, width=width[kept])
 
 
-@kernel
 def runs_alike(track: Ints, width: Floats, factor: float) -> Bools:
     """Mark the first stretch of each run within which no two widths differ by more than a factor."""
     first = np.zeros(len(track), np.bool_)
-    low = high = 0.0
-    for n in range(len(track)):
-        new = n == 0 or track[n] != track[n - 1]
-        if not new:
-            low, high = min(low, width[n]), max(high, width[n])
-            new = high > factor * low
-        if new:
+    last, low, high = -1, 0.0, 0.0
+    for n, (of, mm) in enumerate(zip(track.tolist(), width.tolist(), strict=True)):
+        low, high = min(low, mm), max(high, mm)
+        if of != last or high > factor * low:
             first[n] = True
-            low = high = width[n]
+            last, low, high = of, mm, mm
     return first
 
 

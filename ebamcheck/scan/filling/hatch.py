@@ -1,4 +1,4 @@
-"""Parallel lines that fill islands: an exact scan-line clip of all islands in one kernel.
+"""Parallel lines that fill islands: an exact scan-line clip of all islands at once.
 
 An island of depth D across its hatch gets the whole number of lines that comes nearest to the set
 spacing and leaves no gap, spread evenly: the first and last line lie half a pitch from its sides. Lines
@@ -14,8 +14,9 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
+from ebamcheck.geometry.raster import each_of
 from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns
-from ebamcheck.kernels import Floats, Ints, kernel
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.islands.lattice import minimum_rectangle
 
 WIDEST_PITCH = 0.9
@@ -30,16 +31,16 @@ def widest_pitch_mm(bead_width_mm: float, spacing_mm: float) -> float:
     return max(spacing_mm, WIDEST_PITCH * bead_width_mm)
 
 
-def lines_across(depth_mm: float, spacing_mm: float, widest_mm: float) -> int:
-    """Lines that fill a strip of the given depth: nearest to the spacing, none wider apart than allowed.
+def lines_across(depth_mm: Floats, spacing_mm: float, widest_mm: float) -> Ints:
+    """Lines that fill strips of the given depths (n,): nearest to the spacing, none wider apart than allowed.
 
     Examples
     --------
-    >>> [lines_across(depth, 4.32, 5.4) for depth in (0.5, 5.0, 5.5, 26.0)]
-    [1, 1, 2, 6]
+    >>> lines_across(np.array([0.5, 5.0, 5.5, 26.0]), 4.32, 5.4)
+    array([1, 1, 2, 6])
     """
-    nearest = int(np.floor(depth_mm / spacing_mm + 0.5))
-    return max(1, nearest, int(np.ceil(depth_mm / widest_mm - 1e-9)))
+    fewest = np.ceil(depth_mm / widest_mm - 1e-9)
+    return np.maximum(np.maximum(np.floor(depth_mm / spacing_mm + 0.5), fewest), 1.0).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +104,6 @@ def _scan(
     return Vectors(island, start, end)
 
 
-@kernel
 def scan_lines(
     points: Floats,
     ring_starts: Ints,
@@ -118,61 +118,48 @@ def scan_lines(
     Works in coordinates turned by the island's angle about its first point, so that islands far from
     the origin lose no digits.
     """
-    islands = island_rings.size - 1
-    capacity = 64
-    owner = np.empty(capacity, np.int64)
-    start = np.empty((capacity, 2))
-    end = np.empty((capacity, 2))
-    used = 0
-    for k in range(islands):
-        first, last = ring_starts[island_rings[k]], ring_starts[island_rings[k + 1]]
-        if last - first < 3:
-            continue
-        c, s = np.cos(angles[k]), np.sin(angles[k])
-        x0, y0 = points[first, 0], points[first, 1]
-        along = np.empty(last - first)
-        across = np.empty(last - first)
-        for i in range(first, last):
-            dx, dy = points[i, 0] - x0, points[i, 1] - y0
-            along[i - first] = c * dx + s * dy
-            across[i - first] = c * dy - s * dx
-        low, high = across.min(), across.max()
-        depth = high - low
-        # As :func:`lines_across`.
-        count = max(1, int(np.floor(depth / spacing + 0.5)), int(np.ceil(depth / widest - 1e-9)))
-        row = np.empty(last - first)
-        forward = True
-        for n in range(count):
-            level = low + depth * (n + 0.5) / count
-            found = 0
-            for r in range(island_rings[k], island_rings[k + 1]):
-                for i in range(ring_starts[r] - first, ring_starts[r + 1] - first - 1):
-                    a, b = across[i], across[i + 1]
-                    if (a <= level) != (b <= level):
-                        crossing = along[i] + (along[i + 1] - along[i]) * ((level - a) / (b - a))
-                        place = found
-                        while place > 0 and row[place - 1] > crossing:
-                            row[place] = row[place - 1]
-                            place -= 1
-                        row[place] = crossing
-                        found += 1
-            drawn = False
-            for m in range(found // 2):
-                pair = m if forward else found // 2 - 1 - m
-                p, q = row[2 * pair], row[2 * pair + 1]
-                if q - p <= shortest:
-                    continue
-                if not forward:
-                    p, q = q, p
-                if used == capacity:
-                    capacity *= 2
-                    owner = np.concatenate((owner, owner))
-                    start, end = np.concatenate((start, start)), np.concatenate((end, end))
-                owner[used] = k
-                start[used, 0], start[used, 1] = x0 + c * p - s * level, y0 + s * p + c * level
-                end[used, 0], end[used, 1] = x0 + c * q - s * level, y0 + s * q + c * level
-                used += 1
-                drawn = True
-            if drawn:
-                forward = not forward
-    return owner[:used].copy(), start[:used].copy(), end[:used].copy()
+    first = ring_starts[island_rings]
+    some = np.flatnonzero(np.diff(first) >= 3)
+    if not len(some):
+        return np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2))
+    island = np.repeat(np.arange(len(angles)), np.diff(first))
+    c, s, origin = np.cos(angles), np.sin(angles), points[np.minimum(first[:-1], len(points) - 1)]
+    dx, dy = (points - origin[island]).T
+    along, across = c[island] * dx + s[island] * dy, c[island] * dy - s[island] * dx
+    low, depth = np.zeros(len(angles)), np.zeros(len(angles))
+    low[some] = np.minimum.reduceat(across, first[some])
+    depth[some] = np.maximum.reduceat(across, first[some]) - low[some]
+    count = lines_across(depth, spacing, widest)
+
+    # Where sides cross the lines: those between the ends of a side, and one more on either hand, are asked themselves.
+    side = np.setdiff1d(np.arange(len(points) - 1), ring_starts[1:-1] - 1)
+    of, a, b = island[side], across[side], across[side + 1]
+    tiny = np.maximum(depth, np.finfo(float).tiny)[of]
+    reach = np.stack([np.minimum(a, b), np.maximum(a, b)]) - low[of]
+    least, most = np.clip(reach / tiny * count[of] - 0.5, -2.0, count[of] + 1.0)
+    begin, end = np.maximum(np.floor(least), 0.0), np.minimum(np.ceil(most) + 1.0, count[of])
+    owner, number = each_of(np.maximum(end - begin, 0.0).astype(np.int64))
+    number += begin[owner].astype(np.int64)
+    of, a, b, side = of[owner], a[owner], b[owner], side[owner]
+    level = low[of] + depth[of] * (number + 0.5) / count[of]
+    met = (a <= level) != (b <= level)
+    of, a, b, side, level, number = (column[met] for column in (of, a, b, side, level, number))
+    place = along[side] + (along[side + 1] - along[side]) * ((level - a) / (b - a))
+
+    # Crossings of one line are as many as make pairs: between them lies the island.
+    order = np.lexsort((place, number, of))
+    of, number, level = of[order][::2], number[order][::2], level[order][::2]
+    p, q = place[order].reshape(-1, 2).T
+    kept = q - p > shortest
+    of, number, level, p, q = (column[kept] for column in (of, number, level, p, q))
+    new = np.diff(of, prepend=-1) != 0
+    row = np.cumsum(new | (np.diff(number, prepend=-1) != 0))
+    # Rows with lines alternate in direction within an island.
+    turned = (row - row[np.flatnonzero(new)][np.cumsum(new) - 1]) % 2 == 1
+    driven = np.lexsort((np.where(turned, -p, p), row))
+    of, level, p, q, turned = (column[driven] for column in (of, level, p, q, turned))
+    ends = [
+        origin[of] + np.column_stack([c[of] * x - s[of] * level, s[of] * x + c[of] * level])
+        for x in (np.where(turned, q, p), np.where(turned, p, q))
+    ]
+    return of, ends[0], ends[1]

@@ -24,6 +24,7 @@ from ebamcheck.geometry.regions import (
     JOIN_MM,
     inset,
     mean_width_mm,
+    simplified,
     split_thin,
     valid_polygons,
 )
@@ -39,9 +40,9 @@ CORNER = 0.5
 """Narrow pieces of the fill under this times the squared opening width are corners of a solid (down to
 about 35 degrees), not walls."""
 
-FILL_TOLERANCE = 0.002
-"""Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
-the sake of its surface, which the fill does not reach."""
+FILL_TOLERANCE = 0.004
+"""Deviation, over the bead width, by which the border of the fill, and the contour that it is found from, are simplified: a
+contour has points for the sake of its surface, which the fill does not reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +61,19 @@ class Regions:
     bare_walls: list[shapely.Polygon]
 
 
-def layer_regions(section: BaseGeometry, config: Config) -> Regions:
-    """Split the section of a layer into contour, solids and thin walls."""
+def contour_region(section: BaseGeometry, config: Config) -> BaseGeometry:
+    """Region whose border is the centre line of the contour bead of a section."""
+    return inset(section, config.contour_offset_mm)
+
+
+def layer_regions(section: BaseGeometry, config: Config, contour: BaseGeometry | None = None) -> Regions:
+    """Split the section of a layer into contour, solids and thin walls; the contour is made unless it is known."""
     width = config.process.bead_width_mm
     spacing = config.process.hatch_spacing_mm
     offset = config.contour_offset_mm
-    contour = inset(section, offset)
-    fill = shapely.simplify(inset(contour, 0.5 * spacing), FILL_TOLERANCE * width)
+    contour = contour_region(section, config) if contour is None else contour
+    coarse = simplified(contour, FILL_TOLERANCE * width)
+    fill = simplified(inset(coarse, 0.5 * spacing), FILL_TOLERANCE * width)
     narrow = max(THIN_WALL_BEADS * width - 2.0 * offset - spacing, spacing)
     solids, thin = split_thin(fill, narrow, CORNER * narrow**2)
     return Regions(
@@ -75,15 +82,15 @@ def layer_regions(section: BaseGeometry, config: Config) -> Regions:
         solids=solids,
         # Where the two contour beads meet there is nothing left to fill.
         narrow_fills=[p for p in thin if mean_width_mm(p) > width - spacing],
-        bare_walls=bare_walls(section, contour, offset, CRUMB * width**2),
+        bare_walls=bare_walls(section, coarse, offset + FILL_TOLERANCE * width, CRUMB * width**2),
     )
 
 
 def bare_walls(
-    section: BaseGeometry, contour: BaseGeometry, offset_mm: float, crumb_mm2: float
+    section: BaseGeometry, contour: BaseGeometry, reach_mm: float, crumb_mm2: float
 ) -> list[shapely.Polygon]:
-    """Parts of a section where its inset by `offset_mm` vanished: too narrow for a contour bead."""
-    reached = shapely.buffer(contour, offset_mm + JOIN_MM, quad_segs=ARC_SEGMENTS)
+    """Parts of a section out of reach of its contour: too narrow for a contour bead."""
+    reached = shapely.buffer(contour, reach_mm + JOIN_MM, quad_segs=ARC_SEGMENTS)
     kept = [p for p in _beside(section, reached) if p.area >= crumb_mm2]
     # A whole small island of metal is no crumb of anything: it still gets its bead.
     alone = [p for p in valid_polygons(section) if p.area < crumb_mm2]

@@ -49,6 +49,7 @@ from ebamcheck.columns_file import (
     starts_of,
     write_table,
 )
+from ebamcheck.curves.columns import Curves
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import parsed_json
 from ebamcheck.kernels import Floats, Ints
@@ -296,6 +297,8 @@ class ScanPlan(LayerColumns[PlannedLayer]):
         Surface of what the lowest layer lies on, which its beads mend; None: level. No file holds it.
     under
         Section of what the lowest layer lies on, where that is preheated; None: the base plate. No file holds it.
+    beads
+        Curves along the contour beads that the plan was made with; None: not known. No file holds them.
     """
 
     heights: Floats
@@ -316,6 +319,7 @@ class ScanPlan(LayerColumns[PlannedLayer]):
     inner_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
     stands: Surface | None = None
     under: BaseGeometry | None = None
+    beads: Curves | None = None
 
     def _item(self, index: int) -> PlannedLayer:
         return PlannedLayer(self, index)

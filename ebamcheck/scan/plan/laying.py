@@ -62,9 +62,11 @@ class LaidLayer:
         )
 
 
-def lay_islands(section: BaseGeometry, config: Config, layer: int, height_mm: float) -> LaidLayer:
-    """Divide one valid section into islands and fill them."""
-    regions = layer_regions(section, config)
+def lay_islands(
+    section: BaseGeometry, config: Config, layer: int, height_mm: float, contour: BaseGeometry | None = None
+) -> LaidLayer:
+    """Divide one valid section into islands and fill them; `contour` as of :func:`layer_regions`."""
+    regions = layer_regions(section, config, contour)
     side = _side_mm(regions, config)
     found = _partition(regions, side, config, layer)
     filled = fill_layer(regions, found, config, layer)

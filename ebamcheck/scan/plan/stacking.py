@@ -204,20 +204,22 @@ def plan_stack(
     order: str | None = None,
     seed: int | None = None,
     power_of: PowerOf | None = None,
+    contours: Sequence[BaseGeometry] | None = None,
 ) -> ScanPlan:
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads; open paths bound no region and are not filled.
 
     An order that asks the heat model begins each layer with the heat that those under it have left, unless
     `scan.carry_heat` is off. Whatever the order, each layer is simulated with that heat for its power and waits, unless
     `process.interpass` is off. `power_of` gives the power along beads by the wire that they get
-    (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each bead has the power of its layer.
+    (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each bead has the power of its layer. `contours` are the regions
+    of the contour beads, where they are known.
     """
     config = config or Config()
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
     # Layers are cut at half their height: the part stands on the plate half a layer under the lowest cut.
     plate_mm = float(layers.heights.min(initial=np.inf)) - 0.5 * config.layer_height_mm
     sections = [layers.section(k) for k in range(len(layers))]
-    stack = Stack(sections, layers.heights, range(len(layers)), plate_mm)
+    stack = Stack(sections, layers.heights, range(len(layers)), plate_mm, contours)
     carry = config.scan.carry_heat and needs_heat(name)
     simulated = config.process.interpass != "off" or config.preheat.when != "off"
     planned = []

@@ -21,12 +21,12 @@ from ebamcheck.heat.interpass import LayerJob, SimulatedLayer, cooled_layer
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.heat.part_heat import BeadPower, Beads, PartHeat
+from ebamcheck.heat.preheating import preheated
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.laying import ContourBeads, LaidLayer, bead_sequence, contour_beads, lay_islands
-from ebamcheck.scan.plan.preheated import preheated
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import thread_count, worker_threads
 
@@ -119,13 +119,15 @@ class Stack:
     """Layers to be put in order.
 
     `sections`: valid sections, from below; `heights_mm`: (L,) their heights, rising; `numbers`: indices in the part, which
-    turn hatch and cells and seed random choices; `plate_mm`: height of the base plate.
+    turn hatch and cells and seed random choices; `plate_mm`: height of the base plate; `contours`: regions of the contour
+    beads, where they are known.
     """
 
     sections: Sequence[BaseGeometry]
     heights_mm: Floats
     numbers: Sequence[int]
     plate_mm: float = 0.0
+    contours: Sequence[BaseGeometry] | None = None
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -141,6 +143,12 @@ class Stack:
     def _bottoms_mm(self) -> list[float]:
         """Heights over the base plate on which layers lie, (L,)."""
         return list(accumulate(self._steps_mm, initial=0.0))
+
+    def laid(self, layer: int, config: Config) -> LaidLayer:
+        """One layer with its islands and lines."""
+        contour = None if self.contours is None else self.contours[layer]
+        height_mm = float(self.heights_mm[layer])
+        return lay_islands(self.sections[layer], config, self.numbers[layer], height_mm, contour)
 
     def thickness_mm(self, layer: int, config: Config) -> float:
         """Height of one layer: the step from the one below, for the lowest that to the next, or the one set."""
@@ -277,7 +285,7 @@ def _prepared(stack: Stack, prepare: Callable[[int], _Prepared]) -> Iterator[_Pr
 @one_blas_thread()
 def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -> OrderedLayer:
     """Divide one layer into islands and put them in order as on a cold part."""
-    laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
+    laid = stack.laid(k, config)
     islands = laid.choices(config, seed, stack.plate_mm)
     heat = islands.cold_heat() if needs_heat(order) and len(islands) > 1 else None
     found = scan_order(order, islands, heat)
@@ -287,7 +295,7 @@ def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -
 @one_blas_thread()
 def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> tuple[LaidLayer, ReadyIslands]:
     """Divide one layer into islands, set up its heat model, and put its contours in sequence."""
-    laid = lay_islands(stack.sections[k], config, stack.numbers[k], float(stack.heights_mm[k]))
+    laid = stack.laid(k, config)
     islands = laid.choices(config, seed, stack.plate_mm)
     cold = islands.cold_heat() if len(islands) else None
     return laid, ReadyIslands(islands, cold, contour_beads(laid, config, cold))
