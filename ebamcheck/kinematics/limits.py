@@ -8,15 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ebamcheck.kernels import Bools, Floats, Ints
-from ebamcheck.kinematics.path import DrivenPath
+from ebamcheck.kinematics.path import DEGENERATE, DrivenPath
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
+from ebamcheck.threads import block_edges, run_in_order
 
 PLACES = 5
 """Places of a cell, its ends included, at which its curvature is taken."""
 
 MOST_CELLS = 64
 """Cells of one motion."""
+
+AT_ONCE = 8192
+"""Cells that are looked at together: their columns stay in the cache of a processor."""
 
 CRAWL_SHARE = 1e-3
 """Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow."""
@@ -64,7 +68,18 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     starts = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
     index = np.arange(motion.size) - starts[:-1][motion]
     t0, t1 = index / parts[motion], (index + 1) / parts[motion]
-    curvature, direction = _curvature(path, motion, t0, t1)
+    curvature, length = np.zeros(motion.size), path.length_mm[motion]
+    direction = np.abs(path.tangents(motion, t0))
+    bent = np.flatnonzero(path.is_curved[motion])
+    edges = block_edges(bent.size, largest=AT_ONCE)
+    rows, begin, end = motion[bent], t0[bent], t1[bent]
+    bends = run_in_order(lambda a, b: _bends(path, rows[a:b], begin[a:b], end[a:b]), edges)
+    curvature[bent], direction[bent, 0], direction[bent, 1], direction[bent, 2], length[bent] = np.hstack(
+        list(bends)
+    )
+    # Those of one motion add up to its length.
+    whole = np.bincount(motion, length, minlength=len(path))
+    length *= (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion]
     feed = path.feed_mm_s[motion]
     most = np.minimum(feed, _along(direction, np.array(axes.axis_speed_mm_s)))
     most = np.minimum(most, np.maximum(_round(curvature, axes), CRAWL_SHARE * feed))
@@ -80,7 +95,7 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     first = np.zeros(motion.size, np.bool_)
     first[starts[:-1]] = np.diff(path.run, prepend=-1) != 0
     entry[first] = 0.0
-    return Cells(motion, _lengths(path, motion, t0, t1), most, acceleration, jerk, entry, first)
+    return Cells(motion, length, most, acceleration, jerk, entry, first)
 
 
 def _parts(path: DrivenPath, axes: KinematicsSettings) -> Ints:
@@ -105,38 +120,28 @@ def _round(curvature: Floats, axes: KinematicsSettings) -> Floats:
         return np.asarray(np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2)))
 
 
-def _curvature(path: DrivenPath, motion: Ints, t0: Floats, t1: Floats) -> tuple[Floats, Floats]:
-    """Greatest curvature (C,) 1/mm in each cell, and greatest share (C, 3) of each axis in its direction."""
-    most = np.zeros(motion.size)
-    share = np.zeros((motion.size, 3))
-    for k in range(PLACES):
-        t = t0 + (t1 - t0) * (k / (PLACES - 1))
-        share = np.maximum(share, np.abs(path.tangents(motion, t)))
-        most = np.maximum(most, np.abs(curvature_at(path, motion, t)))
-    return most, share
-
-
-def curvature_at(path: DrivenPath, motion: Ints, t: Floats) -> Floats:
-    """Curvature (n,) 1/mm, positive to the left; infinite in a cusp."""
-    first, second = path.derivatives(motion, t)
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+def _curvature(first: Floats, second: Floats) -> Floats:
+    """Curvature (...) 1/mm, positive to the left, of derivatives (2, ...); infinite in a cusp."""
+    (ax, ay), (bx, by) = first, second
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = cross / np.hypot(first[:, 0], first[:, 1]) ** 3
-    return np.asarray(np.where(path.is_curved[motion], np.where(np.isnan(found), np.inf, found), 0.0))
+        found = (ax * by - ay * bx) / np.hypot(ax, ay) ** 3
+    return np.asarray(np.where(np.isnan(found), np.inf, found))
 
 
-def _lengths(path: DrivenPath, motion: Ints, t0: Floats, t1: Floats) -> Floats:
-    """Length of each cell (C,), by 8-point Gauss quadrature; those of one motion add up to its length."""
+def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
+    """Of stretches (n,) of curves, by columns (5, n): greatest curvature, 1/mm, greatest share of each axis in the direction, length, mm."""
+    t = np.linspace(t0, t1, PLACES)
+    first, second = path.derivatives(rows, t)
+    speed = np.hypot(*first)
+    share = np.divide(np.abs(first), speed, out=np.zeros_like(first), where=speed > 0.0)
+    for k, n in zip(*np.nonzero(speed <= DEGENERATE * path.length_mm[rows]), strict=True):
+        share[:, k, n] = np.abs(path.tangents(rows[[n]], t[k, [n]])[0, :2])
+    # By 8-point Gauss quadrature.
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    found = np.zeros(motion.size)
-    for node, weight in zip(nodes, weights, strict=True):
-        t = t0 + (t1 - t0) * (0.5 * (node + 1.0))
-        first, _ = path.derivatives(motion, t)
-        found += 0.5 * weight * (t1 - t0) * np.hypot(first[:, 0], first[:, 1])
-    straight = ~path.is_curved[motion]
-    found[straight] = path.length_mm[motion[straight]]
-    whole = np.bincount(motion, found, minlength=len(path))
-    return np.asarray(found * (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion])
+    at = t0 + (t1 - t0) * (0.5 * (nodes[:, None] + 1.0))
+    length = 0.5 * (t1 - t0) * (weights @ np.hypot(*path.derivatives(rows, at)[0]))
+    most = np.abs(_curvature(first, second)).max(axis=0)
+    return np.stack([most, *share.max(axis=1), np.zeros(rows.size), length])
 
 
 # -- corners -----------------------------------------------------------------------------------------
@@ -166,7 +171,8 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
         return result
     rounded = _rounded_corner(path, half, machine, axes)
     bends = [
-        curvature_at(path, at, t) for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
+        np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0)
+        for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
     ]
     # A cusp slows its own cell down.
     known = np.isfinite(bends[0]) & np.isfinite(bends[1])

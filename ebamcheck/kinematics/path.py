@@ -58,32 +58,30 @@ class DrivenPath:
 
     def tangents(self, rows: Ints, t: Floats) -> Floats:
         """Unit directions of travel (n, 3) at the parameters `t` (n,) of the motions `rows` (n,)."""
-        found = self.derivatives(rows, t)[0]
-        size = np.hypot(found[:, 0], found[:, 1])
-        flat = size <= DEGENERATE * self.length_mm[rows]
-        inner = np.clip(t[flat], INWARDS, 1.0 - INWARDS)
-        found[flat] = self.derivatives(rows[flat], inner)[0]
-        result = np.zeros((rows.size, 3))
-        result[:, :2] = found
-        upright = ~self.is_curved[rows]
-        result[upright] = (self.end - self.start)[rows[upright]]
-        size = np.linalg.norm(result, axis=1)
+        result, curved = (self.end - self.start)[rows], np.flatnonzero(self.is_curved[rows])
+        at, rows = t[curved], rows[curved]
+        found = self.derivatives(rows, at)[0]
+        flat = np.hypot(*found) <= DEGENERATE * self.length_mm[rows]
+        found[:, flat] = self.derivatives(rows[flat], np.clip(at[flat], INWARDS, 1.0 - INWARDS))[0]
+        result[curved] = np.column_stack([*found, np.zeros(rows.size)])
+        size = np.sqrt((result * result).sum(axis=1))
         return np.asarray(result / np.where(size > 0.0, size, 1.0)[:, None])
 
     def derivatives(self, rows: Ints, t: Floats) -> tuple[Floats, Floats]:
-        """First and second derivative of X and Y by t, each (n, 2)."""
-        (_, b, c, d), along = self.coefficients[rows].transpose(2, 0, 1), t[:, None]
-        first, second = b + along * (2.0 * c + 3.0 * along * d), 2.0 * c + 6.0 * along * d
+        """First and second derivative of X and Y by t, each (2, n), or (2, m, n) at several parameters `t` (m, n) of each motion."""
+        powers = np.ascontiguousarray(self.coefficients[rows].transpose(2, 1, 0))
+        _, b, c, d = powers[:, :, None] if t.ndim > 1 else powers
+        first, second = b + t * (2.0 * c + 3.0 * t * d), 2.0 * c + 6.0 * t * d
         round_ = np.flatnonzero(self.is_arc[rows])
         if round_.size:
             r = rows[round_]
             sweep = self.sweep_rad[r]
-            turn = sweep * t[round_]
+            turn = sweep * t[..., round_]
             spoke = self.start[r, :2] - self.centre[r]
             cos, sin = np.cos(turn), np.sin(turn)
             x, y = cos * spoke[:, 0] - sin * spoke[:, 1], sin * spoke[:, 0] + cos * spoke[:, 1]
-            first[round_] = sweep[:, None] * np.column_stack([-y, x])
-            second[round_] = -(sweep**2)[:, None] * np.column_stack([x, y])
+            first[..., round_] = sweep * np.stack([-y, x])
+            second[..., round_] = -(sweep**2) * np.stack([x, y])
         return first, second
 
 
