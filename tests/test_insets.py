@@ -12,7 +12,7 @@ import shapely.affinity
 from ebamcheck.checks.metal import _reaches_mm
 from ebamcheck.geometry.regions import eroded, is_inset, valid_polygons
 from ebamcheck.metal import target_of
-from ebamcheck.nc.roles import depth_lines
+from ebamcheck.nc.roles import depth_lines, inside
 
 LOST = shapely.Polygon(
     [(-1.81, 8.08), (-0.44, 1.97), (0.51, 0.07), (37.85, 4.92), (39.55, 6.09), (38.77, 7.69), (-0.28, 8.76)]
@@ -134,3 +134,13 @@ def test_metal_reaches_a_number_of_millimetres_beside_a_wall_thinner_than_a_cell
     reach = _reaches_mm(film, target.share >= 0.5, wall, target)
     assert np.isfinite(reach).all()
     assert 3.0 < reach.max() < 4.0 * math.sqrt(2.0) + 1.5
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_one_place_of_a_run_away_from_the_border_tells_whether_all_lie_inside(name):
+    region = SHAPES[name]
+    x0, y0, x1, y1 = region.bounds
+    walk = np.cumsum(np.random.default_rng(5).normal(0.0, 0.8, (2000, 2)), axis=0)
+    places = np.ascontiguousarray([x0, y0] + np.abs(walk) % [x1 - x0, y1 - y0])
+    away = np.asarray(shapely.distance(shapely.points(places), shapely.boundary(region)))
+    assert (inside(region, places, away) == shapely.intersects_xy(region, *places.T)).all()

@@ -12,9 +12,8 @@ from scipy.interpolate import make_interp_spline
 
 from ebamcheck.errors import SettingsError
 from ebamcheck.kinematics import feed_profile, polyline_profile, side_by_side
-from ebamcheck.kinematics.path import DrivenPath
-from ebamcheck.kinematics.profile import _profile
-from ebamcheck.kinematics.ramps import fastest, ramp_time, time_to
+from ebamcheck.kinematics.limits import DrivenPath
+from ebamcheck.kinematics.profile import _profile, fastest, ramp_time, time_to
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.program import read_program, write_program
 from ebamcheck.settings.config import Config

@@ -48,12 +48,12 @@ ELSEWHERE = {
 
 NO_LIMITS = {
     "how finely something is looked at": """
-        bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB bead_checks.BEAD_STEP_MM clearance.PLACES metal.STEP_SHARE
+        bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB subject.BEAD_STEP_MM clearance.PLACES metal.STEP_SHARE
         hatch_form.CHORD_MM hatch_form.AT_ONCE heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
         heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM process_checks.OUTLINE_STEP_MM
         process_checks.INNER_STEP_MM process_checks.FIRST_ASKED process_checks.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheating.AT_ONCE_S preheating.MOST_PASSES process_checks.DIRECTIONS
-        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM matching.CLOSER matching.MOST_STEPS path_checks.DEGREE
+        process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM path_checks.DEGREE
         clearance.CELLS_PER_BEAD clearance.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
         table.STEP_DEG text_heat.LONGEST_S
         metal_rules.SPANS metal.AT_ONCE metal_rules.LEAST_BEADS bead_end_checks.REACH_BEADS

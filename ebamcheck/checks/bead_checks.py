@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
@@ -18,8 +15,9 @@ from ebamcheck.checks.checks import SAME_LINE_MM, count_check, limit_check, line
 from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
 from ebamcheck.checks.subject import Subject
+from ebamcheck.geometry.nearest import distances, segments_of
 from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
-from ebamcheck.geometry.regions import ground, inset, valid_polygons
+from ebamcheck.geometry.regions import ground, valid_polygons
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
 from ebamcheck.nc.roles import nearest_layer
@@ -27,8 +25,6 @@ from ebamcheck.result import Check
 from ebamcheck.threads import run_each
 
 CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
-# Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.
-BEAD_STEP_MM = 0.5
 # Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two.
 SPACING_SHARE = 1.5
 # Lines of one island whose directions differ by more follow a wall, and have no common spacing.
@@ -60,13 +56,7 @@ def _spacing(subject: Subject) -> Check:
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
     wide = np.flatnonzero(same & (step > limit))
     if wide.size:
-
-        @cache
-        def chords_of(layer: int) -> NDArray[np.object_]:
-            segments = _segments(nc, np.flatnonzero(nc.deposit & (nc.layer == layer)))
-            return np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)))
-
-        wide = wide[[_is_bare(subject, chords_of, rows[order[i : i + 2]]) for i in wide]]
+        wide = wide[_is_bare(subject, np.stack([rows[order[wide]], rows[order[wide + 1]]], axis=1))]
     worst = float(step[wide if wide.size else same & (step <= limit)].max(initial=0.0))
     if not wide.size:
         text = f"{rows.size} lines, neighbours at most {worst:.6g} mm apart"
@@ -77,23 +67,25 @@ def _spacing(subject: Subject) -> Check:
     return Check("hatch spacing", False, worst, limit, "mm", nc.where(row), text)
 
 
-def _is_bare(subject: Subject, chords_of: Callable[[int], NDArray[np.object_]], pair: Ints) -> bool:
-    """Whether the place half-way between two lines is in the section, and under no bead, by the chords of a layer's beads."""
+def _is_bare(subject: Subject, pairs: Ints) -> Bools:
+    """Pairs (n, 2) of lines between which the place half-way is in the section, and under no bead of the layer."""
     # Nothing lies between two lines of which one begins where the other has long ended: they are of two islands.
-    nc, config = subject.nc, subject.config
-    shorter, other = pair[np.argsort(nc.lengths[pair], kind="stable")]
+    nc, room = subject.nc, 0.5 * subject.config.process.bead_width_mm
+    pairs = np.take_along_axis(pairs, np.argsort(nc.lengths[pairs], axis=1, kind="stable"), axis=1)
+    shorter, other = pairs.T
     middle = 0.5 * (nc.start + nc.end)[shorter, :2]
-    way = (nc.end - nc.start)[other, :2] / nc.lengths[other]
+    way = (nc.end - nc.start)[other, :2] / nc.lengths[other, None]
     from_other = middle - nc.start[other, :2]
-    along, room = float(from_other @ way), 0.5 * config.process.bead_width_mm
-    if not -room <= along <= float(nc.lengths[other]) + room:
-        return False
-    place = shapely.Point(middle - 0.5 * (from_other - along * way))
-    if subject.witness_sections is not None:
-        k = int(nearest_layer(nc.end[shorter, 2], subject.z_of))
-        if not shapely.intersects(subject.witness_sections[k], place):
-            return False
-    return bool(np.min(shapely.distance(chords_of(int(nc.layer[shorter])), place)) > room)
+    along = (from_other * way).sum(axis=1)
+    place = middle - 0.5 * (from_other - along[:, None] * way)
+    bare = (-room <= along) & (along <= nc.lengths[other] + room)
+    layer = nearest_layer(nc.end[shorter, 2], subject.z_of)
+    for k in np.unique(layer[bare]).tolist():
+        mine = np.flatnonzero(bare & (layer == k))
+        if subject.witness_sections is not None:
+            bare[mine] = shapely.intersects_xy(subject.witness_sections[k], place[mine, 0], place[mine, 1])
+        bare[mine] &= distances(place[mine], subject.chords(k)) > room
+    return np.asarray(bare)
 
 
 def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
@@ -135,9 +127,9 @@ def repeated_blocks(nc: NCProgram) -> Check:
     lines = [file.data.split(b"\n") for file in nc.files]
     for file, line in lines_of(nc, np.flatnonzero(nc.deposit)):
         before, block = lines[file][line - 2 : line] if line > 1 else (b"", lines[file][line - 1])
-        # Most blocks end in another digit than the one before, and need not be taken into words.
-        digits = before[-1:].isdigit() and block[-1:].isdigit() and b";" not in before + block
-        if digits and before[-1:] != block[-1:]:
+        # Most blocks end in another word than the one before, and need not be taken into words.
+        last = block.rsplit(None, 1)[-1]
+        if last[:1] not in b"Nn:/" and b";" not in block + before and not before.rstrip().endswith(last):
             continue
         words = _words_of(block)
         if words and words == _words_of(before):
@@ -162,22 +154,15 @@ def coverage_check(subject: Subject) -> list[Check]:
     width = config.process.bead_width_mm
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
 
-    covered = run_each(lambda k: covered_fraction(sections[k], _segments(nc, rows[index == k]), width), solid)
+    covered = run_each(lambda k: covered_fraction(sections[k], subject.chords(k), width), solid)
     laid = width * float(np.nansum(nc.lengths[rows[np.isin(index, solid)]]))
     area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
     worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
     if layer < 0:
         return [Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")]
-    where, gap = _gap(nc, rows[index == layer], sections[layer], width)
+    where, gap = _gap(nc, rows[index == layer], subject.chords(layer), sections[layer], width)
     text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
     return [Check("coverage", worst >= limit, worst, limit, "of the area", where, text)]
-
-
-def _segments(nc: NCProgram, rows: Ints) -> Floats:
-    """Chords (S, 4) of the motions, x0, y0, x1, y1, mm; without those from or to a place that is not known."""
-    _, chords = nc.chords(rows, BEAD_STEP_MM)
-    # Widened lines of unknown places end the process within GEOS.
-    return np.asarray(chords[np.isfinite(chords).all(axis=1)])
 
 
 def gaps_check(subject: Subject) -> list[Check]:
@@ -187,23 +172,24 @@ def gaps_check(subject: Subject) -> list[Check]:
     missing_line_mm = WIDEST_GAP * (2.0 * config.process.hatch_spacing_mm - width)
     planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
     limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
+    known, sections = [0.0], subject.witness_sections or []
     rows = np.flatnonzero(nc.deposit)
     index = nearest_layer(nc.end[rows, 2], subject.z_of)
-    known = [0.0]
 
     def widest(k: int) -> tuple[float, int, BaseGeometry] | None:
-        inner = inset(subject.witness.section(k), 0.5 * width)
-        mine = rows[index == k]
-        if inner.is_empty or not mine.size:
+        section = sections[k]
+        if section.is_empty or k not in index:
             return None
+        # As if a bead ran along the border: what is nearer to it than half a bead is a corner.
+        lines = np.vstack([subject.chords(k), segments_of(section.boundary)])
         # A gap as wide as the widest so far is found, too: whichever thread comes first, the lowest one is told.
-        across, bare = widest_part(inner, _segments(nc, mine), width, math.nextafter(known[0], 0.0))
+        across, bare = widest_part(section, lines, width, math.nextafter(known[0], 0.0))
         if bare is None:
             return None
         known[0] = max(known[0], across)
         return across, -k, bare
 
-    gaps = [gap for gap in run_each(widest, range(len(subject.witness))) if gap is not None]
+    gaps = [gap for gap in run_each(widest, range(len(sections))) if gap is not None]
     worst, where, place = 0.0, "", ""
     if gaps:
         worst, layer, bare = max(gaps, key=lambda gap: gap[:2])
@@ -223,11 +209,13 @@ def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
     return int(rows[known][np.argmin(shapely.distance(shapely.linestrings(chords[known]), place))])
 
 
-def _gap(nc: NCProgram, rows: Ints, section: BaseGeometry, width_mm: float) -> tuple[str, str]:
+def _gap(
+    nc: NCProgram, rows: Ints, chords: Floats, section: BaseGeometry, width_mm: float
+) -> tuple[str, str]:
     """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
     if not rows.size:
         return f"{nc.files[0].name}:1", "; the layer has no bead"
-    lines = np.asarray(shapely.linestrings(_segments(nc, rows).reshape(-1, 2, 2)), object)
+    lines = np.asarray(shapely.linestrings(chords.reshape(-1, 2, 2)), object)
     bare = section.difference(ground(lines, width_mm))
     parts = [p for p in shapely.get_parts(bare) if p.area > CRUMB * width_mm**2]
     if not parts:
@@ -252,14 +240,16 @@ def widest_part(
     if bare.covered == 1.0:
         return widest_mm, widest
     boxes, most_mm = _patches(bare)
-    lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), object)
-    tree = shapely.STRtree(lines)
+    low = np.minimum(segments[:, :2], segments[:, 2:]) - 0.5 * bead_width_mm
+    high = np.maximum(segments[:, :2], segments[:, 2:]) + 0.5 * bead_width_mm
     for n in np.argsort(-most_mm, kind="stable"):
         if most_mm[n] <= widest_mm:
             break
-        near = np.sort(tree.query(boxes[n], predicate="dwithin", distance=0.5 * bead_width_mm))
-        beads = ground(lines[near], bead_width_mm)
-        left = shapely.difference(shapely.intersection(region, boxes[n]), beads)
+        near = (low <= boxes[n, 2:]).all(axis=1) & (high >= boxes[n, :2]).all(axis=1)
+        beads = ground(
+            np.asarray(shapely.linestrings(segments[near].reshape(-1, 2, 2)), object), bead_width_mm
+        )
+        left = shapely.difference(shapely.clip_by_rect(region, *boxes[n]), beads)
         for part in valid_polygons(left):
             across_mm = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(part)))
             if across_mm > widest_mm:
@@ -267,11 +257,11 @@ def widest_part(
     return widest_mm, widest
 
 
-def _patches(bare: BareSamples) -> tuple[np.ndarray, Floats]:
-    """Boxes (P,) around patches of bare samples that touch, and the widest circle that each could hold, mm."""
+def _patches(bare: BareSamples) -> tuple[Floats, Floats]:
+    """Boxes (P, 4) around patches of bare samples that touch, and the widest circle that each could hold, mm."""
     labels, _ = ndimage.label(bare.grid, structure=np.ones((3, 3)))
     places = [place for place in ndimage.find_objects(labels) if place is not None]
     low = np.array([(x.start, y.start) for y, x in places], np.float64).reshape(-1, 2) - MARGIN
     high = np.array([(x.stop, y.stop) for y, x in places], np.float64).reshape(-1, 2) + MARGIN
     corners = np.hstack([low, high]) * bare.step_mm + np.tile(bare.origin, 2)
-    return np.asarray(shapely.box(*corners.T), object), bare.step_mm * (high - low).min(axis=1)
+    return corners, bare.step_mm * (high - low).min(axis=1)

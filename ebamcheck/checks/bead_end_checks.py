@@ -18,7 +18,7 @@ from ebamcheck.checks.checks import PLACE_MM, VALUE_SHARE, count_check, limit_ch
 from ebamcheck.checks.metal import STEP_SHARE, wanted_region
 from ebamcheck.checks.state_checks import retract_check
 from ebamcheck.checks.value_checks import own_shares
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.conventions import power_slack_w
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM
@@ -258,7 +258,7 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         end, other = pairs["i"], mine[pairs["j"]]
         own = (bead[other] == bead[owner[end]]) & (np.abs(along[other] - along[owner[end]]) < bead_mm)
         end, others = end[~own], place[other[~own]]
-        gap, straight = (_ahead(at, way, end, others, slope) for slope in (AHEAD, STRAIGHT))
+        gap, straight = _ahead(at, way, end, others)
         border = _border_ahead(at, way, wanted_region(layers.section(k), config), reach_mm)
         return pd.DataFrame({
             "gap_mm": np.minimum(gap, reach_mm), "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
@@ -269,14 +269,16 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
     return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
 
-def _ahead(at: Floats, way: Floats, end: Ints, place: Floats, slope: float) -> Floats:
-    """Distance (n,) from ends to the nearest of the places (m, 2) ahead of each, by the slope of what counts as that; endless without any."""
-    to = place - at[end]
+def _ahead(at: Floats, way: Floats, end: Ints, place: Floats) -> Floats:
+    """Distance (2, n) from ends to the nearest of the places (m, 2) that lie ahead of each, and straight ahead; endless without any."""
+    to, gap = place - at[end], np.full((2, len(at)), np.inf)
     along = (to * way[end]).sum(axis=1)
-    across = np.abs(to[:, 0] * way[end, 1] - to[:, 1] * way[end, 0])
-    ahead: Bools = (along > 0.0) & (across <= slope * along)
-    gap = np.full(len(at), np.inf)
-    np.minimum.at(gap, end[ahead], np.hypot(to[ahead, 0], to[ahead, 1]))
+    ahead = np.flatnonzero(along > 0.0)
+    end, to, along = end[ahead], to[ahead], along[ahead]
+    across, away = np.abs(to[:, 0] * way[end, 1] - to[:, 1] * way[end, 0]), np.hypot(to[:, 0], to[:, 1])
+    for nearest, slope in zip(gap, (AHEAD, STRAIGHT), strict=True):
+        within = across <= slope * along
+        np.minimum.at(nearest, end[within], away[within])
     return gap
 
 

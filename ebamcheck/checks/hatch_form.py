@@ -200,7 +200,9 @@ def _crossings(nc: NCProgram, pool_mm: float) -> Check:
 
 def _crossed(nc: NCProgram, rows: Ints, bead: Ints, pool_mm: float) -> list[int]:
     """Later motion of each pair that crosses, hatch at least one of them; `bead` (B,) is that of each motion."""
-    owner, segments = _chords(nc, rows)
+    owner, segments = nc.chords(rows, CHORD_MM)
+    moves = (segments[:, :2] != segments[:, 2:]).any(axis=1)
+    owner, segments = owner[moves], segments[moves]
     if len(owner) < 2:
         return []
     lines = np.asarray(shapely.linestrings(segments.reshape(-1, 2, 2)), dtype=np.object_)
@@ -249,15 +251,3 @@ def _apart(one: Floats, other: Floats) -> Bools:
         for end in (segments[:, :2], segments[:, 2:]):
             result &= np.asarray(shapely.distance(at, shapely.points(end))) > TWO_PLACES_MM
     return result
-
-
-def _chords(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats]:
-    """Motion of each chord (S,), and its ends (S, 4): one for a straight motion, several for a curve."""
-    curved = nc.kind[rows] != STRAIGHT
-    straight = rows[~curved]
-    owner, bent = nc.chords(rows[curved], CHORD_MM)
-    segments = np.vstack([np.hstack([nc.start[straight, :2], nc.end[straight, :2]]), bent])
-    every = np.concatenate([straight, owner])
-    order = np.argsort(every, kind="stable")
-    moves = (segments[order, :2] != segments[order, 2:]).any(axis=1)
-    return every[order][moves], segments[order][moves]

@@ -245,53 +245,52 @@ def _follow(
     """Let a time go by, to second order; `kelvin` (n,) goes from its start to its end."""
     # Cells are height, section, and surface that radiates times its emissivity, from the table up; tables are heat content, J/mm^3, and
     # conductivity, W/mm K, at every kelvin; the uppermost cell takes up `power`, W.
-    for step in range(STEPS):
-        span = (2 * step + 1) / STEPS**2 * time
-        end, whole = kelvin.copy(), kelvin.copy()
-        _step(end, kelvin, cells, tables, ambient, cooled, span, power)
-        _step(whole, 0.5 * (kelvin + end), cells, tables, ambient, cooled, span, power)
-        _step(kelvin, 0.75 * kelvin + 0.25 * whole, cells, tables, ambient, cooled, 0.5 * span, power)
-        _step(kelvin, 0.5 * (kelvin + whole), cells, tables, ambient, cooled, 0.5 * span, power)
-        # What two halves differ by from the whole is the error of one order: twice it is taken out.
-        kelvin[:] = 2.0 * kelvin - whole
-
-
-@kernel
-def _step(
-    kelvin: Floats, data_at: Floats, cells: tuple[Floats, Floats, Floats], tables: tuple[Floats, Floats],
-    ambient: float, cooled: bool, time: float, power: float,
-) -> None:  # fmt: skip
-    """One implicit step with the data of the material at given temperatures (n,), those half-way to the end of the step."""
-    # Heat is taken up along the whole of the step: the heat of fusion counts however fast a cell melts or freezes.
-    height, area, shining = cells
-    content, conductivity = tables
+    (height, area, shining), (content, conductivity) = cells, tables
     count = kelvin.size
     pivot, right, link = np.empty(count), np.empty(count), np.empty(count)
-    below = 0.0
-    for i in range(count):
-        k = min(max(int(data_at[i]), 0), conductivity.size - 1)
-        a = min(max(int(min(kelvin[i], 2.0 * data_at[i] - kelvin[i])), 0), content.size - 2)
-        b = min(max(int(max(kelvin[i], 2.0 * data_at[i] - kelvin[i])), a + 1), content.size - 1)
-        capacity = (content[b] - content[a]) / (b - a)
-        half = 0.5 * height[i] / (conductivity[k] * area[i])
-        held = capacity * height[i] * area[i] / time
-        glow = shining[i] * (data_at[i] ** 2 + ambient**2) * (data_at[i] + ambient)
-        pivot[i], right[i] = held + glow, held * kelvin[i] + glow * ambient
-        if i > 0:
-            link[i] = 1.0 / (below + half)
-            pivot[i - 1] += link[i]
-            # The row before is whole now, and can be taken out of this one.
-            factor = link[i] / pivot[i - 1]
-            pivot[i] += link[i] - factor * link[i]
-            right[i] += factor * right[i - 1]
-        elif cooled:
-            pivot[0] += 1.0 / half
-            right[0] += ambient / half
-        below = half
-    right[count - 1] += power
-    kelvin[count - 1] = right[count - 1] / pivot[count - 1]
-    for i in range(count - 2, -1, -1):
-        kelvin[i] = (right[i] + link[i + 1] * kelvin[i + 1]) / pivot[i]
+    now, whole, data_at = np.empty(count), np.empty(count), np.empty(count)
+    for step in range(STEPS):
+        span = (2 * step + 1) / STEPS**2 * time
+        # A whole step with the data at its start, one with those in its middle, and two halves of it. Each is implicit, with the data of
+        # the material at given temperatures, those half-way to its end: heat is taken up along the whole of it, so that the heat of
+        # fusion counts however fast a cell melts or freezes.
+        for part in range(4):
+            if part == 0:
+                data_at[:], now[:] = kelvin, kelvin
+            elif part == 1:
+                data_at[:], now[:] = 0.5 * (kelvin + now), kelvin
+            elif part == 2:
+                whole[:], data_at[:] = now, 0.75 * kelvin + 0.25 * now
+                now[:] = kelvin
+            else:
+                data_at[:] = 0.5 * (now + whole)
+            below, took = 0.0, span if part < 2 else 0.5 * span
+            for i in range(count):
+                at, was = data_at[i], now[i]
+                k = min(max(int(at), 0), conductivity.size - 1)
+                a = min(max(int(min(was, 2.0 * at - was)), 0), content.size - 2)
+                b = min(max(int(max(was, 2.0 * at - was)), a + 1), content.size - 1)
+                half = 0.5 * height[i] / (conductivity[k] * area[i])
+                held = (content[b] - content[a]) / (b - a) * height[i] * area[i] / took
+                glow = shining[i] * (at**2 + ambient**2) * (at + ambient)
+                pivot[i], right[i] = held + glow, held * was + glow * ambient
+                if i > 0:
+                    link[i] = 1.0 / (below + half)
+                    pivot[i - 1] += link[i]
+                    # The row before is whole now, and can be taken out of this one.
+                    factor = link[i] / pivot[i - 1]
+                    pivot[i] += link[i] - factor * link[i]
+                    right[i] += factor * right[i - 1]
+                elif cooled:
+                    pivot[0] += 1.0 / half
+                    right[0] += ambient / half
+                below = half
+            right[count - 1] += power
+            now[count - 1] = right[count - 1] / pivot[count - 1]
+            for i in range(count - 2, -1, -1):
+                now[i] = (right[i] + link[i + 1] * now[i + 1]) / pivot[i]
+        # What two halves differ by from the whole is the error of one order: twice it is taken out.
+        kelvin[:] = 2.0 * now - whole
 
 
 def _shining_mm2(laid: Floats) -> Floats:

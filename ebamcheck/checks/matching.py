@@ -15,7 +15,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from ebamcheck.checks.checks import PATH_TOLERANCE_MM, TWO_PLACES_MM, count_check, worst_check
-from ebamcheck.geometry.nearest import nearest, segments_along, square_between, tree_over
+from ebamcheck.geometry.nearest import nearest_segment, tree_over
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import Beads, NCProgram
@@ -24,8 +24,6 @@ from ebamcheck.result import Check
 
 # Distance of layers in the space in which ends are compared: no bead is like one of another layer.
 APART_MM = 1e6
-CLOSER = 1.0 - 1e-9  # Share of a square under which a distance is the smaller one, however both are rounded
-MOST_STEPS = 16  # Segments that are walked along from one place to the next; what is farther is looked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,8 +194,14 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     for i in other[np.append(path.island, -1)[match.track[other]] >= 0].tolist():
         mine = np.arange(beads.first[i], beads.last[i] + 1)
         a, b = path.track_starts[match.track[i] : match.track[i] + 2]
-        driven = np.stack([nc.start[mine, :2], nc.end[mine, :2]], axis=1)
-        away[mine] = shape_distance(driven, np.stack([path.segment_start[a:b], path.end[a:b]], axis=1))
+        driven, wanted = (
+            np.stack([start, end], axis=1).reshape(-1, 2)
+            for start, end in (
+                (nc.start[mine, :2], nc.end[mine, :2]),
+                (path.segment_start[a:b], path.end[a:b]),
+            )
+        )
+        away[mine] = shape_distance(driven, np.repeat(np.arange(mine.size), 2), wanted)
     found = np.flatnonzero(away >= 0.0)
     what = "distance of hatch and turns from their plan"
     return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)
@@ -207,59 +211,26 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
 
 
 @kernel
-def _farthest(places: Floats, polyline: Floats, known_mm: float) -> tuple[Ints, Floats]:
-    """Nearest segment (n,) of a polyline to each place and its distance (n,), for the farthest places."""
-    # Both follow the same way, so that the segment near a place is a step or two from that of the place before. A place that is nearer to
-    # it than another one is to the polyline, or than `known_mm`, is not the farthest: what was found of it is enough, and no nearer
-    # segment is looked for.
-    ring = tree_over(segments_along(polyline, False))
-    segment = np.zeros(len(places), np.int64)
-    away = np.empty(len(places))
-    guess, most = 0, known_mm
-    for i in range(len(places)):
-        guess, square = _followed(polyline, guess, places[i, 0], places[i, 1])
-        segment[i], away[i] = guess, math.sqrt(square)
-        if square < CLOSER * most * most:
-            continue
-        found = nearest(ring, places[i, 0], places[i, 1], guess)
-        guess = found.segment
-        segment[i], away[i] = found.segment, found.distance
-        most = max(most, found.distance)
-    return segment, away
+def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
+    """Nearest of segments (m, 4) to each of places (n, 2), and its distance (n,); the quicker the nearer a place is to the one before."""
+    tree, guess = tree_over(segments), 0
+    index, away = np.empty(len(places), np.int64), np.empty(len(places))
+    for n in range(len(places)):
+        square, guess = nearest_segment(tree, places[n, 0], places[n, 1], guess)
+        index[n], away[n] = guess, math.sqrt(square)
+    return index, away
 
 
-@kernel
-def _followed(polyline: Floats, start: int, x: float, y: float) -> tuple[int, float]:
-    """Segment up to which a polyline comes nearer to a place from `start` on, else down from it; square of its distance."""
-    segment, square = start, _square(polyline, start, x, y)
-    for step in (1, -1):
-        for _ in range(MOST_STEPS):
-            there = np.inf
-            if 0 <= segment + step < len(polyline) - 1:
-                there = _square(polyline, segment + step, x, y)
-            if not there <= square:
-                break
-            segment, square = segment + step, there
-        if segment != start:
-            break
-    return segment, square
+def shape_distance(driven: Floats, motion: Ints, wanted: Floats) -> Floats:
+    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that of its points.
 
-
-@kernel
-def _square(polyline: Floats, i: int, x: float, y: float) -> float:
-    """Square of the distance of a place from a segment."""
-    return square_between(x, y, polyline[i, 0], polyline[i, 1], polyline[i + 1, 0], polyline[i + 1, 1])
-
-
-def shape_distance(driven: Floats, wanted: Floats) -> Floats:
-    """Largest distance of paths (A, n, 2) and (E, m, 2) as shapes, both ways, (A,) at the motion of the first where it is.
-
-    It is that of the motion from the other path, and of what lies nearest to the motion there: exact for the largest, and no more than
-    that for the others.
+    It is that of the motion from the other path, and of what lies nearest to the motion there.
     """
-    path, target = np.ascontiguousarray(driven).reshape(-1, 2), np.ascontiguousarray(wanted).reshape(-1, 2)
-    _, away = _farthest(path, target, 0.0)
-    result = away.reshape(len(driven), -1).max(axis=1)
-    segment, missed = _farthest(target, path, float(result.max(initial=0.0)))
-    np.maximum.at(result, segment // driven.shape[1], missed)
-    return np.asarray(result)
+    path, target = (
+        np.hstack([at[:-1], at[1:]]) if len(at) > 1 else np.hstack([at, at]) for at in (driven, wanted)
+    )
+    result = np.zeros(int(motion.max()) + 1)
+    np.maximum.at(result, motion, nearest_each(driven, target)[1])
+    segment, missed = nearest_each(wanted, path)
+    np.maximum.at(result, motion[segment], missed)
+    return result

@@ -23,9 +23,9 @@ import pyarrow as pa
 import shapely
 from numpy.typing import ArrayLike
 from scipy import ndimage
-from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
+from ebamcheck.checks.matching import nearest_each
 from ebamcheck.checks.narrow_features import NarrowFeature, narrow_features, thinnest_wall
 from ebamcheck.columns_file import open_table, write_table
 from ebamcheck.errors import InputError
@@ -498,12 +498,15 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
     # points stand for a cell, and move from cell to cell by the sequence R2 (Roberts 2018), which fills the square evenly.
     one, two = 0.7548776662466927, 0.5698402909980532
     right, down = column * one + row * two, column * two + row * one
-    tree, areas = cKDTree(places), np.zeros((2, len(places)))
-    for across in (0.0, 0.5):
-        x, y = column + (right + across) % 1.0, row + (down + across) % 1.0
-        _, near = tree.query(target.origin + np.column_stack([x, y]) * target.step_mm)
-        areas += [0.5 * np.bincount(near, f[row, column], minlength=len(places)) for f in fields]
-    return np.asarray(areas * target.step_mm**2, np.float64)
+    x, y = (
+        np.stack([at + (moved + across) % 1.0 for across in (0.0, 0.5)], axis=1).ravel()
+        for at, moved in ((column, right), (row, down))
+    )
+    cells = target.origin + np.column_stack([x, y]) * target.step_mm
+    near, _ = nearest_each(cells, np.hstack([places, places]))
+    half_mm2 = 0.5 * target.step_mm**2
+    sums = (np.bincount(near, np.repeat(f[row, column], 2), minlength=len(places)) for f in fields)
+    return np.stack([half_mm2 * area for area in sums])
 
 
 def strip_of(bead_mm: float, step_mm: float) -> Floats:

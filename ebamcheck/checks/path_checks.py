@@ -1,6 +1,6 @@
 """Checks of the path that a program's text commands against what it was made from.
 
-The fitted curves are evaluated by SciPy here, as the writer and the reader do it each in their own way.
+The fitted curves are evaluated here by code of their own, as the writer and the reader do it each in theirs.
 """
 
 from __future__ import annotations
@@ -29,43 +29,59 @@ FLAT_ARC = 1e-12  # Sine of half the turn of an arc that is straight for numbers
 
 @dataclass(frozen=True, eq=False)
 class FittedSpans:
-    """Every straight segment, arc and knot span of the fitted rings, sampled; a program block is expected for each."""
+    """Every straight segment, arc and knot span of the fitted rings; a program block is expected for each."""
 
     ring: Ints  # (E,)
     kind: Ints  # (E,) of the piece: line, spline or arc
-    points: Floats  # (E, n, 2) at equal steps of the parameter
+    powers: Floats  # (E, 4, 2) of the parameter from 0 to 1; of an arc its start alone
+    centre: Floats  # (E, 2) of an arc
+    sweep: Floats  # (E,) of an arc; 0 for others
+
+    def at(self, span: Ints, t: Floats) -> Floats:
+        """Points (n, 2) of spans (n,) at parameters (n,)."""
+        c, t = self.powers[span], t[:, None]
+        points = ((c[:, 3] * t + c[:, 2]) * t + c[:, 1]) * t + c[:, 0]
+        turned = np.flatnonzero(self.sweep[span])
+        mine = span[turned]
+        spoke, turn = (c[turned, 0] - self.centre[mine]).T, self.sweep[mine] * t[turned, 0]
+        cos, sin = np.cos(turn), np.sin(turn)
+        x, y = cos * spoke[0] - sin * spoke[1], sin * spoke[0] + cos * spoke[1]
+        points[turned] = self.centre[mine] + np.column_stack([x, y])
+        return np.asarray(points)
 
 
-def fitted_spans(curves: CurveColumns, decimals: int, samples: int, ring: int | None = None) -> FittedSpans:
-    """Sample all curves, or those of one ring, span by span.
-
-    Segments that vanish at the decimals of the program are left out.
-    """
-    t = np.linspace(0.0, 1.0, samples)
+def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
+    """All curves, span by span; segments that vanish at the decimals of the program are left out."""
     ring_of = np.repeat(np.arange(len(curves.closed)), np.diff(curves.ring_starts))
-    rings, kinds, found = [], [], []
-    pieces = (0, len(curves.kind)) if ring is None else curves.ring_starts[ring : ring + 2]
-    for piece in range(int(pieces[0]), int(pieces[1])):
-        control = curves.control[curves.control_starts[piece] : curves.control_starts[piece + 1]]
-        if curves.kind[piece] == SPLINE:
-            knots = curves.knots[curves.knot_starts[piece] : curves.knot_starts[piece + 1]]
+    # A cubic is known by four points.
+    t = np.linspace(0.0, 1.0, DEGREE + 1)
+    to_powers = np.linalg.inv(np.vander(t, increasing=True))
+    of_piece, powers = [np.zeros(0, np.int64)], [np.zeros((0, DEGREE + 1, 2))]
+    for k in range(len(curves.kind)):
+        control = curves.control[curves.control_starts[k] : curves.control_starts[k + 1]]
+        if curves.kind[k] == SPLINE:
+            knots = curves.knots[curves.knot_starts[k] : curves.knot_starts[k + 1]]
             breaks = np.unique(knots)
             at = breaks[:-1, None] + t * np.diff(breaks)[:, None]
-            at[:, -1] = breaks[1:]
-            sampled = spline_points(knots, control, at)
-        elif curves.kind[piece] == ARC:
-            sampled = _arc(control, t)[None]
+            found = to_powers @ spline_points(knots, control, at)
+        elif curves.kind[k] == ARC:
+            found = np.append(control, control[:1], axis=0)[None]
         else:
             rounded = np.round(control, decimals)
             moves = (rounded[1:] != rounded[:-1]).any(axis=1)
-            a, b = control[:-1][moves][:, None], control[1:][moves][:, None]
-            sampled = a + t[:, None] * (b - a)
-        found.append(np.asarray(sampled))
-        rings.append(np.full(len(sampled), ring_of[piece]))
-        kinds.append(np.full(len(sampled), int(curves.kind[piece])))
-    if not found:
-        return FittedSpans(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, samples, 2)))
-    return FittedSpans(np.concatenate(rings), np.concatenate(kinds), np.concatenate(found))
+            ends = control[:-1][moves], np.diff(control, axis=0)[moves]
+            found = np.stack([*ends, np.zeros_like(ends[0]), np.zeros_like(ends[0])], axis=1)
+        of_piece.append(np.full(len(found), k))
+        powers.append(found)
+    piece, columns = np.concatenate(of_piece), np.concatenate(powers)
+    kind = np.asarray(curves.kind, np.int64)[piece]
+    centre, sweep = np.zeros((piece.size, 2)), np.zeros(piece.size)
+    arcs = np.flatnonzero(kind == ARC)
+    centre[arcs], sweep[arcs] = _turns(columns[arcs])
+    columns[arcs[sweep[arcs] != 0.0], 1:] = 0.0
+    flat = arcs[sweep[arcs] == 0.0]
+    columns[flat, 1], columns[flat, 2:] = columns[flat, 2] - columns[flat, 0], 0.0
+    return FittedSpans(ring_of[piece], kind, columns, centre, sweep)
 
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
@@ -84,21 +100,19 @@ def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
     return np.asarray(place[DEGREE], np.float64)
 
 
-def _arc(control: Floats, t: Floats) -> Floats:
-    """Points (n, 2) on the arc from the first to the last of three points, the second half-way."""
-    # The first spoke is turned about the centre, which is where the bisectors of both halves meet.
-    first, middle, last = control
-    halves = np.array([middle - first, last - middle])
-    middles = 0.5 * np.array([(middle + first) @ (middle - first), (last + middle) @ (last - middle)])
-    if abs(np.linalg.det(halves)) <= FLAT_ARC * np.linalg.norm(halves[0]) ** 2:
-        return np.asarray(first + t[:, None] * (last - first))
-    centre = np.linalg.solve(halves, middles)
-    spoke = first - centre
-    side = middle - centre
-    half = np.arctan2(spoke[0] * side[1] - spoke[1] * side[0], spoke @ side)
-    cos, sin = np.cos(2.0 * half * t), np.sin(2.0 * half * t)
-    turned = np.column_stack([cos * spoke[0] - sin * spoke[1], sin * spoke[0] + cos * spoke[1]])
-    return np.asarray(centre + turned)
+def _turns(points: Floats) -> tuple[Floats, Floats]:
+    """Centre (n, 2) and turn (n,), rad, of arcs through three points each, the second half-way; no turn of one that is straight."""
+    # The centre is where the bisectors of both halves meet.
+    first, middle, last = points[:, 0], points[:, 1], points[:, 2]
+    one, other = middle - first, last - middle
+    across = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    turned = np.abs(across) > FLAT_ARC * (one * one).sum(axis=1)
+    a, b = 0.5 * ((middle + first) * one).sum(axis=1), 0.5 * ((last + middle) * other).sum(axis=1)
+    whole = np.where(turned, across, 1.0)[:, None]
+    centre = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
+    spoke, side = first - centre, middle - centre
+    half = np.arctan2(spoke[:, 0] * side[:, 1] - spoke[:, 1] * side[:, 0], (spoke * side).sum(axis=1))
+    return centre, np.where(turned, 2.0 * half, 0.0)
 
 
 def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
@@ -129,9 +143,13 @@ def contour_checks(subject: Subject) -> list[Check]:
     z_of = subject.z_of[np.repeat(np.arange(len(curves.heights)), np.diff(curves.layer_starts))]
     faults = _group_faults(nc, rows, nc.ring, breaks, "contour ring", z_of, filled)
     rows = rows[nc.ring[rows] < count]
-    spans = fitted_spans(curves, config.machine.printed_decimals, SAMPLES)
-    faults += _turned_rings(nc, curves, rows, spans)
-    distance, alike = _same_parameters(nc, rows, spans, count)
+    spans = fitted_spans(curves, config.machine.printed_decimals)
+    t = np.linspace(0.0, 1.0, SAMPLES)
+    sampled = spans.at(np.repeat(np.arange(spans.ring.size), SAMPLES), np.tile(t, spans.ring.size))
+    sampled = sampled.reshape(-1, SAMPLES, 2)
+    driven = nc.evaluate(rows, t[None])
+    faults += _turned_rings(nc, curves, rows, driven, spans.ring, sampled)
+    distance, alike = _same_parameters(nc, rows, driven, spans, sampled, count)
     # Splines were written as lines or arcs by the settings, or because the control has nothing else.
     carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
     chords = not carried and (np.asarray(curves.kind) == SPLINE).any()
@@ -139,17 +157,15 @@ def contour_checks(subject: Subject) -> list[Check]:
     limit = PATH_TOLERANCE_MM + (config.machine.line_tolerance_mm if chords else 0.0)
     rings = np.flatnonzero(~alike & (np.bincount(nc.ring[rows], minlength=count) > 0))
     motions_of, spans_of = _grouped(nc.ring[rows], count), _grouped(spans.ring, count)
+    pieces, wanted_pieces = (_chord_counts(at, CHORD_SHARE * limit) for at in (driven, sampled))
 
     def work(start: int, stop: int) -> None:
         for ring in rings[start:stop]:
-            mine, sampled = motions_of[ring], spans.points[spans_of[ring]]
-            # The chords of so many samples err by the second difference over 8.
-            bend = np.linalg.norm(np.diff(sampled, n=2, axis=1), axis=2).max(initial=0.0) / 8.0
-            samples = 2 + int((SAMPLES - 1) * np.sqrt(bend / (CHORD_SHARE * limit)))
-            fitted = fitted_spans(curves, config.machine.printed_decimals, samples, int(ring)).points
-            samples = SAMPLES if (nc.kind[rows[mine]] == STRAIGHT).all() else samples
-            driven = nc.evaluate(rows[mine], np.linspace(0.0, 1.0, samples)[None])
-            distance[mine] = shape_distance(driven, fitted) if len(fitted) else np.inf
+            mine, others = motions_of[ring], spans_of[ring]
+            motion, at = _along(pieces[mine])
+            span, place = _along(wanted_pieces[others])
+            way, fitted = nc.evaluate(rows[mine][motion], at), spans.at(others[span], place)
+            distance[mine] = shape_distance(way, motion, fitted) if len(fitted) else np.inf
 
     run_blocks(work, len(rings))
     what = "distance from the fitted curve, both ways"
@@ -159,22 +175,32 @@ def contour_checks(subject: Subject) -> list[Check]:
     ]
 
 
+def _chord_counts(points: Floats, most_mm: float) -> Ints:
+    """Chords (n,) by which curves, (n, m, 2) at equal steps of their parameter, are met within a distance: they err by the second difference over 8."""
+    bend = np.linalg.norm(np.diff(points, n=2, axis=1), axis=2).max(axis=1, initial=0.0) / 8.0
+    return 1 + np.asarray((points.shape[1] - 1) * np.sqrt(np.nan_to_num(bend) / most_mm), np.int64)
+
+
+def _along(chords: Ints) -> tuple[Ints, Floats]:
+    """Index and parameter of each end of so many chords (n,) of curves, in order."""
+    index = np.repeat(np.arange(chords.size), chords + 1)
+    return index, (np.arange(index.size) - (np.cumsum(chords + 1) - chords - 1)[index]) / chords[index]
+
+
 def _grouped(ring: Ints, count: int) -> list[Ints]:
     """Places of each ring's own in a column, rising."""
     return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
 
 
 def _turned_rings(
-    nc: NCProgram, curves: CurveColumns, rows: Ints, spans: FittedSpans
+    nc: NCProgram, curves: CurveColumns, rows: Ints, driven: Floats, ring: Ints, fitted: Floats
 ) -> list[tuple[str, str]]:
     """Closed rings that are driven the other way than planned: as a shape they are the same."""
-    count = len(curves.closed)
-    once = rows[~nc.overlap[rows]]
-    points = nc.evaluate(once, np.linspace(0.0, 1.0, SAMPLES)[None])
-    driven = np.bincount(nc.ring[once], _left_mm2(points), minlength=count)
-    planned = np.bincount(spans.ring, _left_mm2(spans.points), minlength=count)
-    turned = np.asarray(curves.closed) & (driven * planned < 0.0)
-    first = [int(once[np.argmax(nc.ring[once] == ring)]) for ring in np.flatnonzero(turned)]
+    count, once = len(curves.closed), ~nc.overlap[rows]
+    driven_mm2 = np.bincount(nc.ring[rows[once]], _left_mm2(driven[once]), minlength=count)
+    planned_mm2 = np.bincount(ring, _left_mm2(fitted), minlength=count)
+    turned = np.flatnonzero(np.asarray(curves.closed) & (driven_mm2 * planned_mm2 < 0.0))
+    first = [int(rows[once][np.argmax(nc.ring[rows[once]] == k)]) for k in turned]
     return [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
 
 
@@ -210,7 +236,9 @@ def _group_faults(
     return faults
 
 
-def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> tuple[Floats, Bools]:
+def _same_parameters(
+    nc: NCProgram, rows: Ints, driven: Floats, spans: FittedSpans, fitted: Floats, count: int
+) -> tuple[Floats, Bools]:
     """Largest distance of each motion from its span (n,), and the rings (R,) where blocks answer to spans."""
     kind = np.full(rows.size, -1)
     for piece, names in ((LINE, [STRAIGHT]), (SPLINE, [POLYNOMIAL, SPLINE_SPAN]), (ARC, [motions.ARC])):
@@ -218,24 +246,22 @@ def _same_parameters(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) 
     order = np.argsort(nc.ring[rows], kind="stable")
     row_count = np.bincount(nc.ring[rows], minlength=count)
     span_count = np.bincount(spans.ring, minlength=count)
-    alike = (row_count == span_count) & _same_starts(nc, rows, spans, count)
+    alike = (row_count == span_count) & _same_starts(nc, rows, spans.ring, fitted[:, 0], count)
     pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
     same_kind = kind[pick] == spans.kind[span_pick]
     alike[spans.ring[span_pick][~same_kind]] = False
     distance = np.full(rows.size, np.nan)
-    t = np.linspace(0.0, 1.0, spans.points.shape[1])
-    at = nc.evaluate(rows[pick], t[None])
-    distance[pick] = np.linalg.norm(at - spans.points[span_pick], axis=2).max(axis=1, initial=0.0)
+    distance[pick] = np.linalg.norm(driven[pick] - fitted[span_pick], axis=2).max(axis=1, initial=0.0)
     return distance, alike
 
 
-def _same_starts(nc: NCProgram, rows: Ints, spans: FittedSpans, count: int) -> Bools:
+def _same_starts(nc: NCProgram, rows: Ints, span_ring: Ints, start: Floats, count: int) -> Bools:
     """Rings (R,) that start where the fitted ones do; those of which either is missing do not."""
     same = np.zeros(count, np.bool_)
     ring, row = np.unique(nc.ring[rows], return_index=True)
-    fitted, span = np.unique(spans.ring, return_index=True)
+    fitted, span = np.unique(span_ring, return_index=True)
     both, i, j = np.intersect1d(ring, fitted, assume_unique=True, return_indices=True)
-    apart = nc.start[rows[row[i]], :2] - spans.points[span[j], 0]
+    apart = nc.start[rows[row[i]], :2] - start[span[j]]
     same[both] = np.abs(apart).max(axis=1, initial=0.0) <= PLACE_MM
     return same
 

@@ -24,7 +24,7 @@ from ebamcheck.geometry.regions import layer_section, valid_polygons
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.nc.roles import depth_lines, nearest_layer
+from ebamcheck.nc.roles import depth_lines, inside, nearest_layer
 from ebamcheck.result import Check
 from ebamcheck.threads import run_each
 
@@ -224,9 +224,8 @@ def _sections(
 
 def _depths(at: Floats, region: BaseGeometry) -> Floats:
     """Distance of points (n, 2) from the border of a region, negative outside."""
-    shapely.prepare(region)
     away = _distances(at, region.boundary)
-    return np.where(shapely.intersects_xy(region, at[:, 0], at[:, 1]), away, -away)
+    return np.where(inside(region, at, away), away, -away)
 
 
 def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: float) -> Floats:

@@ -75,10 +75,10 @@ def _errors_alone() -> Iterator[None]:
 
 def _what_a_box_has_not() -> None:
     """Splines in a program, and metal that lies beside the part."""
-    from ebamcheck.checks.matching import shape_distance
+    from ebamcheck.checks.matching import nearest_each
     from ebamcheck.metal.target import moved_to_neighbours
 
-    shape_distance(np.eye(2)[None], np.eye(2)[None])
+    nearest_each(np.eye(2), np.eye(4))
     field = np.eye(2)
     moved_to_neighbours(np.zeros((2, 2)), field, field > 0.0, field == 0.0)
 

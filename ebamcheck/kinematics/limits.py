@@ -1,35 +1,177 @@
-"""Speeds that the axes allow: along the cells of the path, and at the corners between motions."""
+"""The path that the axes follow, and the speeds that they allow: along its cells, and at the corners between motions."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from ebamcheck.errors import SettingsError
 from ebamcheck.kernels import Bools, Floats, Ints
-from ebamcheck.kinematics.path import DrivenPath
+from ebamcheck.layers.stack import Layers
+from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT
+from ebamcheck.program import NCProgram
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import KinematicsSettings, MachineSettings
+from ebamcheck.threads import block_edges, run_in_order
 
-PLACES = 5
-"""Places of a cell, its ends included, at which its curvature is taken."""
+# Events at which the axes stand still: the control waits for the switch.
+SWITCHES = ("beam_on", "beam_off", "wire_start", "wire_stop")
+DEGENERATE = 1e-9  # Share of a motion's length under which a derivative has no direction
+INWARDS = 1e-3  # Parameter, from the end, at which a curve without a direction at its end is asked for it
 
-MOST_CELLS = 64
-"""Cells of one motion."""
 
-CRAWL_SHARE = 1e-3
-"""Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow."""
+@dataclass(frozen=True, eq=False)
+class DrivenPath:
+    """Motions (B,) of positive length in their order, with what the feed profile needs of each."""
 
+    row: Ints  # row of the program, or number of the segment of a polyline
+    run: Ints  # number of the unbroken run; the axes stand still between runs
+    layer: Ints  # -1 for none
+    ring: Ints  # contour ring; -1 for none
+    deposit: Bools  # beam and feed are on
+    start: Floats  # (B, 3) mm
+    end: Floats  # (B, 3) mm
+    coefficients: Floats  # (B, 2, 4) powers of t in X and Y over 0 <= t <= 1
+    radius_mm: Floats  # of an arc; infinite for others
+    centre: Floats  # (B, 2) of an arc; NaN for others
+    sweep_rad: Floats  # signed, of an arc; NaN for others
+    feed_mm_s: Floats  # speed programmed
+    length_mm: Floats
+
+    def __len__(self) -> int:
+        """Return the number of motions."""
+        return int(self.row.size)
+
+    @property
+    def is_arc(self) -> Bools:
+        """Motions (B,) around a centre."""
+        return np.isfinite(self.sweep_rad)
+
+    @cached_property
+    def is_curved(self) -> Bools:
+        """Motions (B,) whose direction changes."""
+        return np.asarray(self.is_arc | (self.coefficients[:, :, 2:] != 0.0).any(axis=(1, 2)))
+
+    def tangents(self, rows: Ints, t: Floats) -> Floats:
+        """Unit directions of travel (n, 3) at the parameters `t` (n,) of the motions `rows` (n,)."""
+        result, curved = (self.end - self.start)[rows], np.flatnonzero(self.is_curved[rows])
+        at, rows = t[curved], rows[curved]
+        found = self.derivatives(rows, at)[0]
+        flat = np.hypot(*found) <= DEGENERATE * self.length_mm[rows]
+        found[:, flat] = self.derivatives(rows[flat], np.clip(at[flat], INWARDS, 1.0 - INWARDS))[0]
+        result[curved] = np.column_stack([*found, np.zeros(rows.size)])
+        size = np.sqrt((result * result).sum(axis=1))
+        return np.asarray(result / np.where(size > 0.0, size, 1.0)[:, None])
+
+    def derivatives(self, rows: Ints, t: Floats) -> tuple[Floats, Floats]:
+        """First and second derivative of X and Y by t, each (2, n), or (2, m, n) at several parameters `t` (m, n) of each motion."""
+        powers = np.ascontiguousarray(self.coefficients[rows].transpose(2, 1, 0))
+        _, b, c, d = powers[:, :, None] if t.ndim > 1 else powers
+        first, second = b + t * (2.0 * c + 3.0 * t * d), 2.0 * c + 6.0 * t * d
+        round_ = np.flatnonzero(self.is_arc[rows])
+        if round_.size:
+            r = rows[round_]
+            sweep = self.sweep_rad[r]
+            turn = sweep * t[..., round_]
+            spoke = self.start[r, :2] - self.centre[r]
+            cos, sin = np.cos(turn), np.sin(turn)
+            x, y = cos * spoke[:, 0] - sin * spoke[:, 1], sin * spoke[:, 0] + cos * spoke[:, 1]
+            first[..., round_] = sweep * np.stack([-y, x])
+            second[..., round_] = -(sweep**2) * np.stack([x, y])
+        return first, second
+
+
+def program_path(nc: NCProgram, config: Config) -> DrivenPath:
+    """Motions of a program that move an axis; the axes stop at rapids and where beam or wire switch.
+
+    Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
+    """
+    moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
+    stopped = np.zeros(len(nc) + 1, np.bool_)
+    stopped[nc.events.row[nc.events.named(*SWITCHES)]] = True
+    rapid = nc.kind == RAPID
+    stopped[:-1] |= rapid | np.append(False, rapid[:-1]) | (np.diff(nc.beam, prepend=nc.beam[:1]) != 0)
+    rows = np.flatnonzero(moved)
+    feed = np.where(rapid, config.machine.rapid_mm_s, nc.feed_mm_min / 60.0)[rows]
+    bad = np.flatnonzero(~(feed > 0.0))
+    if bad.size:
+        raise SettingsError(f"{nc.where(int(rows[bad[0]]))}: a motion without a feed: it would never end")
+    arc = nc.kind[rows] == ARC
+    coefficients = np.where(np.isnan(nc.coefficients[rows]), 0.0, nc.coefficients[rows])
+    straight = (nc.kind[rows] == STRAIGHT) | rapid[rows]
+    coefficients[straight] = _line_coefficients(nc.start[rows[straight], :2], nc.end[rows[straight], :2])
+    centre = np.where(arc[:, None], nc.arc[rows, :2], np.nan)
+    return DrivenPath(
+        row=rows,
+        run=np.cumsum(stopped[:-1], dtype=np.int64)[rows],
+        layer=nc.layer[rows],
+        ring=nc.ring[rows],
+        deposit=nc.deposit[rows],
+        start=nc.start[rows],
+        end=nc.end[rows],
+        coefficients=coefficients,
+        radius_mm=np.where(arc, np.linalg.norm(nc.start[rows, :2] - centre, axis=1), np.inf),
+        centre=centre,
+        sweep_rad=np.where(arc, nc.arc[rows, 2], np.nan),
+        feed_mm_s=feed,
+        length_mm=nc.lengths[rows],
+    )
+
+
+def polyline_path(layers: Layers, feed_mm_s: float) -> DrivenPath:
+    """Path of one straight block for each point of a contour, every ring a run of its own."""
+    points = layers.points
+    after = np.arange(1, len(points) + 1)
+    filled = np.diff(layers.ring_starts) > 0
+    after[layers.ring_starts[1:][filled] - 1] = layers.ring_starts[:-1][filled]
+    ring = np.repeat(np.arange(layers.closed.size), np.diff(layers.ring_starts))
+    last = np.zeros(len(points), np.bool_)
+    last[layers.ring_starts[1:][filled] - 1] = True
+    start, end = points, points[after] if len(points) else points
+    length = np.hypot(*(end - start).T)
+    keep = np.flatnonzero((length > 0.0) & ~(last & ~layers.closed[ring]))
+    layer = layers.ring_layer[ring[keep]]
+    z = np.asarray(layers.heights)[layer][:, None]
+    return DrivenPath(
+        row=keep,
+        run=ring[keep],
+        layer=layer,
+        ring=ring[keep],
+        deposit=np.ones(keep.size, np.bool_),
+        start=np.hstack([start[keep], z]),
+        end=np.hstack([end[keep], z]),
+        coefficients=_line_coefficients(start[keep], end[keep]),
+        radius_mm=np.full(keep.size, np.inf),
+        centre=np.full((keep.size, 2), np.nan),
+        sweep_rad=np.full(keep.size, np.nan),
+        feed_mm_s=np.full(keep.size, feed_mm_s),
+        length_mm=length[keep],
+    )
+
+
+def _line_coefficients(start: Floats, end: Floats) -> Floats:
+    result = np.zeros((len(start), 2, 4))
+    result[:, :, 0], result[:, :, 1] = start, end - start
+    return result
+
+
+# -- speeds ----------------------------------------------------------------------------------------
+
+PLACES = 5  # Places of a cell, its ends included, at which its curvature is taken
+MOST_CELLS = 64  # Cells of one motion
+AT_ONCE = 8192  # Cells that are looked at together: their columns stay in the cache of a processor
+CRAWL_SHARE = 1e-3  # Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow
+
+# Words by which the control rounds corners (SINUMERIK, continuous-path mode).
 SMOOTHING_WORDS = ("G641", "G642", "G643", "G644", "G645")
-"""Words by which the control rounds corners (SINUMERIK, continuous-path mode)."""
 
-EXACT_STOP_WORDS = ("G60", "G9")
-"""Words by which it stops in every corner."""
+EXACT_STOP_WORDS = ("G60", "G9")  # Words by which it stops in every corner
 
 
-STRAIGHT_RADIUS_MM = 1e9
-"""A corner that may be rounded with a larger radius is none."""
+STRAIGHT_RADIUS_MM = 1e9  # A corner that may be rounded with a larger radius is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,20 +182,13 @@ class Cells:
     could not be followed.
     """
 
-    motion: Ints
-    """(C,) motion of the path."""
-    length_mm: Floats
-    """(C,)"""
-    most_mm_s: Floats
-    """(C,) greatest speed."""
-    acceleration_mm_s2: Floats
-    """(C,) along the path."""
-    jerk_mm_s3: Floats
-    """(C,) along the path."""
-    entry_mm_s: Floats
-    """(C,) greatest speed at its start: 0 where a run begins."""
-    first: Bools
-    """(C,) true where a run begins."""
+    motion: Ints  # (C,) motion of the path
+    length_mm: Floats  # (C,)
+    most_mm_s: Floats  # (C,) greatest speed
+    acceleration_mm_s2: Floats  # (C,) along the path
+    jerk_mm_s3: Floats  # (C,) along the path
+    entry_mm_s: Floats  # (C,) greatest speed at its start: 0 where a run begins
+    first: Bools  # (C,) true where a run begins
 
 
 def cells_of(path: DrivenPath, config: Config) -> Cells:
@@ -64,7 +199,18 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     starts = np.concatenate([[0], np.cumsum(parts)]).astype(np.int64)
     index = np.arange(motion.size) - starts[:-1][motion]
     t0, t1 = index / parts[motion], (index + 1) / parts[motion]
-    curvature, direction = _curvature(path, motion, t0, t1)
+    curvature, length = np.zeros(motion.size), path.length_mm[motion]
+    direction = np.abs(path.tangents(motion, t0))
+    bent = np.flatnonzero(path.is_curved[motion])
+    edges = block_edges(bent.size, largest=AT_ONCE)
+    rows, begin, end = motion[bent], t0[bent], t1[bent]
+    bends = run_in_order(lambda a, b: _bends(path, rows[a:b], begin[a:b], end[a:b]), edges)
+    curvature[bent], direction[bent, 0], direction[bent, 1], direction[bent, 2], length[bent] = np.hstack(
+        list(bends)
+    )
+    # Those of one motion add up to its length.
+    whole = np.bincount(motion, length, minlength=len(path))
+    length *= (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion]
     feed = path.feed_mm_s[motion]
     most = np.minimum(feed, _along(direction, np.array(axes.axis_speed_mm_s)))
     most = np.minimum(most, np.maximum(_round(curvature, axes), CRAWL_SHARE * feed))
@@ -80,7 +226,7 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     first = np.zeros(motion.size, np.bool_)
     first[starts[:-1]] = np.diff(path.run, prepend=-1) != 0
     entry[first] = 0.0
-    return Cells(motion, _lengths(path, motion, t0, t1), most, acceleration, jerk, entry, first)
+    return Cells(motion, length, most, acceleration, jerk, entry, first)
 
 
 def _parts(path: DrivenPath, axes: KinematicsSettings) -> Ints:
@@ -105,38 +251,28 @@ def _round(curvature: Floats, axes: KinematicsSettings) -> Floats:
         return np.asarray(np.minimum(np.sqrt(a / curvature), np.cbrt(j / curvature**2)))
 
 
-def _curvature(path: DrivenPath, motion: Ints, t0: Floats, t1: Floats) -> tuple[Floats, Floats]:
-    """Greatest curvature (C,) 1/mm in each cell, and greatest share (C, 3) of each axis in its direction."""
-    most = np.zeros(motion.size)
-    share = np.zeros((motion.size, 3))
-    for k in range(PLACES):
-        t = t0 + (t1 - t0) * (k / (PLACES - 1))
-        share = np.maximum(share, np.abs(path.tangents(motion, t)))
-        most = np.maximum(most, np.abs(curvature_at(path, motion, t)))
-    return most, share
-
-
-def curvature_at(path: DrivenPath, motion: Ints, t: Floats) -> Floats:
-    """Curvature (n,) 1/mm, positive to the left; infinite in a cusp."""
-    first, second = path.derivatives(motion, t)
-    cross = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+def _curvature(first: Floats, second: Floats) -> Floats:
+    """Curvature (...) 1/mm, positive to the left, of derivatives (2, ...); infinite in a cusp."""
+    (ax, ay), (bx, by) = first, second
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = cross / np.hypot(first[:, 0], first[:, 1]) ** 3
-    return np.asarray(np.where(path.is_curved[motion], np.where(np.isnan(found), np.inf, found), 0.0))
+        found = (ax * by - ay * bx) / np.hypot(ax, ay) ** 3
+    return np.asarray(np.where(np.isnan(found), np.inf, found))
 
 
-def _lengths(path: DrivenPath, motion: Ints, t0: Floats, t1: Floats) -> Floats:
-    """Length of each cell (C,), by 8-point Gauss quadrature; those of one motion add up to its length."""
+def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
+    """Of stretches (n,) of curves, by columns (5, n): greatest curvature, 1/mm, greatest share of each axis in the direction, length, mm."""
+    t = np.linspace(t0, t1, PLACES)
+    first, second = path.derivatives(rows, t)
+    speed = np.hypot(*first)
+    share = np.divide(np.abs(first), speed, out=np.zeros_like(first), where=speed > 0.0)
+    for k, n in zip(*np.nonzero(speed <= DEGENERATE * path.length_mm[rows]), strict=True):
+        share[:, k, n] = np.abs(path.tangents(rows[[n]], t[k, [n]])[0, :2])
+    # By 8-point Gauss quadrature.
     nodes, weights = np.polynomial.legendre.leggauss(8)
-    found = np.zeros(motion.size)
-    for node, weight in zip(nodes, weights, strict=True):
-        t = t0 + (t1 - t0) * (0.5 * (node + 1.0))
-        first, _ = path.derivatives(motion, t)
-        found += 0.5 * weight * (t1 - t0) * np.hypot(first[:, 0], first[:, 1])
-    straight = ~path.is_curved[motion]
-    found[straight] = path.length_mm[motion[straight]]
-    whole = np.bincount(motion, found, minlength=len(path))
-    return np.asarray(found * (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion])
+    at = t0 + (t1 - t0) * (0.5 * (nodes[:, None] + 1.0))
+    length = 0.5 * (t1 - t0) * (weights @ np.hypot(*path.derivatives(rows, at)[0]))
+    most = np.abs(_curvature(first, second)).max(axis=0)
+    return np.stack([most, *share.max(axis=1), np.zeros(rows.size), length])
 
 
 # -- corners -----------------------------------------------------------------------------------------
@@ -166,7 +302,8 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
         return result
     rounded = _rounded_corner(path, half, machine, axes)
     bends = [
-        curvature_at(path, at, t) for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
+        np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0)
+        for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
     ]
     # A cusp slows its own cell down.
     known = np.isfinite(bends[0]) & np.isfinite(bends[1])
@@ -176,8 +313,8 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
     return result
 
 
+# Half a break of direction that is none: the last decimals of a program turn a short block by this.
 SMOOTH_RAD = 1e-5
-"""Half a break of direction that is none: the last decimals of a program turn a short block by this."""
 
 
 def _tolerance_mm(machine: MachineSettings) -> float:

@@ -287,10 +287,15 @@ class NCProgram(Columns[Motion]):
         return index[order], np.concatenate([self.start[rows, :2], points])[order]
 
     def chords(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
-        """Chords between these points: motion (S,) of each, and its ends (S, 4) x0, y0, x1, y1, mm."""
-        index, points = self.lines(rows, step_mm)
+        """Chords of motions, rising: motion (S,) of each, and its ends (S, 4) x0, y0, x1, y1, mm; of a curve several, at most `step_mm` long."""
+        straight = self.kind[rows] <= STRAIGHT
+        index, points = self.lines(rows[~straight], step_mm)
         within = index[1:] == index[:-1]
-        return rows[index[1:][within]], np.hstack([points[:-1], points[1:]])[within]
+        bent = np.hstack([points[:-1], points[1:]])[within]
+        owner = np.concatenate([rows[straight], rows[~straight][index[1:][within]]])
+        order = np.argsort(owner, kind="stable")
+        ends = np.hstack([self.start[rows[straight], :2], self.end[rows[straight], :2]])
+        return owner[order], np.concatenate([ends, bent])[order]
 
     # -- the path as layers ------------------------------------------------------------------------
 

@@ -271,28 +271,35 @@ def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))
     sides = segments_of(shapely.boundary(section))
-    shapely.prepare(section)
-
-    def holds(places: Floats) -> np.ndarray:
-        inside = shapely.contains_xy(section, places[:, 0], places[:, 1])
-        inside[inside] = distances(places[inside], sides) >= depth_mm - OFF_MM
-        return np.asarray(inside)
-
+    clear_mm = depth_mm - OFF_MM
     places, line = _tried(section, depth_mm)
-    good = holds(places)
+    away = distances(places, sides)
+    good = (away >= clear_mm) & inside(section, places, away)
     follows = line[1:] == line[:-1]
     a, b = places[:-1][follows], places[1:][follows]
     at_a, at_b = good[:-1][follows], good[1:][follows]
     ends = at_a != at_b
     inner = np.where(at_a[ends, None], a[ends], b[ends])
     outer = np.where(at_a[ends, None], b[ends], a[ends])
-    first = inner
+    start, apart = inner, np.hypot(*(outer - inner).T) >= 2.0 * clear_mm
     for _ in range(HALVINGS):
         middle = 0.5 * (inner + outer)
-        held = holds(middle)[:, None]
-        inner, outer = np.where(held, middle, inner), np.where(held, outer, middle)
+        held = distances(middle, sides) >= clear_mm
+        held[apart] &= shapely.intersects_xy(section, middle[apart, 0], middle[apart, 1])
+        inner, outer = np.where(held[:, None], middle, inner), np.where(held[:, None], outer, middle)
     whole = at_a & at_b
-    return np.concatenate([np.hstack([a[whole], b[whole]]), np.hstack([first, inner])])
+    return np.concatenate([np.hstack([a[whole], b[whole]]), np.hstack([start, inner])])
+
+
+def inside(region: BaseGeometry, places: Floats, away: Floats) -> Bools:
+    """Whether places (n, 2) lie in a region, whose border is `away` (n,) from each."""
+    # The border passes nowhere between two places that are nearer to one another than both are to it: one of a run tells of all.
+    begins = np.append(True, ~(np.hypot(*np.diff(places, axis=0).T) < away[1:] + away[:-1]))[: len(places)]
+    first = np.flatnonzero(begins)
+    shapely.prepare(region)
+    return np.asarray(
+        shapely.intersects_xy(region, places[first, 0], places[first, 1])[np.cumsum(begins) - 1]
+    )
 
 
 def _tried(section: BaseGeometry, depth_mm: float) -> tuple[Floats, Ints]:
