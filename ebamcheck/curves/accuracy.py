@@ -17,23 +17,16 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.threads import run_blocks
 
-RAYS = 3600
-"""Rays per ring: one every tenth of a degree."""
-
-SAMPLES = 4000
-"""Places per ring at which the normal distance is taken, equally spaced along it."""
-
+RAYS = 3600  # Rays per ring: one every tenth of a degree
+SAMPLES = 4000  # Places per ring at which the normal distance is taken, equally spaced along it
 CURVE_TOLERANCE_MM = 1e-5
 """Chord error of the polylines as which curves are measured: far below any error that matters."""
 
 NO_ERROR_MM = 1e-9
 """Errors below this are rounding of coordinates a metre from the origin: there is nothing to reduce."""
 
-SAME_HEIGHT_MM = 1e-6
-"""Layers of two stacks belong together if their heights differ by no more than this."""
-
-LAYERS_A_STEP = 32
-"""Layers sampled at a time; bounds the working memory."""
+SAME_HEIGHT_MM = 1e-6  # Layers of two stacks belong together if their heights differ by no more than this
+LAYERS_A_STEP = 32  # Layers sampled at a time; bounds the working memory
 
 MEASURES = ("min", "max", "sum", "squares", "absolute")
 """Statistics kept of the error along one ring: enough to compute every figure of a layer."""
@@ -42,14 +35,10 @@ MEASURES = ("min", "max", "sum", "squares", "absolute")
 class RingErrors(NamedTuple):
     """Errors of pairs of rings."""
 
-    measured: Ints
-    """(n,) ring of the measured stack."""
-    reference: Ints
-    """(n,) ring of the reference that it is paired with."""
-    polar: Floats
-    """(n, 5) :data:`MEASURES` of the polar error; NaN where it is not defined."""
-    normal: Floats
-    """(n, 5) :data:`MEASURES` of the normal distance."""
+    measured: Ints  # (n,) ring of the measured stack
+    reference: Ints  # (n,) ring of the reference that it is paired with
+    polar: Floats  # (n, 5) MEASURES of the polar error; NaN where it is not defined
+    normal: Floats  # (n, 5) MEASURES of the normal distance
 
 
 def contour_error(

@@ -38,14 +38,10 @@ class BezierSpans:
 class Arcs(NamedTuple):
     """Circles and sweeps of arcs, as columns."""
 
-    centre: Floats
-    """(n, 2) mm."""
-    radius: Floats
-    """(n,) mm; infinite where three points lie on a line."""
-    start: Floats
-    """(n,) direction from the centre to the start, rad."""
-    sweep: Floats
-    """(n,) signed angle from start to end, rad; positive counter-clockwise, under a full turn."""
+    centre: Floats  # (n, 2) mm
+    radius: Floats  # (n,) mm; infinite where three points lie on a line
+    start: Floats  # (n,) direction from the centre to the start, rad
+    sweep: Floats  # (n,) signed angle from start to end, rad; positive counter-clockwise, under a full turn
 
     def at(self, share: Floats) -> Floats:
         """Points (n, 2) at a share 0 .. 1 of each sweep."""

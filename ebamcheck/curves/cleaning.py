@@ -9,19 +9,15 @@ import numpy as np
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
-RINGS_A_BLOCK = 64
-"""Fewest rings worth a thread."""
+RINGS_A_BLOCK = 64  # Fewest rings worth a thread
 
 
 class CleanRings(NamedTuple):
     """Contours without needless points."""
 
-    rows: Ints
-    """(K,) rows of the contour points that are kept, ring by ring."""
-    starts: Ints
-    """(R + 1,) first entry of each ring in `rows`."""
-    collapsed: Bools
-    """(R,) rings smaller than the tolerances; they keep all their points and are not fitted."""
+    rows: Ints  # (K,) rows of the contour points that are kept, ring by ring
+    starts: Ints  # (R + 1,) first entry of each ring in rows
+    collapsed: Bools  # (R,) rings smaller than the tolerances; they keep all their points and are not fitted
 
 
 def clean(
@@ -41,9 +37,8 @@ def clean(
     collapsed = np.zeros(count, dtype=np.bool_)
 
     def work(first: int, last: int) -> None:
-        _clean_rings(
-            points, ring_starts, closed, near_point_mm, collinear_mm, first, last, sweep, sizes, collapsed
-        )
+        tolerances = float(near_point_mm), float(collinear_mm)
+        _clean_rings(points, ring_starts, closed, tolerances, first, last, sweep, sizes, collapsed)
 
     run_blocks(work, count, RINGS_A_BLOCK)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -56,14 +51,14 @@ def _clean_rings(
     points: Floats,
     ring_starts: Ints,
     closed: Bools,
-    near: float,
-    collinear: float,
+    tolerances: tuple[float, float],
     first: int,
     last: int,
     sweep: Ints,
     sizes: Ints,
     collapsed: Bools,
 ) -> None:
+    near, collinear = tolerances
     for r in range(first, last):
         a, b = ring_starts[r], ring_starts[r + 1]
         rows = sweep[a:b]

@@ -51,9 +51,7 @@ from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns
 from ebamcheck.threads import run_blocks
 
-MOST_SAMPLES = 2**31
-"""Most points of a sampling: more come from a mistyped step."""
-
+MOST_SAMPLES = 2**31  # Most points of a sampling: more come from a mistyped step
 DRAWN_TOLERANCE_MM = 0.005
 """Chord error of the polylines as which curves are drawn: far below what a screen shows of a part."""
 
@@ -70,8 +68,7 @@ EVIDENCE_COLUMNS = (
 )
 """Columns of the evidence, one row a ring."""
 
-VERSION = "1"
-"""Version of the table in a file; a reader refuses any other."""
+VERSION = "1"  # Version of the table in a file; a reader refuses any other
 
 LABELS = ("method", "settings", "part", "direction", "backend")
 
@@ -88,12 +85,9 @@ _UNLIKE = "its columns do not have the same rings and pieces in every layer"
 class Piece(NamedTuple):
     """One piece of a contour."""
 
-    kind: int
-    """:data:`LINE` (the polyline of `control`), :data:`SPLINE` (a cubic B-spline) or :data:`ARC` (a circular arc)."""
-    control: Floats
-    """(m, 2) control points, mm."""
-    knots: Floats
-    """(m + 4,) clamped knot vector, mm; empty for a line or an arc."""
+    kind: int  # LINE (the polyline of control), SPLINE (a cubic B-spline) or ARC (a circular arc)
+    control: Floats  # (m, 2) control points, mm
+    knots: Floats  # (m + 4,) clamped knot vector, mm; empty for a line or an arc
     ring: int
     layer: int
 
@@ -106,10 +100,8 @@ class Piece(NamedTuple):
 class SampledRings(NamedTuple):
     """Points along curves, ring by ring in the order of the curves."""
 
-    points: Floats
-    """(N, 2) mm."""
-    ring_starts: Ints
-    """(R + 1,) into `points`."""
+    points: Floats  # (N, 2) mm
+    ring_starts: Ints  # (R + 1,) into points
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,26 +19,20 @@ from ebamcheck.curves.splitting import around
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.threads import run_blocks
 
-SMALLEST_MM = 1e-6
-"""Hulls that are smaller than this and still not separate count as touching."""
+SMALLEST_MM = 1e-6  # Hulls that are smaller than this and still not separate count as touching
 
 MOST_WAITING = 256
 """Size of the stack of pairs of halves still to test: two for each halving of either span; there are at most 60 halvings."""
 
-MOST_HALVINGS = 200_000
-"""Most pairs tested for two spans. More are needed only where they coincide over a length: they touch."""
-
-JOINT_MM = 1e-3
-"""Consecutive spans are tested only beyond this distance from the point that they share."""
+MOST_HALVINGS = 200_000  # Most pairs tested for two spans. More are needed only where they coincide over a length: they touch.
+JOINT_MM = 1e-3  # Consecutive spans are tested only beyond this distance from the point that they share
 
 
 class Crossings(NamedTuple):
     """Which rings cross, and where."""
 
-    crossed: Bools
-    """(R,) whether the ring crosses or touches itself or another."""
-    at: Floats
-    """(R, 2) the crossing that was found first, mm; NaN for rings without one."""
+    crossed: Bools  # (R,) whether the ring crosses or touches itself or another
+    at: Floats  # (R, 2) the crossing that was found first, mm; NaN for rings without one
 
 
 def crossings(curves: Curves, spans: BezierSpans | None = None) -> Crossings:

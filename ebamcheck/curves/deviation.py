@@ -18,14 +18,9 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.threads import run_blocks
 
-CHORDS_A_SPAN = 8
-"""Chords of a span at whose ends its distance is taken."""
-
-REFINEMENTS = 6
-"""Gauss-Newton steps by which the nearest point is moved along the true curve; each gains several digits."""
-
-LAYERS_A_STEP = 64
-"""Layers measured at a time; bounds the working memory."""
+CHORDS_A_SPAN = 8  # Chords of a span at whose ends its distance is taken
+REFINEMENTS = 6  # Gauss-Newton steps by which the nearest point is moved along the true curve; each gains several digits
+LAYERS_A_STEP = 64  # Layers measured at a time; bounds the working memory
 
 RINGS_A_BLOCK = 16
 
@@ -33,18 +28,12 @@ RINGS_A_BLOCK = 16
 class Deviation(NamedTuple):
     """Distances between curves and contours of the same rings."""
 
-    of_point: Floats
-    """(N,) distance of each point of the contours from the curves, mm."""
-    places: Floats
-    """(n, 2) places along the curves, mm."""
-    starts: Ints
-    """(R + 1,) first place of each ring."""
-    of_place: Floats
-    """(n,) distance of each place from the contour, mm."""
-    segment: Ints
-    """(n,) number of the contour's nearest segment, that of the point where it begins."""
-    share: Floats
-    """(n,) where along that segment, 0 .. 1."""
+    of_point: Floats  # (N,) distance of each point of the contours from the curves, mm
+    places: Floats  # (n, 2) places along the curves, mm
+    starts: Ints  # (R + 1,) first place of each ring
+    of_place: Floats  # (n,) distance of each place from the contour, mm
+    segment: Ints  # (n,) number of the contour's nearest segment, that of the point where it begins
+    share: Floats  # (n,) where along that segment, 0 .. 1.
 
 
 def deviation_of(curves: Curves, layers: Layers, spans: BezierSpans | None = None) -> Deviation:

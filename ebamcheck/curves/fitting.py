@@ -27,8 +27,7 @@ from ebamcheck.settings.stages import CurveSettings
 from ebamcheck.surface.part_surface import once_a_part, surface_of
 from ebamcheck.surface.planes import coordinate_error_mm
 
-LAYERS_A_STEP = 256
-"""Layers fitted between two reports of progress; also bounds the working memory."""
+LAYERS_A_STEP = 256  # Layers fitted between two reports of progress; also bounds the working memory
 
 SHARE_OF_BULGE = 0.5
 """Share of the fit gate's limit that a segment of an unlifted contour may bulge; the rest is left for the cleaning."""
@@ -271,8 +270,7 @@ METHODS: dict[str, _Method] = {
 }
 """Fits by name; each takes a block of layers and returns its curves."""
 
-LIFTED = ("bounded", "surface")
-"""Methods that lift the points of contours where they can."""
+LIFTED = ("bounded", "surface")  # Methods that lift the points of contours where they can
 
 
 def _check_finite(layers: Layers) -> None:

@@ -32,16 +32,12 @@ CAUSES = ("", "sagitta", "plane", "crossing", "turned", "nesting")
 
 ACCEPTED, SAGITTA, PLANE, CROSSING, TURNED, NESTING = range(len(CAUSES))
 
-METHODS = ("", "polyline")
-"""The requested method, and that to which a ring falls back."""
+METHODS = ("", "polyline")  # The requested method, and that to which a ring falls back
 
 POLYLINE = 1
 
-MOST_ROUNDS = 6
-"""Most rounds of falling back: a ring falls once, but its neighbours may have to follow it."""
-
-MEAN_SHARE = 0.25
-"""Mean limit along a ring, over those of its places: single places may be off by more than a whole ring."""
+MOST_ROUNDS = 6  # Most rounds of falling back: a ring falls once, but its neighbours may have to follow it
+MEAN_SHARE = 0.25  # Mean limit along a ring, over those of its places: single places may be off by more than a whole ring
 
 NESTING_MM = 0.01
 """Chord error of the polylines by which nesting is found: one point of a ring tells, as nesting matters only if none cross."""
@@ -50,10 +46,8 @@ NESTING_MM = 0.01
 class Slack(NamedTuple):
     """Tolerances that are added to the limits of a fit, mm."""
 
-    anywhere: float
-    """Of the fit and of the cleaning."""
-    in_planes: float
-    """Of the cleaning and of the file's rounding."""
+    anywhere: float  # Of the fit and of the cleaning
+    in_planes: float  # Of the cleaning and of the file's rounding
 
 
 def gated(curves: Curves, layers: Layers, limits: Limits, slack: Slack) -> Curves:
@@ -268,17 +262,14 @@ def _chosen(columns: list[Ints], groups: Ints) -> tuple[Ints, Ints]:
 # curves must agree with it, up to the error that the areas of the contours themselves make, and up to how far
 # curves may lie outside or inside their contours.
 
-VOLUME_ROUNDING = 1e-9
-"""Relative rounding error allowed in the sum of a volume."""
+VOLUME_ROUNDING = 1e-9  # Relative rounding error allowed in the sum of a volume
 
 
 class StackEvidence(NamedTuple):
     """How layers agree with each other and with the mesh."""
 
-    lift_mm: Floats
-    """(L,) mean lift of each layer; 0 without contours."""
-    allowed_mm: Floats
-    """(L,) mean limit along the contours, by the mesh and the tolerance."""
+    lift_mm: Floats  # (L,) mean lift of each layer; 0 without contours
+    allowed_mm: Floats  # (L,) mean limit along the contours, by the mesh and the tolerance
     jump_excess_mm: Floats
     """(L,) difference of the lift from that of the layer below, less the allowed one; 0 or less is within the limit."""
     volume_excess_mm3: Floats

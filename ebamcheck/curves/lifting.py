@@ -23,21 +23,15 @@ from ebamcheck.surface.lift_limits import LiftLimits, lift_limits, plausible_sha
 from ebamcheck.surface.part_surface import PartSurface
 from ebamcheck.surface.regions import PLANE, STRIP
 
-MOST_STEPS = 60
-"""Most steps towards the place of a layer on a curved edge; as many halvings reach rounding."""
-
-SAME_PLACE = 1e-14
-"""Step along an edge, over its length, that counts as rounding."""
+MOST_STEPS = 60  # Most steps towards the place of a layer on a curved edge; as many halvings reach rounding
+SAME_PLACE = 1e-14  # Step along an edge, over its length, that counts as rounding
 
 FLATTEST_SURFACE = 0.25
 """Sine of the surface's slope below which a move in the layer grows no further: a point moves at most the height of the
 curved edge over its chord, divided by this."""
 
-LEAST_SIDEWAYS = 1e-6
-"""Horizontal part of a unit normal below which the contour has no tangent there: the surface is level."""
-
-LEAST_CREASE = 0.1
-"""Sine of the angle between the normals on the two sides of a crease below which its direction is unknown."""
+LEAST_SIDEWAYS = 1e-6  # Horizontal part of a unit normal below which the contour has no tangent there: the surface is level
+LEAST_CREASE = 0.1  # Sine of the angle between the normals on the two sides of a crease below which its direction is unknown
 
 FLAT_MM = 2e-5
 """Chords whose joint lies this near to the line over both are one: the 32-bit rounding of a plane some hundred mm wide."""
@@ -51,17 +45,18 @@ and over the sine of the slope. On a regular mesh the surface is one sagitta off
 to six: of 1,394 rings of 255 meshes of known parts, all that are farther off than four are nearer to their part than the contour."""
 
 
-PLANE_FACETS = 4.0
-"""Least area of a plane, over the mean area of the facets of curved regions, for it to be one for certain."""
+PLANE_FACETS = 4.0  # Least area of a plane, over the mean area of the facets of curved regions, for it to be one for certain
 
 
 class Limits(NamedTuple):
     """How far curves may leave contours."""
 
-    of_point: Floats
-    """(N,) limit at each point, mm; along the segment after it the greater of those at both ends."""
-    plane: Bools
-    """(N,) whether the segment after the point lies in a plane of the part, which it does not leave."""
+    of_point: (
+        Floats  # (N,) limit at each point, mm; along the segment after it the greater of those at both ends
+    )
+    plane: (
+        Bools  # (N,) whether the segment after the point lies in a plane of the part, which it does not leave
+    )
 
 
 class Lifting:

@@ -31,40 +31,34 @@ IN_PLANE_MM = 1e-3
 the least distance of contour points. Not every point in a plane is: around a level one the contour turns."""
 
 
-NO_PLANE = -1
-"""Number of the plane of a segment that is in none."""
-
-NO_FORM = -1
-"""Number of the exact surface of a segment that is on none."""
+NO_PLANE = -1  # Number of the plane of a segment that is in none
+NO_FORM = -1  # Number of the exact surface of a segment that is on none
 
 
 class Sides(NamedTuple):
     """Points of contours, with the directions in which a contour enters and leaves each."""
 
-    points: Floats
-    """(N, 2) mm."""
-    before: Floats
-    """(N, 2) unit direction on the side of the segment that ends at the point; NaN where unknown."""
-    after: Floats
-    """(N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown."""
-    smooth: Bools
-    """(N,) whether the contour has no corner at the point."""
-    unknown: Bools
-    """(N,) whether nothing is known of the segment after the point: no facet."""
-    plane_before: Index
-    """(N,) plane in which the segment that ends at the point lies; :data:`NO_PLANE` for none."""
-    plane_after: Index
-    """(N,) plane in which the segment that begins at the point lies."""
+    points: Floats  # (N, 2) mm
+    before: (
+        Floats  # (N, 2) unit direction on the side of the segment that ends at the point; NaN where unknown
+    )
+    after: (
+        Floats  # (N, 2) unit direction on the side of the segment that begins at the point; NaN where unknown
+    )
+    smooth: Bools  # (N,) whether the contour has no corner at the point
+    unknown: Bools  # (N,) whether nothing is known of the segment after the point: no facet
+    plane_before: Index  # (N,) plane in which the segment that ends at the point lies; NO_PLANE for none
+    plane_after: Index  # (N,) plane in which the segment that begins at the point lies
     share: Floats
     """(N,) share, 0 .. 1, of the lift and bend demanded by the normals that is applied at the point; 0 where they are noise: its
     segments stay chords."""
-    plausible: Floats
-    """(N,) plausible height of the surface over the facets there, over the sine of their slope, mm."""
+    plausible: (
+        Floats  # (N,) plausible height of the surface over the facets there, over the sine of their slope, mm
+    )
     form_before: Index
     """(N,) exact surface on which the segment that ends at the point lies, whose section has its direction there;
     :data:`NO_FORM` for none."""
-    form_after: Index
-    """(N,) exact surface on which the segment that begins at the point lies."""
+    form_after: Index  # (N,) exact surface on which the segment that begins at the point lies
 
 
 def as_they_are(points: Floats) -> Sides:
@@ -89,20 +83,16 @@ def as_they_are(points: Floats) -> Sides:
 class OrientedContours(NamedTuple):
     """Points of rings with their directions, as columns."""
 
-    points: Floats
-    """(K, 2) mm."""
-    starts: Ints
-    """(R + 1,) first point of each ring; a closed ring's last segment goes from its last point to its first."""
+    points: Floats  # (K, 2) mm
+    starts: Ints  # (R + 1,) first point of each ring; a closed ring's last segment goes from its last point to its first
     before: Floats
     """(K,) angle from the chord of the segment before the point to the contour's direction at its end, rad; positive to the
     left."""
     after: Floats
     """(K,) angle from the contour's direction at the start of the segment after the point to its chord, rad. On a circle
     both angles of a segment are half of the angle that it spans."""
-    corner: Bools
-    """(K,) whether the point is a corner, or the end of an open path."""
-    straight: Bools
-    """(K,) whether the segment after the point is a straight line."""
+    corner: Bools  # (K,) whether the point is a corner, or the end of an open path
+    straight: Bools  # (K,) whether the segment after the point is a straight line
 
 
 def orient(

@@ -23,11 +23,8 @@ the setting, lest what lifting gained be lost again."""
 LEAST_TOLERANCE_MM = 0.0005
 """Least tolerance, however small the bulges: half of the least distance of contour points."""
 
-ARC_SHARE = 0.5
-"""Share of the tolerance within which an arc must stay: then the path is a circle, and not merely near one."""
-
-ARC_DIRECTION_RAD = 2e-3
-"""Largest error of the direction in which an arc ends; the next segment starts in the arc's direction."""
+ARC_SHARE = 0.5  # Share of the tolerance within which an arc must stay: then the path is a circle, and not merely near one
+ARC_DIRECTION_RAD = 2e-3  # Largest error of the direction in which an arc ends; the next segment starts in the arc's direction
 
 LARGEST_RADIUS_MM = 10_000.0
 """Largest radius of an arc: larger ones are nearly straight, with an ill-determined centre, and are written as cubics."""
@@ -35,17 +32,12 @@ LARGEST_RADIUS_MM = 10_000.0
 LARGEST_SWEEP_RAD = np.deg2rad(170.0)
 """Largest sweep of one arc: below half a turn, an arc given to a control by its radius is unambiguous."""
 
-LARGEST_TURN_RAD = np.deg2rad(120.0)
-"""Largest turn of one cubic: beyond it cubics loop."""
-
+LARGEST_TURN_RAD = np.deg2rad(120.0)  # Largest turn of one cubic: beyond it cubics loop
 NEWTON_STEPS = 2
 """Rounds in which the samples' parameters move to their foot points and the cubic is fitted again."""
 
-SAMPLES_A_SEGMENT = 4
-"""Places along each segment of the contour at which the reduced curve is checked."""
-
-CLOSED_LOOP_SHARE = 0.01
-"""A range whose ends are nearer to each other than this share of its length is not tried as one segment."""
+SAMPLES_A_SEGMENT = 4  # Places along each segment of the contour at which the reduced curve is checked
+CLOSED_LOOP_SHARE = 0.01  # A range whose ends are nearer to each other than this share of its length is not tried as one segment
 
 CHAINS_A_BLOCK = 16
 
@@ -53,16 +45,11 @@ CHAINS_A_BLOCK = 16
 class Path(NamedTuple):
     """Chains of cubics, joint by joint, with samples along them; a chain has one joint more than it has cubics."""
 
-    points: Floats
-    """(n, 2) joints."""
-    directions: Floats
-    """(n, 2) unit directions at the joints."""
-    turns: Floats
-    """(n,) signed turn from a first joint to each, rad."""
-    samples: Floats
-    """(SAMPLES_A_SEGMENT n, 2) points from each joint on along the cubic after it, mm."""
-    lengths: Floats
-    """(SAMPLES_A_SEGMENT n,) length along the samples from a first one, mm."""
+    points: Floats  # (n, 2) joints
+    directions: Floats  # (n, 2) unit directions at the joints
+    turns: Floats  # (n,) signed turn from a first joint to each, rad
+    samples: Floats  # (SAMPLES_A_SEGMENT n, 2) points from each joint on along the cubic after it, mm
+    lengths: Floats  # (SAMPLES_A_SEGMENT n,) length along the samples from a first one, mm
 
 
 def reduced_segments(segments: Segments, tolerance_mm: float) -> Segments:

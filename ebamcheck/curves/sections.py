@@ -16,8 +16,7 @@ from ebamcheck.surface.exact_surfaces import ExactSurfaces
 MOST_STEPS = 40
 """Most Newton steps; each doubles the digits, so a few are enough unless the surface is nearly level."""
 
-CLOSE_MM = 1e-10
-"""A point this near to a surface lies on it."""
+CLOSE_MM = 1e-10  # A point this near to a surface lies on it
 
 LEAST_SLOPE = 0.02
 """Horizontal part of a unit gradient below which a surface is level in the layer: a point does not determine its section."""
@@ -25,8 +24,7 @@ LEAST_SLOPE = 0.02
 LEAST_SINE = np.sin(np.deg2rad(5.0))
 """Least sine of the angle between the sections of two surfaces at which these determine a common point."""
 
-MOST_GROWTH = 3.0
-"""Farthest move of a point, over its first-order distance from the surface: a section farther off is another one."""
+MOST_GROWTH = 3.0  # Farthest move of a point, over its first-order distance from the surface: a section farther off is another one
 
 SMOOTH_COSINE = np.cos(np.deg2rad(0.5))
 """Least cosine between the directions of two sections at which a contour is smooth. A larger angle would let the uncertain
@@ -147,17 +145,12 @@ def place(exact: ExactSurfaces, before: Ints, after: Ints, heights: Floats, i: I
 # -- Refinement: points are inserted into a contour, on the section of its exact surface, where a cubic would not follow that.
 
 
-LARGEST_SPAN_RAD = np.deg2rad(20.0)
-"""Largest turn of a section along one cubic, which then follows it to some 1e-5 of its length."""
-
-LEAST_SPAN_RAD = np.deg2rad(1.0)
-"""Turn of a section below which it is as good as straight."""
-
-UNEVEN = 0.05
-"""Largest difference between the angles at the two ends of a segment, over their sum, for one as good as circular."""
-
-MOST_PARTS = 32
-"""Most parts into which a segment is divided."""
+LARGEST_SPAN_RAD = np.deg2rad(
+    20.0
+)  # Largest turn of a section along one cubic, which then follows it to some 1e-5 of its length
+LEAST_SPAN_RAD = np.deg2rad(1.0)  # Turn of a section below which it is as good as straight
+UNEVEN = 0.05  # Largest difference between the angles at the two ends of a segment, over their sum, for one as good as circular
+MOST_PARTS = 32  # Most parts into which a segment is divided
 
 
 def refined(
@@ -209,10 +202,8 @@ class _Divided(NamedTuple):
 
     known: Bools
     followed: Bools
-    places: Floats
-    """(n, parts - 1, 2) mm."""
-    directions: Floats
-    """(n, parts - 1, 2) unit vectors."""
+    places: Floats  # (n, parts - 1, 2) mm
+    directions: Floats  # (n, parts - 1, 2) unit vectors
 
 
 def _divided(rows: Floats, sides: Sides, i: Ints, j: Ints, heights: Floats, parts: int) -> _Divided:

@@ -11,8 +11,7 @@ from ebamcheck.curves.oriented_contours import OrientedContours
 from ebamcheck.curves.splitting import ARC, LINE, SPLINE, around
 from ebamcheck.kernels import Bools, Floats, Ints
 
-UNEVEN = 4.0
-"""Largest ratio of a knot interval to the length of its span, either way; beyond it a spline ends and the next begins."""
+UNEVEN = 4.0  # Largest ratio of a knot interval to the length of its span, either way; beyond it a spline ends and the next begins
 
 
 class Segments(NamedTuple):
@@ -21,12 +20,9 @@ class Segments(NamedTuple):
     points: Floats
     """(n, 4, 2) Bezier points of a cubic, mm. A line has its ends in the first and last place; an arc also its middle in the
     second."""
-    kind: NDArray[np.uint8]
-    """(n,) :data:`LINE`, :data:`SPLINE` (a cubic) or :data:`ARC`."""
-    corner: Bools
-    """(n,) whether there is a corner before the segment."""
-    ring_starts: Ints
-    """(R + 1,) first segment of each ring."""
+    kind: NDArray[np.uint8]  # (n,) LINE, SPLINE (a cubic) or ARC
+    corner: Bools  # (n,) whether there is a corner before the segment
+    ring_starts: Ints  # (R + 1,) first segment of each ring
 
 
 class Pieces(NamedTuple):

@@ -25,18 +25,12 @@ Length alone does not decide: the chords of a large radius are long, too, but so
 class Runs(NamedTuple):
     """Straight and curved runs of contours, as columns over pieces (P) and their points (D)."""
 
-    points: Floats
-    """(D, 2) points of each run; neighbouring runs share, and repeat, the point between them."""
-    starts: Ints
-    """(P + 1,) first row of each run in `points`."""
-    ring_starts: Ints
-    """(R + 1,) first run of each ring."""
-    kind: NDArray[np.uint8]
-    """(P,) :data:`LINE` or :data:`SPLINE`."""
-    periodic: Bools
-    """(P,) whether the run is a whole closed ring without a split."""
-    tangents: Floats
-    """(P, 2, 2) unit directions at the two ends of a run, NaN where they are free."""
+    points: Floats  # (D, 2) points of each run; neighbouring runs share, and repeat, the point between them
+    starts: Ints  # (P + 1,) first row of each run in points
+    ring_starts: Ints  # (R + 1,) first run of each ring
+    kind: NDArray[np.uint8]  # (P,) LINE or SPLINE
+    periodic: Bools  # (P,) whether the run is a whole closed ring without a split
+    tangents: Floats  # (P, 2, 2) unit directions at the two ends of a run, NaN where they are free
 
 
 def split(

@@ -10,8 +10,7 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.mesh.topology import NO_TWIN, Index
 from ebamcheck.surface.planes import PlanarGroups
 
-LIKE = 3.0
-"""Strips of one tessellation differ by less than this factor in width; a flat side beside a rounding by more."""
+LIKE = 3.0  # Strips of one tessellation differ by less than this factor in width; a flat side beside a rounding by more
 
 BEYOND_COSINE = 0.45
 """Least cosine between two borders of a group for one to lie beyond the other: up to the angle of an equilateral triangle."""
@@ -19,35 +18,26 @@ BEYOND_COSINE = 0.45
 SUPPORTED = 5.0
 """A turn this many times the greatest one onto a like strip beside it stands out, and is a bend."""
 
-INFLECTION = 0.5
-"""At an inflection a surface turns by less than this share of the turns around it."""
+INFLECTION = 0.5  # At an inflection a surface turns by less than this share of the turns around it
 
 HALF_TURN = (0.6, 1.6)
 """Range of the turn from a flat side onto the first strip of a rounding, over that strip's share of the next turn."""
 
 
-LEAST_SHARE = 0.8
-"""Width over that of the strip beside it below which the turns do not distinguish a flat side from another strip."""
-
-MOST_BORDERS = 4096
-"""A group with more borders is no strip; comparing each border with all others would take quadratic time."""
+LEAST_SHARE = 0.8  # Width over that of the strip beside it below which the turns do not distinguish a flat side from another strip
+MOST_BORDERS = 4096  # A group with more borders is no strip; comparing each border with all others would take quadratic time
 
 
 class Borders(NamedTuple):
     """Half-edges at which two groups meet by less than the crease angle."""
 
-    turn: Floats
-    """(3 F,) angle between the groups' normals, rad, positive where the surface is convex; 0 off borders."""
+    turn: Floats  # (3 F,) angle between the groups' normals, rad, positive where the surface is convex; 0 off borders
     width: Floats
     """(3 F,) extent of the half-edge's own group perpendicular to it, mm; cut short once far beyond that of the other group."""
-    along: Floats
-    """(3 F, 3) unit vector along every half-edge; 0 where it has no length."""
-    length: Floats
-    """(3 F,) length of every half-edge, mm."""
-    starts: Index
-    """(G + 1,) first of each group's borders in `half_edges`."""
-    half_edges: Index
-    """Border half-edges by group."""
+    along: Floats  # (3 F, 3) unit vector along every half-edge; 0 where it has no length
+    length: Floats  # (3 F,) length of every half-edge, mm
+    starts: Index  # (G + 1,) first of each group's borders in half_edges
+    half_edges: Index  # Border half-edges by group
 
     def of_groups(self, groups: Index) -> tuple[Ints, Index]:
         """The borders of some groups (n,): the place of the group among them, and the half-edge, of each."""

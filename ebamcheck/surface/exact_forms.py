@@ -14,11 +14,8 @@ from ebamcheck.mesh.topology import NO_TWIN, Index
 
 SPHERE, CYLINDER, CONE, TORUS, QUADRIC, FLAT = range(6)
 
-NAMES = ("sphere", "cylinder", "cone", "torus", "quadric", "plane")
-"""Kinds by number."""
-
-SIZE = 15
-"""Numbers in a row: kind, reference point (3), parameters of the kind (10), side."""
+NAMES = ("sphere", "cylinder", "cone", "torus", "quadric", "plane")  # Kinds by number
+SIZE = 15  # Numbers in a row: kind, reference point (3), parameters of the kind (10), side
 
 KIND, PLACE, OWN, SIDE = 0, 1, 4, 14
 """Indices within a row: of the kind, the reference point, the first parameter and the side.
@@ -31,8 +28,7 @@ normal (3).
 
 LEAST = 1e-300
 
-Signed = tuple[float, float, float, float]
-"""Signed distance, mm, and its gradient, a unit vector."""
+Signed = tuple[float, float, float, float]  # Signed distance, mm, and its gradient, a unit vector
 
 
 @kernel
@@ -91,9 +87,7 @@ def signed_distances(rows: Floats, points: Floats) -> Floats:
 
 # -- growing: from some planar groups of facets on a surface to all connected groups that lie on it ---------------
 
-FACES_ALONG = 0.7
-"""Least cosine between the normals of a facet and of its surface: some 45 degrees, about the crease angle."""
-
+FACES_ALONG = 0.7  # Least cosine between the normals of a facet and of its surface: some 45 degrees, about the crease angle
 LEAST_TOLD = 3
 """Fewest told corners of a group, all of which must lie on the surface; one less for a single facet."""
 
@@ -103,17 +97,12 @@ class Ground(NamedTuple):
 
     vertices: Floats
     faces: Index
-    twin: Index
-    """(3 F,) opposite half-edge where the surface continues smoothly; else -1."""
-    label: Index
-    """(F,) group of each facet."""
-    starts: Index
-    """(G + 1,) first facet of each group in `facets`."""
+    twin: Index  # (3 F,) opposite half-edge where the surface continues smoothly; else -1
+    label: Index  # (F,) group of each facet
+    starts: Index  # (G + 1,) first facet of each group in facets
     facets: Index
-    normals: Floats
-    """(G, 3) unit normals."""
-    told: Bools
-    """(F, 3) corners that lie on the surface for certain (:mod:`ebamcheck.surface.exact_surfaces`)."""
+    normals: Floats  # (G, 3) unit normals
+    told: Bools  # (F, 3) corners that lie on the surface for certain (exact_surfaces)
 
 
 @kernel

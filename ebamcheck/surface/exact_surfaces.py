@@ -25,8 +25,7 @@ FIT = 3.0
 
 NO_SURFACE = -1
 
-GAP = 4.0
-"""A group this many times farther from the surface than the next nearer one is a flat side that only ends on the surface."""
+GAP = 4.0  # A group this many times farther from the surface than the next nearer one is a flat side that only ends on the surface
 
 MOST_OF_TYPICAL = 25.0
 """Largest distance of a facet from an exact surface, over the mesh's median sagitta: long facets of scattered points are so far."""
@@ -34,17 +33,14 @@ MOST_OF_TYPICAL = 25.0
 MOST_PIECES = 1000
 """Pieces that may fail before the search stops, the largest first: a noisy mesh has very many."""
 
-MOST_ROUNDS = 6
-"""Rounds of growing and fitting for one surface; it usually stops growing after two or three."""
+MOST_ROUNDS = 6  # Rounds of growing and fitting for one surface; it usually stops growing after two or three
 
 
 class ExactSurfaces(NamedTuple):
     """Exact surfaces of a mesh, and the planes beside them."""
 
-    label: Index
-    """(F,) surface of each facet; :data:`NO_SURFACE` for none."""
-    rows: Floats
-    """(S, SIZE) surfaces, in the layout of :mod:`ebamcheck.surface.exact_forms`."""
+    label: Index  # (F,) surface of each facet; NO_SURFACE for none
+    rows: Floats  # (S, SIZE) surfaces, in the layout of exact_forms
 
 
 def exact_surfaces(
@@ -228,8 +224,7 @@ def _facets_of(ground: Ground, groups: Index) -> Ints:
 # between two of its neighbours, which merely splits an edge.
 
 
-STRAIGHT_COSINE = 0.99
-"""Two edges at a vertex may be one line if the cosine of the angle between them is less than minus this."""
+STRAIGHT_COSINE = 0.99  # Two edges at a vertex may be one line if the cosine of the angle between them is less than minus this
 
 
 def told_corners(vertices: Floats, faces: Index, label: Index, sectors: Index, tolerance_mm: float) -> Bools:

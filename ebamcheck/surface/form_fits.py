@@ -27,36 +27,20 @@ from ebamcheck.surface.exact_forms import (
     signed_distances,
 )
 
-MOST_POINTS = 400
-"""Most vertices used for a fit, evenly spread; all are then checked against it."""
-
-LEAST_POINTS = 6
-"""Fewest vertices for a fit: any five lie on a cylinder, or nearly so."""
-
-LEAST_RULINGS = 4
-"""Fewest distinct rulings of a cylinder or cone: three always lie on one."""
-
-SPARE = 7
-"""Vertices beyond the unknowns of a form without strips: a decimated mesh has six or eight on many a cylinder by chance."""
-
-LEAST_HEIGHTS = 3
-"""Fewest distinct heights along the axis of a cylinder or cone that only vertices support."""
-
-APART = 20.0
-"""Least distance between places that count as distinct, in tolerances."""
-
-LEAST_PROFILE = 4
-"""Fewest distinct points on the profile of a torus: three always lie on one circle."""
-
-CUBIC_TERMS = 20
-"""Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric."""
+MOST_POINTS = 400  # Most vertices used for a fit, evenly spread; all are then checked against it
+LEAST_POINTS = 6  # Fewest vertices for a fit: any five lie on a cylinder, or nearly so
+LEAST_RULINGS = 4  # Fewest distinct rulings of a cylinder or cone: three always lie on one
+SPARE = 7  # Vertices beyond the unknowns of a form without strips: a decimated mesh has six or eight on many a cylinder by chance
+LEAST_HEIGHTS = 3  # Fewest distinct heights along the axis of a cylinder or cone that only vertices support
+APART = 20.0  # Least distance between places that count as distinct, in tolerances
+LEAST_PROFILE = 4  # Fewest distinct points on the profile of a torus: three always lie on one circle
+CUBIC_TERMS = 20  # Coefficients of a cubic surface: from this many vertices on, cubics through them can contradict the quadric
 
 OWN_CUBICS = 4
 """Independent cubics that contain a given quadric (it times x, y, z or 1); if more pass through the vertices, these do not
 determine the quadric."""
 
-MOST_RADIUS = 1e3
-"""Largest radius over the size of the fitted points: beyond it they may as well be flat."""
+MOST_RADIUS = 1e3  # Largest radius over the size of the fitted points: beyond it they may as well be flat
 
 
 def told_forms(
@@ -267,11 +251,8 @@ def _distinct(places: Floats, apart: float) -> int:
 
 # -- the form of least squares --------------------------------------------------------------------------------
 
-FIRST_STEPS = 8
-"""Steps after which a form that is still far from its points is given up."""
-
-LOST = 100.0
-"""Largest root mean square distance after that many steps, in tolerances."""
+FIRST_STEPS = 8  # Steps after which a form that is still far from its points is given up
+LOST = 100.0  # Largest root mean square distance after that many steps, in tolerances
 
 MOST_STEPS = 40
 

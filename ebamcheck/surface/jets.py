@@ -19,17 +19,12 @@ from ebamcheck.threads import run_blocks
 CUBIC, QUADRIC = 9, 5
 """Coefficients of jets through the vertex: slopes, curvatures, and for the cubic the changes of these."""
 
-TERMS = 10
-"""Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet."""
-
-MOST_NEIGHBOURS = 48
-"""Most neighbours used of a vertex; two rings of a regular mesh hold 18."""
-
+TERMS = 10  # Coefficients of a cubic over the plane that need not go through the vertex: its height there, and those of a jet
+MOST_NEIGHBOURS = 48  # Most neighbours used of a vertex; two rings of a regular mesh hold 18
 SPARE = 3
 """Neighbours beyond the number of coefficients: with fewer, a jet is little more than an interpolation."""
 
-LEAST_PIVOT = 1e-5
-"""Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet."""
+LEAST_PIVOT = 1e-5  # Least pivot of the normal equations, scaled to a unit diagonal, for neighbours that determine a jet
 
 NEAREST = 0.3
 """Distance, in extents of the first ring, within which the weight of a neighbour no longer grows: the rounding of its
@@ -46,8 +41,7 @@ LONGEST_RING = 3.0
 """Ratio of the first ring's extents from which the second ring is not used: the cubic's error across tilts it along, which
 would lift long edges."""
 
-FLATTEST_RING = 1e-6
-"""Ratio of the first ring's extents below which its vertices lie on a line."""
+FLATTEST_RING = 1e-6  # Ratio of the first ring's extents below which its vertices lie on a line
 
 SECTORS_A_BLOCK = 512
 
@@ -55,23 +49,17 @@ SECTORS_A_BLOCK = 512
 class Corners(NamedTuple):
     """The corners of facets by sector, and the facets that jets may use."""
 
-    sectors: Index
-    """(F, 3) sector of each corner."""
-    starts: Index
-    """(S + 1,) first entry of each sector in `corners`."""
-    corners: Index
-    """Corners 3 f + i by sector."""
-    seen: Bools
-    """(F,) facets that jets may use: those outside of planes."""
+    sectors: Index  # (F, 3) sector of each corner
+    starts: Index  # (S + 1,) first entry of each sector in corners
+    corners: Index  # Corners 3 f + i by sector
+    seen: Bools  # (F,) facets that jets may use: those outside of planes
 
 
 class Jets(NamedTuple):
     """Normal and noise of each sector."""
 
-    normals: Floats
-    """(S, 3) unit normals."""
-    noise: Floats
-    """(S,) root mean square of what the jet leaves of its neighbours, per degree of freedom, mm; NaN without a jet."""
+    normals: Floats  # (S, 3) unit normals
+    noise: Floats  # (S,) root mean square of what the jet leaves of its neighbours, per degree of freedom, mm; NaN without a jet
 
 
 def jets(vertices: Floats, faces: Index, corners: Corners, means: Floats, least_cosines: Floats) -> Jets:
@@ -104,7 +92,9 @@ def _jets(
             continue
         near, count = _neighbours(faces, corners, s, around, of_fan)
         frame[0] = means[s]
-        if near < 3 or not _set_rows(vertices, faces, corners, s, around, near, count, frame, scales, rows):
+        corner = corners.corners[corners.starts[s]]
+        own = faces[corner // 3, corner % 3]
+        if near < 3 or not _set_rows(vertices, own, around, near, count, frame, scales, rows):
             continue
         x = y = 0.0
         for i in range(count):
@@ -118,9 +108,9 @@ def _jets(
                 y += rows[i, 2] / near
         # A cubic is not drawn on beyond what it knows: the first ring has to lie about the vertex, and not to one side.
         centred = x * x + y * y < OFF_CENTRE * OFF_CENTRE
-        own = False
+        told = False
         for ring in range(2):
-            if ring == 1 and own and max(scales[0], scales[1]) > LONGEST_RING * min(scales[0], scales[1]):
+            if ring == 1 and told and max(scales[0], scales[1]) > LONGEST_RING * min(scales[0], scales[1]):
                 break
             used = count if ring == 1 else near
             size = CUBIC if ring == 1 and centred else QUADRIC
@@ -135,9 +125,9 @@ def _jets(
             if ring == 1 or near > QUADRIC:
                 found.noise[s] = _residual(rows, used, size, weights[1], A)
             spread = np.arccos(min(max(least_cosines[s], -1.0), 1.0))
-            if not own or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
+            if not told or np.sum(normal * found.normals[s]) >= np.cos(AGREE * spread):
                 found.normals[s] = normal
-            own = True
+            told = True
 
 
 @kernel
@@ -188,9 +178,7 @@ def _neighbours(faces: Index, corners: Corners, s: int, around: Index, of_fan: I
 @kernel
 def _set_rows(
     vertices: Floats,
-    faces: Index,
-    corners: Corners,
-    s: int,
+    own: int,
     around: Index,
     near: int,
     count: int,
@@ -214,8 +202,6 @@ def _set_rows(
     for i in range(3):
         u[i] /= max(length, 1e-300)
     w[0], w[1], w[2] = n[1] * u[2] - n[2] * u[1], n[2] * u[0] - n[0] * u[2], n[0] * u[1] - n[1] * u[0]
-    corner = corners.corners[corners.starts[s]]
-    own = faces[corner // 3, corner % 3]
     xx = xy = yy = 0.0
     for i in range(count):
         x = y = z = 0.0
@@ -325,19 +311,21 @@ def predicted(
         if length == 0.0:
             continue
         n /= length
-        if not _set_rows(vertices, faces, corners, s, around, near, count, frame, scales, rows):
+        corner = corners.corners[corners.starts[s]]
+        own = faces[corner // 3, corner % 3]
+        if not _set_rows(vertices, own, around, near, count, frame, scales, rows):
             continue
         for k in range(count):
             weights[k] = 1.0 / (rows[k, 1] ** 2 + rows[k, 2] ** 2 + SOFTENING) ** 2
         if not _solved(rows, count, min(count, TERMS), weights, LEAST_TERM_PIVOT, A):
             continue
-        own = expected = sizes = 0.0
+        mine = expected = sizes = 0.0
         for i in range(count + 1):  # the neighbours, and last the vertex itself
             fan = np.int64(of_fan[i]) if i < count else s
             rise, size = _sagitta(vertices, faces, corners, fan, frame, scales, A)
             sizes += size
             if i == count:
-                own = rise
+                mine = rise
                 continue
             share = 0.0
             for k in range(TERMS):
@@ -345,7 +333,7 @@ def predicted(
             expected += weights[i] * share * rise
         typical = sizes / (count + 1)
         if typical > 0.0:
-            found[s, 0] = (own - expected) / typical
+            found[s, 0] = (mine - expected) / typical
             found[s, 1] = min(max(-A[0, TERMS] / typical, -1.0), 1.0)
 
 

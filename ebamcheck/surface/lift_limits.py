@@ -25,23 +25,16 @@ LIMITS = ("plane", "sagitta of the mesh", "sagittas near", "scattered points", "
 
 IN_PLANE, OF_MESH, NEAR, SCATTERED, AHEAD = range(len(LIMITS))
 
-OF_TYPICAL = 4.0
-"""Largest plausible lift, over the median sagitta of the mesh."""
-
-ANYWHERE = 2.0
-"""Lift that is plausible whatever lies near, over the median sagitta: slivers have no sagitta of their own."""
-
+OF_TYPICAL = 4.0  # Largest plausible lift, over the median sagitta of the mesh
+ANYWHERE = 2.0  # Lift that is plausible whatever lies near, over the median sagitta: slivers have no sagitta of their own
 OF_LARGEST_NEAR = 4.0
 """Largest plausible lift, over the largest sagitta at that end of an edge where this is smaller."""
 
 OF_MEAN_NEAR = 6.0
 """Largest plausible lift, over the mean sagitta at that end of an edge where this is greater; flat neighbours lower the mean."""
 
-MOST_SCATTERED = 25.0
-"""Largest plausible lift on a mesh of scattered points, over the median sagitta."""
-
-BY_CHANCE = 0.1
-"""Ratio of strips to freely curved facets up to which the strips are facets of a decimated mesh, coplanar by chance."""
+MOST_SCATTERED = 25.0  # Largest plausible lift on a mesh of scattered points, over the median sagitta
+BY_CHANCE = 0.1  # Ratio of strips to freely curved facets up to which the strips are facets of a decimated mesh, coplanar by chance
 
 
 class LiftLimits(NamedTuple):
@@ -49,12 +42,9 @@ class LiftLimits(NamedTuple):
 
     plausible_mm: Floats
     """(3 F,) height of the surface over the edge, by sagittas, beyond which a lift grows less; infinite where nothing is known."""
-    most_mm: Floats
-    """(3 F,) largest height, by the turns ahead, too."""
-    acts: NDArray[np.uint8]
-    """(3 F,) which of :data:`LIMITS` limits the height."""
-    share: Floats
-    """(3,) share of a lift that is made, by the kind of region; 0 where the normals are noise."""
+    most_mm: Floats  # (3 F,) largest height, by the turns ahead, too
+    acts: NDArray[np.uint8]  # (3 F,) which of LIMITS limits the height
+    share: Floats  # (3,) share of a lift that is made, by the kind of region; 0 where the normals are noise
 
 
 def lift_limits(surface: PartSurface, flat_mm: float) -> LiftLimits:
@@ -95,8 +85,7 @@ def lift_limits(surface: PartSurface, flat_mm: float) -> LiftLimits:
 
 # -- bends: what the normals at both ends of the edges of freely curved facets demand ---------------------------
 
-TELLS = 0.25
-"""Lift over the median sagitta from which an edge counts as bent, to a known side."""
+TELLS = 0.25  # Lift over the median sagitta from which an edge counts as bent, to a known side
 
 COHERENT_SHARE = 0.85
 """A mesh is rough if less than this share of its bent edges bend to the same side at both ends: half do in noise, nineteen of
@@ -105,11 +94,8 @@ twenty on surfaces, saddles included, however meshed."""
 LEAST_TOLD = 20
 """Fewest bent edges for that share to mean something: with fewer, a surface may be only what a decimation left of one."""
 
-ASKS_MUCH = 3.0
-"""Lift over the median sagitta from which an edge demands much: its curvature is compared with that behind its ends."""
-
-ALIKE = 4.0
-"""Largest ratio of two curvatures that still belong to one surface, on a mesh of scattered points."""
+ASKS_MUCH = 3.0  # Lift over the median sagitta from which an edge demands much: its curvature is compared with that behind its ends
+ALIKE = 4.0  # Largest ratio of two curvatures that still belong to one surface, on a mesh of scattered points
 
 SCATTERED_SHARE = 0.8
 """A mesh is one of scattered points if at least this share of the edges that demand much are curved like their neighbours behind
@@ -119,8 +105,7 @@ SCATTERED_ASKED = 0.08
 """Least share of the bent edges that demand much on a mesh of scattered points. Such a mesh has edges of all lengths, and the
 share is an eighth to a quarter. Where it is less, these edges are outliers."""
 
-LEAST_ASKED = 100
-"""Fewest edges that demand much for that share to mean something."""
+LEAST_ASKED = 100  # Fewest edges that demand much for that share to mean something
 
 BEHIND_COSINE = 0.3
 """A neighbour lies behind the end of an edge if the cosine of its angle to the edge's extension is greater than this."""
@@ -130,21 +115,16 @@ class _Edges(NamedTuple):
     """Bent smooth edges between freely curved facets, each once."""
 
     half_edge: Ints
-    chord: Floats
-    """(n, 3) from tail to head, mm."""
-    lift_mm: Floats
-    """(n,) height that the lesser of both ends asks for."""
-    coherent: Bools
-    """(n,) whether both ends ask for the same side."""
-    outward: Bools
-    """(n,) whether that is the outer one."""
+    chord: Floats  # (n, 3) from tail to head, mm
+    lift_mm: Floats  # (n,) height that the lesser of both ends asks for
+    coherent: Bools  # (n,) whether both ends ask for the same side
+    outward: Bools  # (n,) whether that is the outer one
 
 
 class Bends(NamedTuple):
     """Verdicts from the bends at both ends of edges."""
 
-    are_scattered: bool
-    """The mesh is one of scattered points of a smooth surface: its long edges are curved like its short ones."""
+    are_scattered: bool  # The mesh is one of scattered points of a smooth surface: its long edges are curved like its short ones
     are_rough: bool
     """The freely curved facets determine no surface: too many edges would bend to opposite sides at their two ends, or too few
     are bent."""
@@ -215,26 +195,16 @@ def corners_by(numbers: NDArray[np.int32]) -> tuple[Ints, Ints]:
 
 # -- turns ahead of the ends of edges ----------------------------------------------------------------------------
 
-MOST_ASKED = 5_000
-"""Facets of a tessellator's mesh whose edges are checked for noise, evenly spread: more would add nothing."""
-
-FAR = 3.0
-"""An end is *far* if the edge is this many times longer than the chord ahead of it, like a flat side beside a rounding."""
-
-VERY_FAR = 6.0
-"""From this ratio of the edge to the chord ahead on, an error of the turn is magnified so much that it tells little."""
-
-MOST_OF_TYPICAL = 0.5
-"""Largest lift of such a very long edge, over the mesh's median sagitta."""
+MOST_ASKED = 5_000  # Facets of a tessellator's mesh whose edges are checked for noise, evenly spread: more would add nothing
+FAR = 3.0  # An end is *far* if the edge is this many times longer than the chord ahead of it, like a flat side beside a rounding
+VERY_FAR = 6.0  # From this ratio of the edge to the chord ahead on, an error of the turn is magnified so much that it tells little
+MOST_OF_TYPICAL = 0.5  # Largest lift of such a very long edge, over the mesh's median sagitta
 
 MOST_OF_TOLD = 2.0
 """Largest lift of an edge, over the height told by a far end: that height scatters by as much where the normals are right."""
 
-FEWEST_TURNS = 2
-"""Fewest turns ahead of both ends together: a single one is a bend, not a curve."""
-
-LEAST_FAR = 10
-"""Fewest edges with a far end for the share that is confirmed to mean something."""
+FEWEST_TURNS = 2  # Fewest turns ahead of both ends together: a single one is a bend, not a curve
+LEAST_FAR = 10  # Fewest edges with a far end for the share that is confirmed to mean something
 
 RIGHT_SHARE = 0.6
 """Share, by length, of such edges that the turns ahead must confirm, else none is believed. It is 0.6 or more on meshes of
@@ -250,8 +220,9 @@ class FarEnds(NamedTuple):
     are_right: bool
     """The turns confirm the normals, as on meshes of scattered points and decimated meshes of a surface that is curved all
     over; also if there are too few such edges."""
-    are_noise: bool
-    """The turns contradict the normals over most of the length of all bent edges, as on no surface."""
+    are_noise: (
+        bool  # The turns contradict the normals over most of the length of all bent edges, as on no surface
+    )
 
 
 def judge_far_ends(edges: _Edges, ends: EndsAhead, typical: float, height_mm: Floats) -> FarEnds:

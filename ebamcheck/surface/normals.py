@@ -26,14 +26,10 @@ AGREE_COSINE = 0.996
 class RegionNormals(NamedTuple):
     """Normals at the corners of facets."""
 
-    rows: Index
-    """(F, 3) row, in `normals`, of each corner of each facet."""
-    normals: Floats
-    """(rows, 3) unit normals."""
-    noise: Floats
-    """(rows,) residual of the jet at the vertices about, mm; NaN in planes and strips."""
-    fans: Index
-    """(F, 3) smooth fan of each corner."""
+    rows: Index  # (F, 3) row, in normals, of each corner of each facet
+    normals: Floats  # (rows, 3) unit normals
+    noise: Floats  # (rows,) residual of the jet at the vertices about, mm; NaN in planes and strips
+    fans: Index  # (F, 3) smooth fan of each corner
 
 
 def region_normals(part: Part, twin: Index, regions: Regions) -> RegionNormals:

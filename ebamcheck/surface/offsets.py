@@ -20,18 +20,14 @@ from ebamcheck.threads import run_blocks
 
 VERTICES_A_BLOCK = 512
 
-MOST_ASKED = 20_000
-"""Most vertices in the regression, evenly spread over the mesh: more would not make the offset more certain."""
-
-LEAST_INNER = 4
-"""Fewest inner vertices for rows to mean something; a cone has only its tip."""
+MOST_ASKED = 20_000  # Most vertices in the regression, evenly spread over the mesh: more would not make the offset more certain
+LEAST_INNER = 4  # Fewest inner vertices for rows to mean something; a cone has only its tip
 
 IN_ROWS = 0.85
 """Least share of inner vertices with as many edges as in rows for a mesh to be a tessellator's. It is three quarters after edge
 collapses that remove a third of the facets, and three tenths on meshes of scattered points."""
 
-LEAST_TOLD = 100
-"""Fewest vertices for the regression to be evidence, where there are no rows."""
+LEAST_TOLD = 100  # Fewest vertices for the regression to be evidence, where there are no rows
 
 LARGEST_OFFSET = 0.15
 """Largest distance of a vertex outside the surface, over its sagitta, error included. Scattered points and edge collapses onto
@@ -42,8 +38,7 @@ HALF = 0.5
 collapsed into a vertex, those up to half an edge away, is half a sagitta outside; the facets between such vertices are half
 a sagitta inside on average."""
 
-ERRORS = 2.0
-"""Standard errors added to an offset before it is compared with its limit."""
+ERRORS = 2.0  # Standard errors added to an offset before it is compared with its limit
 
 IN_LINE_COSINE = -0.999
 """A vertex with four edges, two of which are this straight a continuation of each other, merely splits an edge."""
@@ -52,16 +47,11 @@ IN_LINE_COSINE = -0.999
 class Offsets(NamedTuple):
     """Where the inner vertices of the freely curved facets lie, against the surface."""
 
-    inner: int
-    """Number of vertices surrounded by freely curved facets; those that split an edge do not count."""
-    in_rows: float
-    """Share of the inner vertices that have as many edges as those of a tessellator's rows."""
-    told: int
-    """Number of vertices whose neighbours predict their place."""
-    offset: float
-    """Distance of a vertex outside the surface, over its own sagitta, by regression."""
-    error: float
-    """Standard error of the offset."""
+    inner: int  # Number of vertices surrounded by freely curved facets; those that split an edge do not count
+    in_rows: float  # Share of the inner vertices that have as many edges as those of a tessellator's rows
+    told: int  # Number of vertices whose neighbours predict their place
+    offset: float  # Distance of a vertex outside the surface, over its own sagitta, by regression
+    error: float  # Standard error of the offset
 
     @property
     def is_in_rows(self) -> bool:
@@ -80,8 +70,9 @@ class Offsets(NamedTuple):
         return 1.0 if self.offset + ERRORS * self.error <= LARGEST_OFFSET else HALF
 
 
-NOTHING_TOLD = Offsets(0, 0.0, 0, 0.0, np.inf)
-"""Result for a mesh without inner vertices, or one that was not examined."""
+NOTHING_TOLD = Offsets(
+    0, 0.0, 0, 0.0, np.inf
+)  # Result for a mesh without inner vertices, or one that was not examined
 
 
 def vertex_offsets(vertices: Floats, faces: Index, smooth: Bools, fans: Index, free: Bools) -> Offsets:

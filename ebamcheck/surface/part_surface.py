@@ -25,19 +25,15 @@ from ebamcheck.surface.normals import region_normals
 from ebamcheck.surface.offsets import Offsets, vertex_offsets
 from ebamcheck.surface.regions import FREEFORM, PLANE, find_regions
 
-LEAST_SAGITTA_MM = 1e-6
-"""Facets with a smaller sagitta are left out of the median."""
+LEAST_SAGITTA_MM = 1e-6  # Facets with a smaller sagitta are left out of the median
 
 
 class Sagittas(NamedTuple):
     """How far facets are from the surface, by their dihedral angles, mm; infinite where nothing is known."""
 
-    mean: Floats
-    """(V,) mean over the edges at a vertex, weighted by their lengths."""
-    largest: Floats
-    """(V,) largest at a vertex."""
-    typical: float
-    """Median over the facets outside of planes, weighted by area."""
+    mean: Floats  # (V,) mean over the edges at a vertex, weighted by their lengths
+    largest: Floats  # (V,) largest at a vertex
+    typical: float  # Median over the facets outside of planes, weighted by area
 
 
 class PartSurface(NamedTuple):
@@ -45,29 +41,18 @@ class PartSurface(NamedTuple):
 
     vertices: Floats
     faces: Index
-    across: Index
-    """(3 F,) half-edge across each, at creases too."""
-    twin: Index
-    """(3 F,) half-edge across each where the surface continues without a crease; else :data:`NO_TWIN`."""
-    sectors: Index
-    """(F, 3) row of the normal of each corner of each facet."""
-    normals: Floats
-    """(S, 3) unit normals."""
-    noise: Floats
-    """(S,) residual of the fitted surface at the vertices about, mm; NaN where it is unknown."""
-    fans: Index
-    """(F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it."""
-    kind: NDArray[np.uint8]
-    """(F,) kind of region of the facet."""
-    region: Index
-    """(F,) planar group of the facet."""
-    facet_normals: Floats
-    """(F, 3) unit normals of the facets' groups."""
+    across: Index  # (3 F,) half-edge across each, at creases too
+    twin: Index  # (3 F,) half-edge across each where the surface continues without a crease; else NO_TWIN
+    sectors: Index  # (F, 3) row of the normal of each corner of each facet
+    normals: Floats  # (S, 3) unit normals
+    noise: Floats  # (S,) residual of the fitted surface at the vertices about, mm; NaN where it is unknown
+    fans: Index  # (F, 3) smooth fan about the vertex that each corner belongs to, whatever the regions in it
+    kind: NDArray[np.uint8]  # (F,) kind of region of the facet
+    region: Index  # (F,) planar group of the facet
+    facet_normals: Floats  # (F, 3) unit normals of the facets' groups
     sagittas: Sagittas
-    offsets: Offsets
-    """Whether the vertices lie on the surface."""
-    exact: ExactSurfaces
-    """Surfaces that are known by formula."""
+    offsets: Offsets  # Whether the vertices lie on the surface
+    exact: ExactSurfaces  # Surfaces that are known by formula
 
     @property
     def smooth(self) -> Bools:
@@ -82,8 +67,7 @@ _Key = TypeVar("_Key", bound=Hashable)
 
 _kept: WeakSet[Part] = WeakSet()
 
-_memories: list[WeakKeyDictionary[Part, Any]] = []
-"""Last key and result of each decorated function, by part."""
+_memories: list[WeakKeyDictionary[Part, Any]] = []  # Last key and result of each decorated function, by part
 
 
 def keep_surface_of(part: Part) -> None:

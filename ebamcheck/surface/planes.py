@@ -31,18 +31,12 @@ IN_PLANE = 2.0
 class PlanarGroups(NamedTuple):
     """Facets in coplanar groups; a facet that is coplanar with no neighbour is a group of its own."""
 
-    label: Index
-    """(F,) group of each facet."""
-    normals: Floats
-    """(G, 3) unit normal of each group, from the sum of its facets' area vectors."""
-    sizes: Index
-    """(G,) number of facets."""
-    areas: Floats
-    """(G,) mm2."""
-    starts: Index
-    """(G + 1,) first facet of each group in `facets`."""
-    facets: Index
-    """(F,) facets by group."""
+    label: Index  # (F,) group of each facet
+    normals: Floats  # (G, 3) unit normal of each group, from the sum of its facets' area vectors
+    sizes: Index  # (G,) number of facets
+    areas: Floats  # (G,) mm2
+    starts: Index  # (G + 1,) first facet of each group in facets
+    facets: Index  # (F,) facets by group
 
 
 def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: float) -> PlanarGroups:
@@ -163,11 +157,10 @@ LEAST_TOLERANCE_MM = 5e-5
 """Vertices this near to a plane lie in it, however fine the numbers of the file: programs that split an edge or rotate a part
 leave some 1e-5 mm. It is a twentieth of the least distance of contour points, far below any chord error."""
 
-DECIMALS = (3, 4, 5, 6)
+DECIMALS = 3, 4, 5, 6
 """Decimal places to look for in the numbers of an ASCII file; fewer are a part's own round dimensions."""
 
-FLOAT32_STEP = 2.0**-23
-"""Step between 32-bit floating-point numbers, over the power of two below them."""
+FLOAT32_STEP = 2.0**-23  # Step between 32-bit floating-point numbers, over the power of two below them
 
 
 def plane_tolerance_mm(part: Part) -> float:

@@ -43,14 +43,10 @@ RULING_COSINE = 0.9
 class Regions(NamedTuple):
     """Regions of a mesh."""
 
-    groups: PlanarGroups
-    """Facets in coplanar groups."""
-    borders: Borders
-    """Where groups meet smoothly."""
-    kind: Kinds
-    """(G,) kind of each group."""
-    tolerance_mm: float
-    """How far a vertex may lie from its plane."""
+    groups: PlanarGroups  # Facets in coplanar groups
+    borders: Borders  # Where groups meet smoothly
+    kind: Kinds  # (G,) kind of each group
+    tolerance_mm: float  # How far a vertex may lie from its plane
 
 
 def find_regions(part: Part, twin: Index, settings: CurveSettings) -> Regions:

@@ -45,8 +45,7 @@ class Surface:
         }
 
 
-MOST_LISTED = 40
-"""Most surfaces listed one by one; the rest are only counted."""
+MOST_LISTED = 40  # Most surfaces listed one by one; the rest are only counted
 
 
 def table(found: list[Surface]) -> str:

@@ -25,29 +25,22 @@ from ebamcheck.threads import run_blocks
 MOST_STEPS = 24
 """Most facets crossed beyond an end of an edge; coplanar ones make one chord, however many they are."""
 
-SNAP = 0.02
-"""A path that passes within this share of the crossed edge of a vertex continues from the vertex."""
-
-MOST_JOINTS = 4
-"""Most turns noted beyond an end of an edge."""
-
-LEAST_SHAPE = 1e-6
-"""Least 16 A^2 / (a^2 + b^2 + c^2)^2 of a facet with area A and sides a, b, c for its circumcentre to be usable."""
+SNAP = 0.02  # A path that passes within this share of the crossed edge of a vertex continues from the vertex
+MOST_JOINTS = 4  # Most turns noted beyond an end of an edge
+LEAST_SHAPE = 1e-6  # Least 16 A^2 / (a^2 + b^2 + c^2)^2 of a facet with area A and sides a, b, c for its circumcentre to be usable
 
 WIDTH_RATIO = 3.0
 """A chord this many times longer than its neighbour is a flat side beside a rounding. A chord that many times shorter than both
 of its neighbours is a rounding of a single chord: both turns at its ends are its own."""
 
-LARGEST_SPAN_RAD = np.deg2rad(160.0)
-"""Largest span of a chord; the height of a larger one means nothing."""
-
-LEAST_APART = 0.25
-"""Least distance of the middles of chords, over a chord's length, from which a curvature can be taken."""
+LARGEST_SPAN_RAD = np.deg2rad(160.0)  # Largest span of a chord; the height of a larger one means nothing
+LEAST_APART = 0.25  # Least distance of the middles of chords, over a chord's length, from which a curvature can be taken
 
 EDGES_A_BLOCK = 4096
 
-Rows = NDArray[np.float32]
-"""Half the memory of other columns: these values are only limits, for which 32 bits are enough."""
+Rows = NDArray[
+    np.float32
+]  # Half the memory of other columns: these values are only limits, for which 32 bits are enough
 
 
 class Ground(NamedTuple):
@@ -55,16 +48,11 @@ class Ground(NamedTuple):
 
     vertices: Floats
     faces: Index
-    twin: Index
-    """(3 F,) half-edge across each; :data:`NO_TWIN` at creases."""
-    fans: Index
-    """(F, 3) smooth fan of each corner."""
-    normals: Floats
-    """(F, 3) unit normals of the facets."""
-    starts: Index
-    """(fans + 1,) first corner of each fan in `corners`."""
-    corners: Index
-    """Corners 3 f + i by fan."""
+    twin: Index  # (3 F,) half-edge across each; NO_TWIN at creases
+    fans: Index  # (F, 3) smooth fan of each corner
+    normals: Floats  # (F, 3) unit normals of the facets
+    starts: Index  # (fans + 1,) first corner of each fan in corners
+    corners: Index  # Corners 3 f + i by fan
     centres: Floats
     """(F, 3) circumcentres of the facets, of slivers their middles: there the surface has the facet's direction, on a sphere."""
 
@@ -72,12 +60,11 @@ class Ground(NamedTuple):
 class EndsAhead(NamedTuple):
     """Estimates at the two ends of the edge of each half-edge."""
 
-    told: Rows
-    """(3 F, 2) height of the surface over the edge by each of its ends, mm, positive to the outside; NaN at a crease."""
-    ratio: Rows
-    """(3 F, 2) length of the edge over that of the chord ahead; 0 at a crease."""
-    turns: NDArray[np.int8]
-    """(3 F,) number of turns met ahead of both ends together; -1 where nothing was asked."""
+    told: Rows  # (3 F, 2) height of the surface over the edge by each of its ends, mm, positive to the outside; NaN at a crease
+    ratio: Rows  # (3 F, 2) length of the edge over that of the chord ahead; 0 at a crease
+    turns: NDArray[
+        np.int8
+    ]  # (3 F,) number of turns met ahead of both ends together; -1 where nothing was asked
 
 
 def ends_ahead(ground: Ground, flat_mm: float, step: int = 1) -> EndsAhead:
@@ -102,11 +89,8 @@ def ends_ahead(ground: Ground, flat_mm: float, step: int = 1) -> EndsAhead:
 def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: EndsAhead) -> None:
     # By end of an edge: turns and, ahead of the end, middles of the chords after them; how far the edge itself goes on without
     # a turn, and the lengths of these chords.
-    turns, centres, lengths = (
-        np.empty((2, MOST_JOINTS)),
-        np.empty((2, MOST_JOINTS)),
-        np.empty((2, MOST_JOINTS + 1)),
-    )
+    ways = np.empty((2, 3, MOST_JOINTS + 1))
+    turns, centres, lengths = ways[:, 0], ways[:, 1], ways[:, 2]
     joints = np.empty(2, np.int64)
     for h in range(first, last):
         g = ground.twin[h]
@@ -124,9 +108,7 @@ def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: E
         up /= size
         for end in range(2):
             way = along if end == 0 else -along
-            joints[end] = _walk(
-                ground, h, b if end == 0 else a, way, up, length, flat, turns[end], centres[end], lengths[end]
-            )
+            joints[end] = _walk(ground, h, b if end == 0 else a, way, up, length, flat, ways[end])
         chord = length + lengths[0, 0] + lengths[1, 0]
         found.turns[h] = found.turns[g] = joints[0] + joints[1]
         for end in range(2):
@@ -157,16 +139,7 @@ def _ask(ground: Ground, flat: float, step: int, first: int, last: int, found: E
 
 @kernel
 def _walk(
-    ground: Ground,
-    h: int,
-    vertex: int,
-    d: Floats,
-    up: Floats,
-    length: float,
-    flat: float,
-    turns: Floats,
-    centres: Floats,
-    lengths: Floats,
+    ground: Ground, h: int, vertex: int, d: Floats, up: Floats, length: float, flat: float, way: Floats
 ) -> int:
     """Go straight ahead from the end of an edge, in the plane of a direction and an upward one, and note the turns; how many.
 
@@ -174,6 +147,7 @@ def _walk(
     """
     m = np.array([d[1] * up[2] - d[2] * up[1], d[2] * up[0] - d[0] * up[2], d[0] * up[1] - d[1] * up[0]])
     here, start = ground.vertices[vertex].copy(), ground.vertices[vertex]
+    turns, centres, lengths = way[0], way[1], way[2]
     lengths[0] = 0.0
     f, fan = h // 3, 0
     for k in range(3):
