@@ -85,12 +85,11 @@ def test_a_sound_program_passes_both_balances(tmp_path):
 
 @pytest.mark.parametrize("share", [0.5, 0.7])
 def test_heat_that_is_lost_in_the_model_is_found(share, monkeypatch, tmp_path):
-    advance, drive = HeatColumn.advance, HeatColumn.drive
+    drive = HeatColumn.drive
 
     def drive_less(self, beads, *given):
         return drive(self, (*beads[:2], share * beads[2]), *given)
 
-    monkeypatch.setattr(HeatColumn, "advance", lambda self, s, j=0.0: advance(self, s, share * j))
     monkeypatch.setattr(HeatColumn, "drive", drive_less)
     made = Made(tmp_path, FRAME, WARM)
     checks = heat_of(made)
