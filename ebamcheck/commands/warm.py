@@ -79,7 +79,7 @@ def _mark() -> Path | None:
 
 
 def _compile(mark: Path) -> None:
-    _tell("compiling the kernels, once for this version: about a minute and a half on two cores")
+    _tell("compiling the kernels, once for this version: about two minutes on two cores")
     start = time.perf_counter()
     with scratch_folder() as folder:
         nowhere = subprocess.DEVNULL
