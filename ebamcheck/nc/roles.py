@@ -293,8 +293,10 @@ def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
 
 def inside(region: BaseGeometry, places: Floats, away: Floats) -> Bools:
     """Whether places (n, 2) lie in a region, whose border is `away` (n,) from each."""
-    # The border passes nowhere between two places that are nearer to one another than both are to it: one of a run tells of all.
-    begins = np.append(True, ~(np.hypot(*np.diff(places, axis=0).T) < away[1:] + away[:-1]))[: len(places)]
+    # The border passes nowhere between two places that are nearer to one another than both together are to it: one of a run tells
+    # of all. Two places opposite each other are just as far apart, up to rounding: so a run ends well before that.
+    apart = np.hypot(*np.diff(places, axis=0).T)
+    begins = np.append(True, ~(apart < 0.9 * (away[1:] + away[:-1])))[: len(places)]
     first = np.flatnonzero(begins)
     shapely.prepare(region)
     return np.asarray(
