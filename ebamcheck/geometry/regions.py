@@ -136,18 +136,6 @@ def inset(region: BaseGeometry, distance_mm: float) -> BaseGeometry:
     return shapely.MultiPolygon([p for p in parts if mean_width_mm(p) > NO_WIDTH_MM])
 
 
-def simplified(region: BaseGeometry, tolerance_mm: float) -> BaseGeometry:
-    """A region whose border deviates by at most a tolerance, of as many parts and holes.
-
-    Corners are left out ring by ring, and only where rings cross by that with regard to one another, which takes twenty times as long.
-    """
-    found = shapely.simplify(region, tolerance_mm, preserve_topology=False)
-    kept, given = (shapely.get_num_interior_rings(shapely.get_parts(of)) for of in (found, region))
-    if found.is_valid and np.array_equal(kept, given):
-        return found
-    return shapely.simplify(region, tolerance_mm)
-
-
 def eroded(region: BaseGeometry, distance_mm: float, quad_segs: int = 16) -> BaseGeometry:
     """Points of a valid region deeper than a distance: outward corners stay corners, inward ones become arcs.
 
@@ -178,7 +166,8 @@ def _part_eroded(part: BaseGeometry, distance_mm: float, quad_segs: int) -> Base
     )
     if is_inset(found, part, distance_mm, quad_segs):
         return found
-    x, y = shapely.get_coordinates(shapely.point_on_surface(part))[0].tolist()
+    with np.errstate(over="ignore"):  # of slivers, whose place is found all the same
+        x, y = shapely.get_coordinates(shapely.point_on_surface(part))[0].tolist()
     raise GeometryError(
         f"the inset by {distance_mm:g} mm of the region around ({x:.3f}, {y:.3f}) cannot be made (GEOS "
         f"{shapely.geos_version_string}): mend the contour there, or change the inset (scan.contour_offset_mm, "

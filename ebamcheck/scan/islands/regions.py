@@ -24,7 +24,6 @@ from ebamcheck.geometry.regions import (
     JOIN_MM,
     inset,
     mean_width_mm,
-    simplified,
     split_thin,
     valid_polygons,
 )
@@ -40,9 +39,9 @@ CORNER = 0.5
 """Narrow pieces of the fill under this times the squared opening width are corners of a solid (down to
 about 35 degrees), not walls."""
 
-FILL_TOLERANCE = 0.004
-"""Deviation, over the bead width, by which the border of the fill, and the contour that it is found from, are simplified: a
-contour has points for the sake of its surface, which the fill does not reach."""
+FILL_TOLERANCE = 0.002
+"""Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
+the sake of its surface, which the fill does not reach."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +71,7 @@ def layer_regions(section: BaseGeometry, config: Config, contour: BaseGeometry |
     spacing = config.process.hatch_spacing_mm
     offset = config.contour_offset_mm
     contour = contour_region(section, config) if contour is None else contour
-    coarse = simplified(contour, FILL_TOLERANCE * width)
-    fill = simplified(inset(coarse, 0.5 * spacing), FILL_TOLERANCE * width)
+    fill = shapely.simplify(inset(contour, 0.5 * spacing), FILL_TOLERANCE * width)
     narrow = max(THIN_WALL_BEADS * width - 2.0 * offset - spacing, spacing)
     solids, thin = split_thin(fill, narrow, CORNER * narrow**2)
     return Regions(
@@ -82,7 +80,7 @@ def layer_regions(section: BaseGeometry, config: Config, contour: BaseGeometry |
         solids=solids,
         # Where the two contour beads meet there is nothing left to fill.
         narrow_fills=[p for p in thin if mean_width_mm(p) > width - spacing],
-        bare_walls=bare_walls(section, coarse, offset + FILL_TOLERANCE * width, CRUMB * width**2),
+        bare_walls=bare_walls(section, contour, offset, CRUMB * width**2),
     )
 
 
