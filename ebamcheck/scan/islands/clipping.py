@@ -125,7 +125,8 @@ def _inner_points(faces: NDArray[np.object_]) -> NDArray[np.object_]:
     points = np.asarray(shapely.get_point(shapely.get_exterior_ring(faces), 0), object)
     area = shapely.area(faces)
     wide = np.flatnonzero(area > ON_BORDER_MM * shapely.length(faces))
-    points[wide] = shapely.point_on_surface(faces[wide])
+    with np.errstate(over="ignore"):  # of faces a rounding wide
+        points[wide] = shapely.point_on_surface(faces[wide])
     depth_mm = shapely.distance(points[wide], shapely.boundary(faces[wide]))
     # Where that is no proof, the deepest point of all is looked for, which takes fifty times as long.
     doubtful = wide[~(depth_mm > DEPTH_SHARE * np.sqrt(area[wide]))]
