@@ -14,15 +14,14 @@ from live_boxes import maker_of, play, run_of_box
 from ebamcheck.errors import InputError
 from ebamcheck.json_values import write_json
 from ebamcheck.live.building import Building
+from ebamcheck.live.heights_table import TABLE, read_heights
 from ebamcheck.live.publishing import (
     CERTIFICATE,
     JOURNAL,
     LAYERS,
-    TABLE,
     Journal,
     read_certificate,
     read_current,
-    read_heights,
     read_journal,
 )
 from ebamcheck.record.run_folder import RunFolder

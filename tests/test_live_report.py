@@ -12,8 +12,9 @@ from parts import box
 
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.live.building import Building, answer_to
+from ebamcheck.live.heights_table import ticks
 from ebamcheck.live.making import LayerMaker
-from ebamcheck.live.publishing import FIRST, ticks
+from ebamcheck.live.publishing import FIRST
 from ebamcheck.live.relaying import finished_run
 from ebamcheck.live.verifying import read_verified, verify_build
 

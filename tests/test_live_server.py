@@ -16,19 +16,15 @@ from live_boxes import Server, bad_lines, failed_checks, maker_of, play, run_of_
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.live.before import Before
 from ebamcheck.live.building import Building, answer_to
+from ebamcheck.live.heights_table import PLOT, TABLE, HeightsTable, laid_height, read_heights
 from ebamcheck.live.making import LayerMaker, Wanted
 from ebamcheck.live.publishing import (
     JOURNAL,
     LAYERS,
-    PLOT,
-    TABLE,
-    HeightsTable,
     Journal,
     certificate_of,
-    laid_height,
     publish,
     read_current,
-    read_heights,
     read_journal,
 )
 from ebamcheck.testing.played_control.program import Growth

@@ -149,18 +149,16 @@ def coverage_check(subject: Subject) -> list[Check]:
     """Check the least share of a section that the beads cover; the overlap of all, and the widest gap of the worst, are told."""
     nc, config, sections = subject.nc, subject.config, subject.witness_sections or []
     limit = config.scan.least_coverage
-    rows = np.flatnonzero(nc.deposit)
-    index = nearest_layer(nc.end[rows, 2], subject.z_of)
     width = config.process.bead_width_mm
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
 
     covered = run_each(lambda k: covered_fraction(sections[k], subject.chords(k), width), solid)
-    laid = width * float(np.nansum(nc.lengths[rows[np.isin(index, solid)]]))
+    laid = width * sum(float(np.nansum(nc.lengths[subject.bead_rows[k]])) for k in solid)
     area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
     worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
     if layer < 0:
         return [Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")]
-    where, gap = _gap(nc, rows[index == layer], subject.chords(layer), sections[layer], width)
+    where, gap = _gap(nc, subject.bead_rows[layer], subject.chords(layer), sections[layer], width)
     text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
     return [Check("coverage", worst >= limit, worst, limit, "of the area", where, text)]
 
@@ -173,12 +171,10 @@ def gaps_check(subject: Subject) -> list[Check]:
     planned_mm = (config.scan.gap_width + GAP_MARGIN) * width
     limit = max(min(missing_line_mm, planned_mm), LEAST_GAP_LIMIT * width)
     known, sections = [0.0], subject.witness_sections or []
-    rows = np.flatnonzero(nc.deposit)
-    index = nearest_layer(nc.end[rows, 2], subject.z_of)
 
     def widest(k: int) -> tuple[float, int, BaseGeometry] | None:
         section = sections[k]
-        if section.is_empty or k not in index:
+        if section.is_empty or not subject.bead_rows[k].size:
             return None
         # As if a bead ran along the border: what is nearer to it than half a bead is a corner.
         lines = np.vstack([subject.chords(k), segments_of(section.boundary)])
@@ -194,7 +190,7 @@ def gaps_check(subject: Subject) -> list[Check]:
     if gaps:
         worst, layer, bare = max(gaps, key=lambda gap: gap[:2])
         centre = bare.representative_point()
-        where = nc.where(_nearest(nc, rows[index == -layer], centre))
+        where = nc.where(_nearest(nc, subject.bead_rows[-layer], centre))
         place = f" at ({centre.x:.3f}, {centre.y:.3f})"
     text = f"widest gap between beads{place}: {worst:.4g} mm"
     return [limit_check("gaps", worst, limit, "mm", text, where)]

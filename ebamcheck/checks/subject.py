@@ -16,7 +16,7 @@ from ebamcheck.checks.matching import Matching
 from ebamcheck.checks.metal import Deposit, deposit
 from ebamcheck.checks.text_heat import known_sections
 from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.kernels import Bools, Floats
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.inputs import (
@@ -138,12 +138,18 @@ class Subject:
             return shares_of_text(self.nc, self.config, self.sections)
         return np.minimum(layer_shares(self.nc, self.config), 1.0)
 
+    @cached_property
+    def bead_rows(self) -> list[Ints]:
+        """Motions of the beads of each layer (L,)."""
+        rows = np.flatnonzero(self.nc.deposit)
+        layer = nearest_layer(self.nc.end[rows, 2], self.z_of)
+        order = np.argsort(layer, kind="stable")
+        return np.split(rows[order], np.searchsorted(layer[order], np.arange(1, len(self.z_of))))
+
     def chords(self, k: int) -> Floats:
         """Centre lines of the beads of a layer, (S, 4) x0, y0, x1, y1, mm; without those from or to a place that is not known."""
         if k not in self._chords:
-            rows = np.flatnonzero(self.nc.deposit)
-            rows = rows[nearest_layer(self.nc.end[rows, 2], self.z_of) == k]
-            _, chords = self.nc.chords(rows, BEAD_STEP_MM)
+            _, chords = self.nc.chords(self.bead_rows[k], BEAD_STEP_MM)
             # Widened lines of unknown places end the process within GEOS.
             self._chords[k] = chords[np.isfinite(chords).all(axis=1)]
         return self._chords[k]

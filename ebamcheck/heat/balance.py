@@ -392,7 +392,6 @@ def _newton_step(
     count, apart, link, flow, flow_slope = len(content), work.apart, work.link, work.flow, work.flow_slope
     # Heat potential and radiation of each cell, with their slopes, by the tables at its heat content.
     for i in range(count):
-        # A plain division is asked whether it is by nothing, and so done one cell at a time.
         place = content[i] / step
         node = min(max(int(place), 0), temperature.size - 2)
         slope = temperature[node + 1] - temperature[node]

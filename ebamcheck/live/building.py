@@ -34,8 +34,8 @@ from ebamcheck.live.height_map import (
     warmth_of,
 )
 from ebamcheck.live.heights import HeightRule, height_rule
+from ebamcheck.live.heights_table import HeightsTable, laid_height
 from ebamcheck.live.making import LayerMaker, MadeLayer, Wanted, failure_of
-from ebamcheck.live.publishing import HeightsTable, laid_height
 from ebamcheck.live.verifying import FollowedLayers
 
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))

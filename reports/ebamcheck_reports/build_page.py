@@ -12,16 +12,8 @@ import numpy as np
 from ebamcheck.errors import InputError
 from ebamcheck.kernels import Floats
 from ebamcheck.live.heights import bead_limits
-from ebamcheck.live.publishing import (
-    JOURNAL,
-    LAYERS,
-    SETTINGS,
-    TABLE,
-    heights_plot,
-    read_certificate,
-    read_heights,
-    read_journal,
-)
+from ebamcheck.live.heights_table import TABLE, heights_plot, read_heights
+from ebamcheck.live.publishing import JOURNAL, LAYERS, SETTINGS, read_certificate, read_journal
 from ebamcheck.live.verifying import VerifiedLayer, read_verified
 from ebamcheck.settings.config import Config, load_config
 from ebamcheck_reports.figures import counted, duration, percent, shown
