@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -188,7 +189,7 @@ def _faults(config: Config, name: str) -> dict[str, Callable[[str], str]]:
         "point moved by 2 mm": lambda t: _second(
             t, move, lambda m: f"X{float(m[1]) + 1.6:.6f} Y{float(m[2]) - 1.2:.6f}"
         ),
-        "motion left out": lambda t: _line(t, r"G1 X\S+ Y\S+", "", 3),
+        "motion left out": _corner_left_out,
         "beam not switched off": without("beam_off"),
         "wire not started": without("wire_start"),
         "feed halved": lambda t: re.sub(r"\bF(\d+)", lambda m: f"F{int(m[1]) // 2}", t, count=1),
@@ -206,6 +207,17 @@ def _line(text: str, pattern: str, replacement: str, nth: int) -> str:
         return text
     lines[at[nth]] = replacement
     return "\n".join(line for i, line in enumerate(lines) if line or i != at[nth])
+
+
+def _corner_left_out(text: str) -> str:
+    """Leave out a straight motion to a corner; one to a place on the straight from the motion before to the next is no other path."""
+    moves = list(re.finditer(r"^.*\bG1 X(-?[\d.]+) Y(-?[\d.]+).*\n", text, re.MULTILINE))
+    for a, b, c in zip(moves[2:], moves[3:], moves[4:], strict=False):
+        x, y, u, v = (float(b[k]) - float(other[k]) for other in (a, c) for k in (1, 2))
+        between = text[a.end() : b.start()] + text[b.end() : c.start()]
+        if abs(x * v - y * u) > math.hypot(x - u, y - v) and " X" not in between and "POLY" not in between:
+            return text[: b.start()] + text[b.end() :]
+    return text
 
 
 def _second(text: str, pattern: str, change: Callable[[re.Match[str]], str]) -> str:
