@@ -58,12 +58,12 @@ def rings_of_layer(
     count = across.along.size
     points = np.empty((count + upwards.along.size, 2))
     facet = np.empty(points.shape[0], np.int32)
-    facet[:count], facet[count:] = across.facet, upwards.facet
-    points[:count, 0], points[count:, 1] = across.along, upwards.along
     for j in range(row_count):
-        points[across.starts[j] : across.starts[j + 1], 1] = y0 + cell * j
+        for k in range(across.starts[j], across.starts[j + 1]):
+            points[k, 0], points[k, 1], facet[k] = across.along[k], y0 + cell * j, across.facet[k]
     for k in range(upwards.along.size):
-        points[count + k, 0] = x0 + cell * upwards.node[k]
+        points[count + k, 0], points[count + k, 1] = x0 + cell * upwards.node[k], upwards.along[k]
+        facet[count + k] = upwards.facet[k]
     after, cells = links(across, upwards, points)
     return _chain(grid, after, cells, points, facet, mesh, z, corners)
 
@@ -105,7 +105,8 @@ def row_knots(grid: Lattice, rows: RayColumns, columns: RayColumns) -> RowKnots:
             continue
         inside[:] = False
         for n in range(starts[j - 1] if j > 0 else 0, out - 1, 2):  # the row below
-            inside[node[n] : node[n + 1]] = True
+            for k in range(node[n], node[n + 1]):
+                inside[k] = True
         for i in range(column_count):
             if col_paired[i]:
                 ray = col_along[col_starts[i] : col_starts[i + 1]]

@@ -13,10 +13,12 @@ import shapely
 from numpy.typing import NDArray
 
 from ebamcheck.curves import fit
+from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.files import load
 from ebamcheck.pipeline import run_job
 from ebamcheck.plugins import registry
-from ebamcheck.scan import plan_scan
+from ebamcheck.program import read_program, verify_program, write_program
+from ebamcheck.scan import plan_scan, plan_stack
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import Slicing, slice_part
 
@@ -57,8 +59,23 @@ def _orders(_folder: Path) -> None:
     plan_scan(shapely.box(0.0, 0.0, 3.0 * _SIDE_MM, 2.0 * _SIDE_MM))
 
 
+def _checks(folder: Path) -> None:
+    """Write, read and prove the program of two squares, so that no process meets the other at the end of the main job."""
+    square = [(0.0, 0.0), (_SIDE_MM, 0.0), (_SIDE_MM, _SIDE_MM), (0.0, _SIDE_MM)]
+    layers = from_rings([1.0, 3.0], [[square]] * 2)
+    config = Config().changed(layers={"layer_height_mm": 2.0})
+    curves, plan = fit(layers), plan_stack(layers, config)
+    with _errors_alone():
+        write_program(curves, plan, config, folder / "program")
+        nc = read_program(folder / "program", config=config)
+        verify_program(
+            nc, config=config, curves=curves, plan=plan, layers=layers, smooth=layers,
+            beads=True, metal=True, heat=True,
+        )  # fmt: skip
+
+
 # What each of two processes does, in a folder of its name: each begins at another end
-JOBS = {"first": (_sections, _program), "second": (_orders, _curves, _program)}
+JOBS = {"first": (_sections, _program), "second": (_orders, _curves, _checks, _program)}
 
 
 @contextlib.contextmanager

@@ -14,8 +14,8 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.comparison.pairwise import Pair, compare
+from ebamcheck.comparison.sheets import Reader
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.whole_causes import Reader
 from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers, from_polygons
 

@@ -1,26 +1,42 @@
-"""Fit of causes that move whole contours: offset, translation, height, scale and rotation, one or two at a time.
+"""Causes that move, map or round whole contours: each predicts the contours of the slicer that differs.
 
-The model: the contours of the slicer that differs are those of the other one, cut at another height, scaled and rotated
-about the middle of the part, translated, and then offset outward. The remaining distances between the two are minimised by
-least squares with a soft L1 loss, so that their sum counts and not the few largest.
+A fit takes it that these are the other slicer's contours, cut at another height, scaled and turned about the middle of the
+part, translated, and then offset outward. The distances that are left between the two are minimised by least squares with a
+soft L1 loss, so that their sum counts and not the few largest.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from ebamcheck.comparison.outline import Outline, winding
+from ebamcheck.comparison import sweep
+from ebamcheck.comparison.outline import windings
 from ebamcheck.comparison.place_causes import MeshFlaws
-from ebamcheck.comparison.whole_causes import Sheet
-from ebamcheck.geometry.nearest import distances
-from ebamcheck.kernels import Bools, Floats, Ints, kernel
+from ebamcheck.comparison.sheets import (
+    Sheet,
+    along,
+    beside,
+    from_origin,
+    gap_mm2,
+    mesh_contours,
+    ring_segments,
+    share_explained,
+)
+from ebamcheck.comparison.whole_causes import (
+    MIRROR,
+    QUANTISATION,
+    ROTATION,
+    UNIT,
+    WINDING_RULE,
+    Cause,
+)
+from ebamcheck.kernels import Bools, Floats, Ints
 
-PLACES = 160  # places along the contours of each sheet
 MOST_STEPS = 30  # most steps of the fit
 # Distance up to which its square counts, over the median at the start: beyond it distances count as they are
 SOFT = 0.1
@@ -49,50 +65,19 @@ class Fitted:
     share: float
 
 
-@dataclass(eq=False)
-class Seen:
-    """One sheet, with what the fit reads of it."""
-
-    sheet: Sheet
-    flaws: MeshFlaws
-
-    @cached_property
-    def a(self) -> Floats:
-        """Contours that differ."""
-        return contours_of(self.sheet.outline_a)
-
-    @cached_property
-    def b(self) -> Floats:
-        """Contours of the other slicer."""
-        return contours_of(self.sheet.outline_b)
-
-    @cached_property
-    def _moved(self) -> dict[float, Floats]:
-        return {}
-
-    @cached_property
-    def places_a(self) -> tuple[Floats, float]:
-        """Places along `a` (N, 2) mm, and the length that each represents, mm."""
-        return along(self.a, PLACES)
-
-    def reference(self, dz_mm: float, moving: bool) -> Floats:
-        """Contours that the model moves onto `a`: those of `b`, or the mesh's at another height."""
-        if not moving:
-            return self.b
-        if dz_mm not in self._moved:
-            self._moved[dz_mm] = mesh_contours(self.flaws, self.sheet.height_mm + dz_mm, self.sheet.origin_mm)
-        return self._moved[dz_mm]
-
-
 class FieldFit:
     """Fits over some sheets on which both slicers have contours."""
 
     def __init__(self, sheets: Sequence[Sheet], flaws: MeshFlaws, step_mm: float) -> None:
-        self.seen = [Seen(sheet, flaws) for sheet in sheets]
+        self.sheets = sheets
         self.size_mm = max(float(np.hypot(*flaws.part.size[:2])), 1e-9)
         self.step_mm = step_mm
-        self.longest_mm = max([1e-300, *(one.places_a[1] for one in self.seen)])
-        self.apart_mm2 = self._left(np.zeros(6), False)
+        self.places = [along(sheet.contours_a) for sheet in sheets]
+        self.longest_mm = max([1e-300, *(length_mm for _, length_mm in self.places)])
+        self._cut = cache(
+            lambda k, dz_mm: mesh_contours(flaws, sheets[k].height_mm + dz_mm, sheets[k].origin_mm)
+        )
+        self.apart_mm2 = self._left_mm2(np.zeros(6), False)
 
     def best(self, enough: float) -> list[Fitted]:
         """Fits of single causes, best first, and of two together where no single one explains `enough`."""
@@ -115,41 +100,35 @@ class FieldFit:
         return sorted(found, key=lambda f: -f.share)
 
     def fit(self, names: tuple[str, ...], starts: Sequence[Floats] = ()) -> Fitted:
-        """Fit some causes together, from several starts."""
+        """Fit some causes together, from the best of several starts."""
         free = sorted({p for name in names for p in GROUPS[name]})
-        moving = DZ in free
-        nothing = np.zeros(6)
-        others = [
-            (self._left(start, moving), k, start) for k, start in enumerate((*starts, *self._starts(names)))
-        ]
-        best = Fitted(names, nothing, 0.0)
-        chosen = [nothing] if not starts else []
-        if others and min(others)[0] < self.apart_mm2:
-            chosen.append(min(others)[2])
+        cut_again, nothing = DZ in free, np.zeros(6)
+        near = min(
+            (*starts, *self._starts(names)), key=lambda q: self._left_mm2(q, cut_again), default=nothing
+        )
+        chosen = [] if starts else [nothing]
+        if self._left_mm2(near, cut_again) < self.apart_mm2:
+            chosen.append(near)
+        found = [Fitted(names, nothing, 0.0)]
         for start in chosen:
             q = self._descended(start, free)
-            share = 1.0 - self._left(q, moving) / self.apart_mm2
-            if share > best.share:
-                best = replace(best, parameters=q, share=share)
-        return best
+            found.append(Fitted(names, q, 1.0 - self._left_mm2(q, cut_again) / self.apart_mm2))
+        return max(found, key=lambda f: f.share)
 
     def _starts(self, names: tuple[str, ...]) -> Iterator[Floats]:
-        """Further start values of a fit: other heights, and values estimated from areas and their centroids."""
+        """Start values of a fit beside 0: other heights, and values estimated from areas and their centroids."""
+        start = np.zeros(6)
         if "height" in names:
             for share in (0.5, -0.5, 1.0, -1.0):
-                start = np.zeros(6)
                 start[DZ] = share * self.step_mm
-                yield start
-            return
-        if names == ("offset",):
-            return
-        middle_a, area_a = centroid(one.a for one in self.seen)
-        middle_b, area_b = centroid(one.b for one in self.seen)
-        start = np.zeros(6)
-        if "scale" in names and area_a > 0.0 and area_b > 0.0:
-            start[E] = 0.5 * math.log(area_a / area_b)
-        start[[TX, TY]] = middle_a - math.exp(start[E]) * middle_b
-        yield start
+                yield start.copy()
+        elif names != ("offset",):
+            middle_a, area_a = centroid(sheet.contours_a for sheet in self.sheets)
+            middle_b, area_b = centroid(sheet.contours_b for sheet in self.sheets)
+            if "scale" in names and area_a > 0.0 and area_b > 0.0:
+                start[E] = 0.5 * math.log(area_a / area_b)
+            start[[TX, TY]] = middle_a - math.exp(start[E]) * middle_b
+            yield start
 
     def _descended(self, start: Floats, free: list[int]) -> Floats:
         """Parameters of the least sum of distances; the start where the fit is lost."""
@@ -157,19 +136,19 @@ class FieldFit:
 
         scale = np.array([1.0, 1.0, 1.0, self.size_mm, self.size_mm, 1.0])[free]
 
-        def moved(change_mm: Floats) -> Floats:
+        def changed(by_mm: Floats) -> Floats:
             q = start.copy()
-            q[free] += change_mm / scale
+            q[free] += by_mm / scale
             return q
 
-        def distances(change_mm: Floats) -> Floats:
-            return self._distances(moved(change_mm), DZ in free)
+        def apart(by_mm: Floats) -> Floats:
+            return self._distances(changed(by_mm), DZ in free)
 
-        first = np.abs(distances(np.zeros(len(free))))
+        first = np.abs(apart(np.zeros(len(free))))
         loss_mm = SOFT * max(float(np.median(first)), 1e-3 * float(first.mean()), 1e-12)
         most_mm = FARTHEST * self.size_mm
         found = least_squares(
-            distances,
+            apart,
             np.zeros(len(free)),
             bounds=(-most_mm, most_mm),
             loss="soft_l1",
@@ -177,92 +156,34 @@ class FieldFit:
             max_nfev=MOST_STEPS,
         )
         lost = np.abs(found.x).max() >= 0.999 * most_mm
-        return start if lost else moved(found.x)
+        return start if lost else changed(found.x)
 
-    def _distances(self, q: Floats, moving: bool) -> Floats:
-        """Distances of the places along the contours that differ from the model's, mm, weighed by their lengths."""
-        found = []
-        for one in self.seen:
-            places, length = one.places_a
-            contours = one.reference(float(q[DZ]), moving)
-            if len(places):
-                rest = math.exp(q[E]) * beside(contours, _moved_back(places, q)) - q[D]
-                # Where the model has no contour, any is far.
-                found.append(length / self.longest_mm * np.clip(rest, -self.size_mm, self.size_mm))
-        return np.concatenate([np.zeros(1), *found])
+    def _predicted(self, q: Floats, cut_again: bool) -> Iterator[Floats]:
+        """Contours of each sheet by these parameters, but for the offset: of the other slicer, or the mesh cut again."""
+        for k, sheet in enumerate(self.sheets):
+            yield moved(self._cut(k, float(q[DZ])) if cut_again else sheet.contours_b, q)
 
-    def _left(self, q: Floats, moving: bool) -> float:
-        """Area between the contours and the model's, mm2: distances times lengths, measured from both."""
-        total = 0.0
-        for one in self.seen:
-            places, length = one.places_a
-            contours = one.reference(float(q[DZ]), moving)
-            there, there_length = along(contours, PLACES)
-            if not len(places) or not len(there):
-                total += self.size_mm * (length * len(places) + there_length * len(there))
-                continue
-            rest = math.exp(q[E]) * beside(contours, _moved_back(places, q)) - q[D]
-            again = beside(one.a, _moved(there, q)) + q[D]
-            total += 0.5 * (length * float(np.abs(rest).sum()))
-            total += 0.5 * (there_length * math.exp(q[E]) * float(np.abs(again).sum()))
-        return total
+    def _distances(self, q: Floats, cut_again: bool) -> Floats:
+        """Distances of the places along the contours that differ from those predicted, mm, weighed by their lengths."""
+        found = [np.zeros(1)]
+        for (places, length_mm), contours in zip(self.places, self._predicted(q, cut_again), strict=True):
+            rest = np.clip(beside(contours, places) - q[D], -self.size_mm, self.size_mm)
+            found.append(length_mm / self.longest_mm * rest)
+        return np.concatenate(found)
+
+    def _left_mm2(self, q: Floats, cut_again: bool) -> float:
+        """Area between the contours that differ and those predicted, mm2."""
+        return sum(
+            gap_mm2(sheet.contours_a, contours, float(q[D]), self.size_mm)
+            for sheet, contours in zip(self.sheets, self._predicted(q, cut_again), strict=True)
+        )
 
 
-def scaled_section(flaws: MeshFlaws, factor: float) -> Callable[[Sheet], Floats]:
-    """Sections of a part that was read in another unit: all of it larger by a factor from the file's origin."""
-
-    def contours(sheet: Sheet) -> Floats:
-        section = mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
-        return np.asarray(factor * section - np.array([*sheet.origin_mm, *sheet.origin_mm]))
-
-    return contours
-
-
-def share_of(sheets: Sequence[Sheet], predicted: Callable[[Sheet], Floats]) -> float:
-    """Share of the difference that is explained if these are the contours of the slicer that differs."""
-    before = after = 0.0
-    for sheet in sheets:
-        a, b, guess = contours_of(sheet.outline_a), contours_of(sheet.outline_b), predicted(sheet)
-        if not len(guess):
-            return 0.0
-        before += _gap(a, b)
-        after += _gap(a, guess)
-    return max(1.0 - after / before, 0.0) if before > 0.0 else 0.0
-
-
-def _gap(a: Floats, b: Floats) -> float:
-    """Area between two contours, mm2: distances times lengths, measured from both."""
-    total = 0.0
-    for one, other in ((a, b), (b, a)):
-        places, length = along(one, PLACES)
-        total += 0.5 * length * float(np.abs(beside(other, places)).sum()) if len(places) else 0.0
-    return total
-
-
-def _turned(points: Floats, angle_rad: float) -> Floats:
-    """Points (N, 2) turned about the origin, counter-clockwise."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    turned: Floats = points @ np.array([[c, s], [-s, c]])
-    return turned
-
-
-def _moved(points: Floats, q: Floats) -> Floats:
-    """Points of the other slicer, moved to those of the slicer that differs, except for the offset."""
-    moved: Floats = math.exp(q[E]) * _turned(points, q[TURN]) + q[[TX, TY]]
-    return moved
-
-
-def _moved_back(points: Floats, q: Floats) -> Floats:
-    """Points of the slicer that differs, moved back to those of the other, except for the offset."""
-    return _turned(points - q[[TX, TY]], -q[TURN]) / math.exp(q[E])
-
-
-# -- Signed distances from contours given as segments in any order, with the solid on their left ---------------
-
-
-# Most segments for which the winding number on both sides is computed, which takes quadratic time
-MOST_SEGMENTS = 4000
-ASIDE = 1e-6  # distance beside a segment, over its length, at which the winding number is computed
+def moved(contours: Floats, q: Floats) -> Floats:
+    """Contours (S, 4) scaled, turned about the origin, and translated by the parameters of a fit."""
+    c, s = math.exp(q[E]) * math.cos(q[TURN]), math.exp(q[E]) * math.sin(q[TURN])
+    ends = contours.reshape(-1, 2) @ np.array([[c, s], [-s, c]]) + q[[TX, TY]]
+    return np.asarray(ends.reshape(-1, 4))
 
 
 def centroid(contours: Iterable[Floats]) -> tuple[Floats, float]:
@@ -276,52 +197,207 @@ def centroid(contours: Iterable[Floats]) -> tuple[Floats, float]:
     return (moment / total if total else moment), total
 
 
-def contours_of(outline: Outline) -> Floats:
-    """Segments (S, 4) of the closed rings of an outline."""
-    return outline.segments[: outline.paths[outline.rings]]
+# -- Mirrors and quarter turns, units, winding rules, grids ------------------------------------------------------
 
 
-def mesh_contours(flaws: MeshFlaws, height_mm: float, origin_mm: tuple[float, float]) -> Floats:
-    """Section of the mesh, from an origin."""
-    segments: Floats = flaws.section(height_mm) - np.array([*origin_mm, *origin_mm])
-    if flaws.bodies > 1 and len(segments) <= MOST_SEGMENTS:
-        # Where bodies overlap, segments inside the solid of another body are no contour.
-        segments = segments[_between_solid_and_not(segments)]
-    return segments
+# Quarter turns with their angles, and mirrors with the direction that is reversed (x, y, or both exchanged)
+TURNS: tuple[tuple[str, float, tuple[tuple[int, int], tuple[int, int]]], ...] = (
+    (ROTATION, 180.0, ((-1, 0), (0, -1))),
+    (ROTATION, 90.0, ((0, -1), (1, 0))),
+    (ROTATION, -90.0, ((0, 1), (-1, 0))),
+    (MIRROR, 0.0, ((-1, 0), (0, 1))),
+    (MIRROR, 90.0, ((1, 0), (0, -1))),
+    (MIRROR, 45.0, ((0, 1), (1, 0))),
+    (MIRROR, 135.0, ((0, -1), (-1, 0))),
+)
+MIRRORED = {0.0: "X", 90.0: "Y", 45.0: "X and Y exchanged", 135.0: "X and Y exchanged with their signs"}
+
+# Factors by which a part is too large if its unit was mistaken
+UNITS: dict[str, float] = {
+    "inches taken for millimetres": 1.0 / 25.4,
+    "millimetres taken for inches": 25.4,
+    "centimetres taken for millimetres": 0.1,
+    "millimetres taken for centimetres": 10.0,
+    "metres taken for millimetres": 0.001,
+    "millimetres taken for metres": 1000.0,
+    "feet taken for millimetres": 1.0 / 304.8,
+    "millimetres taken for feet": 304.8,
+    "inches taken for centimetres": 1.0 / 2.54,
+    "centimetres taken for inches": 2.54,
+}
+# Largest relative difference between a scale and the factor of a unit for the scale to be a mistaken unit
+UNIT_SHARE = 0.005
+
+# Winding rules other than the default, winding > 0
+RULES: dict[str, Callable[[Ints], Bools]] = {
+    "odd": lambda w: w % 2 == 1,
+    "winding != 0": lambda w: w != 0,
+    "1..1": lambda w: w == 1,
+    "winding > 1": lambda w: w > 1,
+}
+MOST_PIECES = (
+    2000  # most pieces of a sheet's difference at which winding numbers are computed, the largest ones
+)
+CELLS = 23  # rows and columns of places at which a rule is checked against the whole section
+MOST_WRONG = 0.02  # largest share of the solid at which a rule may be wrong, because of places on contours
+
+LEAST_GAP_MM = 1e-7  # coordinates nearer to each other than this are the same
+GRID_SHARE = 1e-3  # largest distance of coordinates from a grid, over its step
+GRID_POINTS = 4  # fewest different coordinates that a grid must have
 
 
-def along(contours: Floats, count: int) -> tuple[Floats, float]:
-    """Places (N, 2) at equal steps along all contours, and the length that each represents, mm."""
-    ends = contours[:, 2:] - contours[:, :2]
-    extent = np.hypot(ends[:, 0], ends[:, 1])
-    reach = np.cumsum(extent)
-    total = float(reach[-1]) if reach.size else 0.0
-    if not total > 0.0:
-        return np.zeros((0, 2)), 0.0
-    at = (np.arange(count) + 0.5) / count * total
-    s = np.minimum(np.searchsorted(reach, at, side="right"), len(contours) - 1)
-    t = 1.0 - (reach[s] - at) / np.maximum(extent[s], np.finfo(np.float64).tiny)
-    return contours[s, :2] + t[:, None] * ends[s], total / count
+def turned_over(sheets: Sequence[Sheet]) -> Cause:
+    """A mirroring, or a turn by 90 or 180 degrees, about any centre."""
+    middle_a, _ = centroid(sheet.contours_a for sheet in sheets)
+    middle_b, _ = centroid(sheet.contours_b for sheet in sheets)
+
+    def share(turn: tuple[str, float, tuple[tuple[int, int], tuple[int, int]]]) -> float:
+        def guess(sheet: Sheet) -> Floats:
+            ends = (sheet.contours_b.reshape(-1, 2) - middle_b) @ np.array(turn[2]).T + middle_a
+            return np.asarray(ends.reshape(-1, 4)[:, [2, 3, 0, 1] if turn[0] == MIRROR else [0, 1, 2, 3]])
+
+        return round(share_explained(sheets, guess), 3)  # of those that explain as much, the first
+
+    explained, (kind, angle, linear) = max(((share(t), t) for t in TURNS), key=lambda found: found[0])
+    if kind == ROTATION:
+        return Cause(ROTATION, angle, "degrees", f"rotation by {angle:g} degrees", explained)
+    text = f"mirrored: {MIRRORED[angle]}"
+    if angle in (0.0, 90.0):
+        axis = int(angle == 90.0)
+        shift = (middle_a - np.array(linear) @ middle_b)[axis]
+        text += f" about {'xy'[axis]} = {0.5 * shift + sheets[0].origin_mm[axis] + 0.0:.3f} mm"
+    return Cause(MIRROR, angle, "degrees", text, explained)
 
 
-def beside(contours: Floats, places: Floats) -> Floats:
-    """Distances (N,) mm of places (N, 2) from contours, negative inside the solid; infinite where there are none."""
-    places = np.ascontiguousarray(places)
-    return np.where(windings(contours, places) > 0, -1.0, 1.0) * distances(places, contours)
+def wrong_unit(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause:
+    """Another unit of the whole part, its height included: all of it larger by a factor from the file's origin."""
+
+    def share(factor: float) -> float:
+        def guess(sheet: Sheet) -> Floats:
+            section = factor * mesh_contours(flaws, sheet.height_mm / factor, (0.0, 0.0))
+            return from_origin(section, sheet.origin_mm)
+
+        return share_explained(sheets, guess)
+
+    shares = {words: share(factor) for words, factor in UNITS.items()}
+    words = max(shares, key=lambda w: shares[w])
+    return unit_cause(words, UNITS[words], shares[words])
 
 
-@kernel
-def windings(segments: Floats, places: Floats) -> Ints:
-    """Winding number of closed segments about each of some places (N, 2)."""
-    found = np.zeros(len(places), np.int64)
-    for i in range(len(places)):
-        found[i] = winding(segments, places[i, 0], places[i, 1])
-    return found
+def unit_cause(words: str, factor: float, share: float) -> Cause:
+    """Make the cause for a mistaken unit."""
+    return Cause(UNIT, factor, "", f"wrong unit: {words}, {factor:.6g} times too large", share)
 
 
-def _between_solid_and_not(segments: Floats) -> Bools:
-    """Whether each segment has solid on only one side."""
-    middle, along_it = 0.5 * (segments[:, :2] + segments[:, 2:]), segments[:, 2:] - segments[:, :2]
-    aside = ASIDE * np.column_stack([-along_it[:, 1], along_it[:, 0]])
-    left, right = windings(segments, middle + aside) > 0, windings(segments, middle - aside) > 0
-    return np.asarray(left != right)
+def unit_of(factor: float) -> str:
+    """The mistaken unit that gives this scale; empty if there is none."""
+    near = (words for words, known in UNITS.items() if abs(math.log(factor / known)) < UNIT_SHARE)
+    return next(near, "")
+
+
+def other_rule(sheets: Sequence[Sheet], flaws: MeshFlaws) -> Cause | None:
+    """Another rule for the winding numbers that are solid, found in the pieces in which the two slicers differ.
+
+    It must hold in the whole section, too, not only where the slicers differ.
+    """
+    whole, explained, wrong = 0.0, np.zeros(len(RULES)), np.zeros(len(RULES))
+    for sheet in sheets:
+        # Winding numbers are those of all segments, also of those inside of another body.
+        mesh = from_origin(flaws.section(sheet.height_mm), sheet.origin_mm)
+        pieces = sweep.overlap(sheet.outline_a, sheet.outline_b, True).difference
+        left, right = (
+            0.5 * (pieces[:, k] + pieces[:, m]) for k, m in ((sweep.L0, sweep.L1), (sweep.R0, sweep.R1))
+        )
+        y = 0.5 * (pieces[:, sweep.Y0] + pieces[:, sweep.Y1])
+        area = np.abs(right - left) * (pieces[:, sweep.Y1] - pieces[:, sweep.Y0])
+        whole += float(area.sum())
+        largest = np.argsort(-area, kind="stable")[:MOST_PIECES]
+        places = np.ascontiguousarray(np.column_stack([0.5 * (left + right), y])[largest])
+        in_a, in_b = (windings(c, places) > 0 for c in (sheet.contours_a, sheet.contours_b))
+        numbers = windings(mesh, places)
+        as_told = ((numbers > 0) == in_b) & (in_a != in_b)
+        explained += [area[largest][as_told & (rule(numbers) == in_a)].sum() for rule in RULES.values()]
+        if len(mesh):
+            low, high = mesh.reshape(-1, 2).min(axis=0), mesh.reshape(-1, 2).max(axis=0)
+            steps = low + (high - low) * ((np.arange(CELLS) + 0.5) / CELLS)[:, None]
+            places = np.ascontiguousarray(np.stack(np.meshgrid(*steps.T), axis=-1).reshape(-1, 2))
+            numbers, in_a = windings(mesh, places), windings(sheet.contours_a, places) > 0
+            wrong += [_differing_share(rule(numbers), in_a) for rule in RULES.values()]
+    if not whole > 0.0:
+        return None
+    best = int(np.argmax(np.where(wrong <= MOST_WRONG * len(sheets), explained, 0.0)))
+    share = float(explained[best]) / whole if wrong[best] <= MOST_WRONG * len(sheets) else 0.0
+    text = f"other winding rule: solid is {list(RULES)[best]} where the other takes winding > 0"
+    return Cause(WINDING_RULE, float(best), "", text, share)
+
+
+def _differing_share(one: Bools, other: Bools) -> float:
+    """Share of the places that are solid by either of two verdicts, at which these differ; 1 where none is solid."""
+    solid = one | other
+    return float((one != other).sum() / solid.sum()) if solid.any() else 1.0
+
+
+def coarse_grid(sheets: Sequence[Sheet]) -> Cause | None:
+    """Coordinates rounded to a grid, or to single precision, where those of the other slicer are not."""
+    values = np.unique(np.concatenate([np.zeros((0, 2)), *(sheet.a.points for sheet in sheets)]))
+    other = np.unique(np.concatenate([np.zeros((0, 2)), *(sheet.b.points for sheet in sheets)]))
+    if values.size < GRID_POINTS:
+        return None
+
+    def share(rounded: Callable[[Floats], Floats]) -> float:
+        return share_explained(
+            sheets, lambda sheet: from_origin(rounded(ring_segments(sheet.b)), sheet.origin_mm)
+        )
+
+    step = _grid_step(values)
+    if step > 0.0:
+        if other.size and _on_grid(other, step, values[0]):
+            return None
+        # Grids mostly go through zero; the offset of another one is known up to whole steps.
+        shift = values[0] - step * float(np.round(values[0] / step))
+        shift = 0.0 if abs(shift) < GRID_SHARE * step else shift
+
+        def snapped(way: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
+            return lambda ends: way((ends - shift) / step) * step + shift
+
+        explained = max(share(snapped(way)) for way in (np.round, np.floor, np.ceil, np.trunc))
+        text = f"coordinates are rounded to a grid of {step:.6g} mm"
+        return Cause(QUANTISATION, step, "mm", text, explained)
+    if np.array_equal(_single(values), values) and not np.array_equal(_single(other), other):
+        step = float(np.spacing(np.float32(np.abs(values).max())))
+        text = f"coordinates are rounded to single precision, {step:.3g} mm at the largest"
+        return Cause(QUANTISATION, step, "mm", text, share(_single))
+    return None
+
+
+def _single(values: Floats) -> Floats:
+    return values.astype(np.float32).astype(np.float64)
+
+
+def _grid_step(values: Floats) -> float:
+    """Step of the grid on which ascending values lie; 0 if there is none."""
+    gaps = np.diff(values)
+    gaps = gaps[gaps > LEAST_GAP_MM]
+    if gaps.size < GRID_POINTS:
+        return 0.0
+    # The smallest gap has few significant digits; the range of all values has more.
+    near = values - values[0]
+    for parts in (1, 2, 3, 4, 5, 6):
+        step = rough = float(gaps.min()) / parts
+        if rough < 2.0 * LEAST_GAP_MM:
+            break
+        if not np.round(near[-1] / rough):
+            continue
+        for far in np.geomspace(rough, near[-1], 12):
+            within = near[(near <= far * 1.000001) & (near > 0.0)]
+            if within.size:
+                step = float(within[-1] / max(np.round(within[-1] / step), 1.0))
+        if _on_grid(values, step, values[0]):
+            return float(f"{step:.12g}")
+    return 0.0
+
+
+def _on_grid(values: Floats, step: float, first: float) -> bool:
+    """Whether values lie on a grid through one of them."""
+    count = (values - first) / step
+    return bool((np.abs(count - np.round(count)) <= GRID_SHARE).all())

@@ -18,49 +18,25 @@ from ebamcheck.comparison.diagnosis import Differing, cause_of, diagnose
 from ebamcheck.comparison.outline import outline
 from ebamcheck.comparison.pairwise import GENERIC
 from ebamcheck.comparison.place_causes import MeshFlaws, Place, declared_doubt, likely_cause
+from ebamcheck.comparison.sheets import Reader
 from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.whole_causes import Cause, Reader
+from ebamcheck.comparison.whole_causes import Cause
 from ebamcheck.kernels import Floats
 from ebamcheck.mesh.part import Part
 
 Columns = Mapping[str, NDArray[Any]]
 
 
-class PairDisagreements:
-    """All layers on which one slicer disagrees with another."""
+@dataclass(frozen=True)
+class Told:
+    """A slicer that differs from another on a layer, with the figures of the pair."""
 
-    def __init__(
-        self, backend: str, against: str, columns: Columns, swapped: bool, layers: list[int]
-    ) -> None:
-        self.backend, self.against = backend, against
-        self.columns = columns
-        self.swapped = swapped
-        """Whether the slicer that differs is the second one of the table."""
-        self.layers = layers
-
-    def diagnosed(
-        self,
-        stacks: Mapping[str, LayerSource],
-        heights: Floats,
-        flaws: MeshFlaws,
-        origin_mm: tuple[float, float],
-    ) -> tuple[Cause, ...]:
-        """Find its systematic causes; none where planes pass through vertices only, which is then the common cause.
-
-        Layers with open paths are left out: their common cause is a mesh that is not closed.
-        """
-        open_paths = self.columns["open_a"] + self.columns["open_b"]
-        closed = [layer for layer in self.layers if not open_paths[layer]]
-        if not (self.columns["class"][closed] == GENERIC).any():
-            return ()
-        order = ("b", "a") if self.swapped else ("a", "b")
-        found = Differing(
-            np.array(closed, np.int64),
-            heights,
-            np.array([self.columns[f"area_{which}_mm2"] for which in order]),
-            np.array([self.columns[f"rings_{which}"] for which in order]),
-        )
-        return diagnose(stacks[self.backend], stacks[self.against], found, flaws, origin_mm)
+    layer: int
+    backend: str
+    against: str
+    columns: Columns
+    is_second: bool
+    """Whether the slicer that differs is the second one of the pair."""
 
 
 def named_findings(
@@ -78,18 +54,14 @@ def named_findings(
     """
     flaws, names = MeshFlaws(part), list(stacks)
     columns = [{name: rows[name].to_numpy() for name in rows.columns} for rows in tables]
-    told = list(_disagreeing(names, columns, consensus, verdicts))
-    pairs: dict[tuple[str, str], PairDisagreements] = {}
-    for layer, backend, against, column, swapped in told:
-        key = (backend, against)
-        pairs.setdefault(key, PairDisagreements(backend, against, column, swapped, [])).layers.append(layer)
+    every = list(_disagreeing(names, columns, consensus, verdicts))
+    pairs: dict[tuple[str, str], list[Told]] = {}
+    for told in every:
+        pairs.setdefault((told.backend, told.against), []).append(told)
     x, y, _ = part.bounds.mean(axis=0).tolist()
-    causes = {key: pair.diagnosed(stacks, heights, flaws, (x, y)) for key, pair in pairs.items()}
+    causes = {key: _diagnosed(pair, stacks, heights, flaws, (x, y)) for key, pair in pairs.items()}
     namer = _Namer(flaws, stacks)
-    found = [
-        namer.named(backend, against, layer, column, causes[backend, against])
-        for layer, backend, against, column, _ in told
-    ]
+    found = [namer.named(told, causes[told.backend, told.against]) for told in every]
     found += [
         _empty_finding(flaws, names, layer, float(heights[layer]), columns)
         for layer, verdict in enumerate(verdicts)
@@ -103,8 +75,8 @@ def _disagreeing(
     columns: list[dict[str, NDArray[Any]]],
     consensus: list[tuple[int, ...]],
     verdicts: list[str],
-) -> Iterator[tuple[int, str, str, Columns, bool]]:
-    """Layer, slicer that differs, the one that it is compared with, figures of the pair, and whether it is the second of it."""
+) -> Iterator[Told]:
+    """Every slicer that differs from another one, layer by layer."""
     couples = list(combinations(range(len(names)), 2))
     for layer, verdict in enumerate(verdicts):
         if verdict not in (OUTLIER, UNDECIDED):
@@ -115,8 +87,35 @@ def _disagreeing(
                 continue
             if members and i not in members and j not in members:
                 continue  # two outliers: each is named against the consensus
-            swapped = i in members
-            yield layer, names[j if swapped else i], names[i if swapped else j], column, swapped
+            is_second = i in members
+            backend, against = (j, i) if is_second else (i, j)
+            yield Told(layer, names[backend], names[against], column, is_second)
+
+
+def _diagnosed(
+    pair: Sequence[Told],
+    stacks: Mapping[str, LayerSource],
+    heights: Floats,
+    flaws: MeshFlaws,
+    origin_mm: tuple[float, float],
+) -> tuple[Cause, ...]:
+    """Find the systematic causes of a pair; none where planes pass through vertices only, which is then the common cause.
+
+    Layers with open paths are left out: their common cause is a mesh that is not closed.
+    """
+    columns = pair[0].columns
+    open_paths = columns["open_a"] + columns["open_b"]
+    closed = np.array([told.layer for told in pair if not open_paths[told.layer]], np.int64)
+    if not (columns["class"][closed] == GENERIC).any():
+        return ()
+    order = ("b", "a") if pair[0].is_second else ("a", "b")
+    found = Differing(
+        closed,
+        heights,
+        np.array([columns[f"area_{which}_mm2"] for which in order]),
+        np.array([columns[f"rings_{which}"] for which in order]),
+    )
+    return diagnose(stacks[pair[0].backend], stacks[pair[0].against], found, flaws, origin_mm)
 
 
 class _Namer:
@@ -127,35 +126,31 @@ class _Namer:
         self._declared = {name: stack.settings for name, stack in stacks.items()}
         self._readers = {name: Reader(stack) for name, stack in stacks.items()}
 
-    def named(
-        self, backend: str, against: str, layer: int, column: Columns, causes: tuple[Cause, ...]
-    ) -> Disagreement:
+    def named(self, told: Told, causes: tuple[Cause, ...]) -> Disagreement:
         """Name one disagreement of a pair."""
-        row = {name: values[layer] for name, values in column.items()}
+        row = {name: values[told.layer] for name, values in told.columns.items()}
+        backends = (told.backend, told.against)
         depth, limit = float(row["depth_mm"]), float(row["limit_mm"])
-        deep = depth > limit
         rings = abs(int(row["rings_a"]) - int(row["rings_b"])) or abs(
             int(row["holes_a"]) - int(row["holes_b"])
         )
+        metric = ("depth", depth, limit) if depth > limit else ("topology", float(rings), 0.0)
         x_mm, y_mm, height_mm = (float(row[name]) for name in ("depth_x_mm", "depth_y_mm", "height_mm"))
         place = Place(
             x_mm, y_mm, height_mm, depth, limit, str(row["class"]), bool(row["open_a"] + row["open_b"] > 0)
         )
-        declared = [self._declared[backend], self._declared[against]]
-        finding = (
-            layer, height_mm, backend, against,
-            "depth" if deep else "topology", depth if deep else float(rings), limit if deep else 0.0, x_mm, y_mm,
-        )  # fmt: skip
-        cause = cause_of(causes, layer)
+        declared = [self._declared[name] for name in backends]
+        finding = (told.layer, height_mm, *backends, *metric, x_mm, y_mm)
+        cause = cause_of(causes, told.layer)
         if cause is not None and not (place.known and declared_doubt(place, declared)):
             return Disagreement(
                 *finding, cause.kind, cause.in_words(), cause.size, cause.unit, cause.share,
-                remedy(cause.kind, backend, against),
+                remedy(cause.kind, *backends),
             )  # fmt: skip
         likely = likely_cause(
-            self._flaws, place, declared, lambda: [self._segments(name, layer) for name in (backend, against)]
+            self._flaws, place, declared, lambda: [self._segments(name, told.layer) for name in backends]
         )
-        return Disagreement(*finding, likely, likely, remedy=remedy(likely, backend, against))
+        return Disagreement(*finding, likely, likely, remedy=remedy(likely, *backends))
 
     def _segments(self, name: str, layer: int) -> Floats:
         return outline(self._readers[name].layer(layer), 0, (0.0, 0.0)).segments

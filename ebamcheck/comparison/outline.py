@@ -105,6 +105,15 @@ def winding(segments: Floats, x: float, y: float) -> int:
 
 
 @kernel
+def windings(segments: Floats, places: Floats) -> Ints:
+    """Winding number of closed segments about each of some places (N, 2)."""
+    found = np.zeros(len(places), np.int64)
+    for i in range(len(places)):
+        found[i] = winding(segments, places[i, 0], places[i, 1])
+    return found
+
+
+@kernel
 def _outline(points: Floats, starts: Ints, closed: Bools, x_mm: float, y_mm: float) -> Outline:
     """Build an outline from the rings of one layer: closed ones first, without the points inside straight runs."""
     most = 0.0  # the size of the coordinates decides what is straight

@@ -273,8 +273,6 @@ AS_NEAR = 1.0 + 1e-6  # factor of the least distance within which segments count
 MOST_SIDES = 8  # most equally near segments examined; they meet in one point
 ROUNDING_SHARE = 2.0**-22  # largest height error by single precision, over the part's size (four roundings)
 
-Bools = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
@@ -302,7 +300,9 @@ class Surroundings:
     def touching_bodies(self, within_mm: float) -> bool:
         """Whether an end of a segment lies on a segment of another body."""
         other = self.body[:, None] != self.body[None, :]
-        return bool((other & (self._gaps() <= within_mm)).any())
+        starts = self.segments[:, None, :2]
+        gaps = np.linalg.norm(_nearest_points(self.segments, starts) - starts, axis=2)
+        return bool((other & (gaps <= within_mm)).any())
 
     def width(self) -> tuple[float, bool]:
         """Distance between the sides of the wall or gap at the place, mm, and whether it is a wall.
@@ -323,8 +323,8 @@ class Surroundings:
         if not facing.any():
             return np.inf, False
         k = int(np.argmax(facing))
-        foot = _nearest_point(self.segments[side : side + 1], self.place)[0]
-        away = _nearest_point(self.segments[k : k + 1], foot)[0] - foot
+        foot = _nearest_points(self.segments[side : side + 1], self.place)[0]
+        away = _nearest_points(self.segments[k : k + 1], foot)[0] - foot
         left = np.array([-along[side, 1], along[side, 0]])
         return float(np.linalg.norm(away)), bool(left @ away > 0.0)
 
@@ -335,22 +335,13 @@ class Surroundings:
         x, y, z = self.normals[0]
         return float(abs(z) / max(np.hypot(x, y), np.finfo(np.float64).tiny))
 
-    def _gaps(self) -> Floats:
-        """Distance (n, n) of the start of each segment (rows) from each segment (columns)."""
-        start = self.segments[:, None, :2]
-        a, u = self.segments[None, :, :2], self.segments[None, :, 2:] - self.segments[None, :, :2]
-        square = np.maximum((u * u).sum(axis=2), np.finfo(np.float64).tiny)
-        t = np.clip(((start - a) * u).sum(axis=2) / square, 0.0, 1.0)
-        gaps: Floats = np.linalg.norm(start - a - t[:, :, None] * u, axis=2)
-        return gaps
-
 
 def surroundings(
     segments: Floats, body: Ints, corners: Floats, x_mm: float, y_mm: float, reach_mm: float
 ) -> Surroundings:
     """Select the segments (n, 4) within reach of a place; `corners` (n, 3, 3) are their facets'."""
     place = np.array([x_mm, y_mm])
-    distance = np.linalg.norm(_nearest_point(segments, place) - place, axis=1)
+    distance = np.linalg.norm(_nearest_points(segments, place) - place, axis=1)
     order = np.argsort(distance, kind="stable")[:MOST_SEGMENTS]
     near = order[distance[order] <= reach_mm]
     a, b, c = np.moveaxis(corners[near], 1, 0)
@@ -360,13 +351,12 @@ def surroundings(
     return Surroundings(place, segments[near], body[near], normals, distance[near])
 
 
-def _nearest_point(segments: Floats, place: Floats) -> Floats:
-    """Point of each segment (n, 2) that is nearest to a place."""
+def _nearest_points(segments: Floats, places: Floats) -> Floats:
+    """Point of each segment (n, 4) that is nearest to each place, (..., n, 2) for places (..., 1, 2)."""
     a, u = segments[:, :2], segments[:, 2:] - segments[:, :2]
-    square = (u * u).sum(axis=1)
-    t = np.clip(((place - a) * u).sum(axis=1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
-    points: Floats = a + t[:, None] * u
-    return points
+    square = (u * u).sum(axis=-1)
+    t = np.clip(((places - a) * u).sum(axis=-1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    return np.asarray(a + t[..., None] * u)
 
 
 def _sides(p: Floats, q: Floats, at: Floats) -> Floats:

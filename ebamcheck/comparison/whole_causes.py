@@ -1,20 +1,16 @@
-"""A systematic cause: its kind, its size, and the share of a difference that it explains."""
+"""Systematic causes: what one is, and those in whole layers and in whole rings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from ebamcheck.comparison.outline import Outline, outline
-from ebamcheck.comparison.sources import LayerSource
-from ebamcheck.comparison.sweep import overlap
-from ebamcheck.kernels import Bools, Floats, Ints
-from ebamcheck.layers.stack import Layers, canonical
+from ebamcheck.comparison.outline import outline
+from ebamcheck.comparison.sheets import Reader, Sheet, apart_mm2, total_mm2
+from ebamcheck.kernels import Floats, Ints
+from ebamcheck.layers.stack import Layers
 
 OFFSET = "constant offset"
 TRANSLATION = "translation"
@@ -57,8 +53,6 @@ class Cause:
     """Layers that the cause affects; None: all on which the two differ."""
     also: tuple[str, ...] = ()
     """Descriptions of other causes that explain these layers as well: on a cylinder, scaling is the same as an offset."""
-    vector_mm: tuple[float, float] | None = None
-    """Translation along X and Y; None for other kinds."""
 
     def scaled(self, share: float) -> Cause:
         """Return the same cause with its share multiplied by `share`, as it was found in that part of a difference only."""
@@ -191,68 +185,61 @@ MOST_MATCHED = 3000  # most rings of a layer that are matched, as every one is c
 DEEP = 2
 
 
-class Matched(NamedTuple):
-    """Rings of both slicers on one layer."""
-
-    missing: Ints
-    """Rings of the other slicer that the slicer that differs does not have."""
-    extra: Ints
-    """Rings that only the slicer that differs has."""
-    turned: Ints
-    """Rings of the slicer that differs that have the opposite direction."""
-    deep: Bools
-    """Whether each of the turned rings is nested in a hole."""
-
-
 def ring_causes(sheets: Sequence[Sheet], least_share: float) -> tuple[list[Cause], list[Sheet]]:
     """Causes in whole rings, and the sheets without their effect."""
     causes: list[Cause] = []
-    matched = [match(sheet) for sheet in sheets]
+    differing = [match(sheet) for sheet in sheets]
     for kinds in ((ORIENTATION, NESTING), (MISSING_OUTER, MISSING_HOLE, EXTRA_OUTER, EXTRA_HOLE)):
         whole = total_mm2(sheets)
         if not whole > 0.0:
             break
         for kind in kinds:
-            chosen = [_chosen(kind, sheet, found) for sheet, found in zip(sheets, matched, strict=True)]
-            count = sum(c.size for c in chosen)
-            if not count:
+            counts = [len(rings.get(kind, ())) for rings in differing]
+            if not any(counts):
                 continue
-            mended = [_mended(kind, s, c) if c.size else s for s, c in zip(sheets, chosen, strict=True)]
-            before = total_mm2(sheets)
-            share = (before - total_mm2(mended)) / whole
+            mended = [
+                _mended(kind, sheet, rings[kind].tolist()) if count else sheet
+                for sheet, rings, count in zip(sheets, differing, counts, strict=True)
+            ]
+            share = (total_mm2(sheets) - total_mm2(mended)) / whole
             if share < least_share:
                 continue
-            causes.append(_cause(kind, count, share, sheets, chosen))
-            sheets, matched = mended, [match(sheet) for sheet in mended]
+            mean = sum(counts) / np.count_nonzero(counts)
+            text = f"{kind}: {mean:.3g} a layer"
+            if kind in (ORIENTATION, NESTING):
+                deep = "rings nested in a hole" if kind == NESTING else "rings"
+                text = f"{kind}: {mean:.3g} {deep} a layer run the wrong way round"
+            causes.append(Cause(kind, mean, "rings", text, share))
+            sheets, differing = mended, [match(sheet) for sheet in mended]
     return causes, list(sheets)
 
 
-def _cause(kind: str, count: int, share: float, sheets: Sequence[Sheet], chosen: Sequence[Ints]) -> Cause:
-    """Make the cause for the rings of one kind."""
-    concerned = [sheet.layer for sheet, rings in zip(sheets, chosen, strict=True) if rings.size]
-    mean = count / len(concerned)
-    text = f"{kind}: {mean:.3g} a layer"
-    if kind in (ORIENTATION, NESTING):
-        deep = "rings nested in a hole" if kind == NESTING else "rings"
-        text = f"{kind}: {mean:.3g} {deep} a layer run the wrong way round"
-    return Cause(kind, mean, "rings", text, share)
+def match(sheet: Sheet) -> dict[str, Ints]:
+    """Rings that differ, by kind: missing ones by their number in `b`, all others in `a`.
 
-
-def match(sheet: Sheet) -> Matched:
-    """Match the closed rings of both slicers; if some are missing and others extra, as after a shift, neither is reported."""
+    If some are missing and others extra, as after a shift, neither is reported.
+    """
     a, b = sheet.a, sheet.b
     own, theirs = np.flatnonzero(a.closed), np.flatnonzero(b.closed)
-    nothing = np.zeros(0, np.int64)
     if max(own.size, theirs.size) > MOST_MATCHED:
-        return Matched(nothing, nothing, nothing, np.zeros(0, np.bool_))
+        return {}
     pairs = _pairs(_likeness(a, own, b, theirs))
     missing = np.setdiff1d(theirs, theirs[pairs[:, 1]])
     extra = np.setdiff1d(own, own[pairs[:, 0]])
     if missing.size and extra.size:
-        missing = extra = nothing
+        missing = extra = np.zeros(0, np.int64)
     first, second = own[pairs[:, 0]], theirs[pairs[:, 1]]
     turned = a.ring_areas[first] * b.ring_areas[second] < 0.0
-    return Matched(missing, extra, first[turned], _depths(b)[second[turned]] >= DEEP)
+    # If rings outside of holes are turned as well, the nesting is not the cause.
+    nested = bool((_depths(b)[second[turned]] >= DEEP).all())
+    outer_missing, outer_extra = b.ring_areas[missing] > 0.0, a.ring_areas[extra] > 0.0
+    return {
+        NESTING if nested else ORIENTATION: first[turned],
+        MISSING_OUTER: missing[outer_missing],
+        MISSING_HOLE: missing[~outer_missing],
+        EXTRA_OUTER: extra[outer_extra],
+        EXTRA_HOLE: extra[~outer_extra],
+    }
 
 
 def _likeness(a: Layers, own: Ints, b: Layers, theirs: Ints) -> Floats:
@@ -292,137 +279,11 @@ def _depths(layers: Layers) -> Ints:
     return depth
 
 
-def _chosen(kind: str, sheet: Sheet, found: Matched) -> Ints:
-    """Rings of one kind."""
-    if kind in (ORIENTATION, NESTING):
-        # If rings outside of holes are turned as well, the nesting is not the cause.
-        nested = bool(found.turned.size) and bool(found.deep.all())
-        chosen: Ints = found.turned if nested == (kind == NESTING) else found.turned[:0]
-        return chosen
-    rings, areas = (
-        (found.missing, sheet.b.ring_areas)
-        if kind in (MISSING_OUTER, MISSING_HOLE)
-        else (found.extra, sheet.a.ring_areas)
-    )
-    of_kind: Ints = rings[(areas[rings] > 0.0) == (kind in (MISSING_OUTER, EXTRA_OUTER))]
-    return of_kind
-
-
-def _mended(kind: str, sheet: Sheet, rings: Ints) -> Sheet:
+def _mended(kind: str, sheet: Sheet, wrong: Sequence[int]) -> Sheet:
     """Return the sheet with these rings corrected."""
-    a, own = sheet.a, [r for r in sheet.a.rings_of(0) if sheet.a.closed[r]]
-    wrong = set(rings.tolist())
-    if kind in (ORIENTATION, NESTING):
-        made = [a.ring(r)[::-1] if r in wrong else a.ring(r) for r in own]
-    elif kind in (MISSING_OUTER, MISSING_HOLE):
-        made = [*(a.ring(r) for r in own), *(sheet.b.ring(r) for r in rings.tolist())]
-    else:
-        made = [a.ring(r) for r in own if r not in wrong]
-    return sheet.with_a(one_layer(sheet.height_mm, made))
-
-
-MOST_SHEETS = 12  # most layers of a pair that are examined: enough to find what they have in common
-# Most rings of these layers, of both slicers together: fewer are taken where each has over 25,000, as specks of a raster may be
-MOST_RINGS = 300_000
-WINDOW = 32  # layers read from a file at once
-
-
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """One layer of the slicer that differs and of the one that it is compared with, as stacks of one layer each."""
-
-    layer: int
-    height_mm: float
-    a: Layers
-    """Of the slicer that differs."""
-    b: Layers
-    """Of the other."""
-    origin_mm: tuple[float, float]
-
-    @cached_property
-    def outline_a(self) -> Outline:
-        """Contours of `a`, from the origin."""
-        return outline(self.a, 0, self.origin_mm)
-
-    @cached_property
-    def outline_b(self) -> Outline:
-        """Contours of `b`, from the origin."""
-        return outline(self.b, 0, self.origin_mm)
-
-    @cached_property
-    def difference_mm2(self) -> float:
-        """Area of the symmetric difference."""
-        return apart_mm2(self.outline_a, self.outline_b)
-
-    @property
-    def both_solid(self) -> bool:
-        """Whether both have a closed ring."""
-        return bool(self.a.closed.any() and self.b.closed.any())
-
-    def with_a(self, a: Layers) -> Sheet:
-        """Return the sheet with other contours in place of those that differ."""
-        return replace(self, a=a)
-
-
-def apart_mm2(a: Outline, b: Outline) -> float:
-    """Area of the symmetric difference of two outlines, mm2; infinite if they have too many crossings."""
-    found = overlap(a, b, False)
-    return float(found.symmetric_difference_mm2) if found.sound else np.inf
-
-
-def total_mm2(sheets: Sequence[Sheet]) -> float:
-    """Area of the symmetric difference on all sheets, mm2."""
-    return float(sum(sheet.difference_mm2 for sheet in sheets))
-
-
-def one_layer(height_mm: float, rings: Sequence[ArrayLike]) -> Layers:
-    """Stack of one layer of closed rings."""
-    arrays = [np.asarray(ring, np.float64).reshape(-1, 2) for ring in rings]
-    return canonical(
-        [height_mm],
-        np.concatenate([np.zeros((0, 2)), *arrays]),
-        np.concatenate([[0], np.cumsum([len(a) for a in arrays], dtype=np.int64)]),
-        np.array([0, len(arrays)]),
-        np.ones(len(arrays), np.bool_),
-    )
-
-
-def moved_points(layers: Layers, points: Floats, mirrored: bool = False) -> Layers:
-    """The same closed rings with other points, in canonical form; reversed if the map of the points mirrors."""
-    found = replace(layers, points=np.ascontiguousarray(points))
-    step = -1 if mirrored else 1
-    return one_layer(
-        float(layers.heights[0]), [found.ring(r)[::step] for r in found.rings_of(0) if found.closed[r]]
-    )
-
-
-class Reader:
-    """Single layers of a stack in memory or in a file, read a window at a time."""
-
-    def __init__(self, source: LayerSource) -> None:
-        self._source = source
-        self._first = -1
-        self._window: Layers | None = None
-
-    def layer(self, layer: int) -> Layers:
-        """One layer as a stack of its own."""
-        first = layer - layer % WINDOW
-        if self._window is None or first != self._first:
-            stop = min(first + WINDOW, len(self._source))
-            self._window = self._source.block(first, stop)
-            self._first = first
-        assert self._window is not None
-        return self._window.block(layer - first, layer - first + 1)
-
-
-def sample(
-    layers: Ints, rings: Ints, heights: Floats, a: Reader, b: Reader, origin_mm: tuple[float, float]
-) -> list[Sheet]:
-    """Sheets of a few of the layers on which two stacks differ, spread evenly; `rings` (L,) is how many each has."""
-    if not layers.size:
-        return []
-    # The more rings the layers have, by their median, the fewer are taken; points are not counted before a layer is read.
-    typical = max(float(np.median(rings[layers])), 1.0)
-    count = int(np.clip(MOST_RINGS / typical, 1, min(MOST_SHEETS, layers.size)))
-    at = np.unique(np.round(np.linspace(0, layers.size - 1, count + 2)[1:-1]).astype(np.int64))
-    return [Sheet(k, float(heights[k]), a.layer(k), b.layer(k), origin_mm) for k in layers[at].tolist()]
+    own = np.flatnonzero(sheet.a.closed).tolist()
+    if kind in (MISSING_OUTER, MISSING_HOLE):
+        return sheet.with_rings([*(sheet.a.ring(r) for r in own), *(sheet.b.ring(r) for r in wrong)])
+    if kind in (EXTRA_OUTER, EXTRA_HOLE):
+        return sheet.with_rings([sheet.a.ring(r) for r in own if r not in wrong])
+    return sheet.with_rings([sheet.a.ring(r)[::-1] if r in wrong else sheet.a.ring(r) for r in own])

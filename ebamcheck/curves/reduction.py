@@ -128,7 +128,7 @@ def _reduce(
     direction, reached = np.empty(2), np.empty(2, np.int64)
     for c in range(first, last):
         i, end, n = joints[c], joints[c + 1] - 1, joints[c]
-        direction[:] = path.directions[i]
+        direction[0], direction[1] = path.directions[i, 0], path.directions[i, 1]
         guess = 1
         while i < end:
             B = found[n]
@@ -155,12 +155,13 @@ def _reduce(
                     after = np.arctan2(x * back[1] - y * back[0], x * back[0] + y * back[1])
                     half = min(0.5 * (abs(before) + abs(after)), 0.5 * np.pi)
                     leg = 2.0 / (3.0 * (1.0 + np.cos(half)))
-                    B[0], B[3] = path.points[i], path.points[j]
+                    for axis in range(2):
+                        B[0, axis], B[3, axis] = path.points[i, axis], path.points[j, axis]
                     c_, s = np.cos(before) * leg, np.sin(before) * leg
                     B[1, 0], B[1, 1] = B[0, 0] + c_ * x + s * y, B[0, 1] + c_ * y - s * x
                     c_, s = np.cos(after) * leg, np.sin(after) * leg
                     B[2, 0], B[2, 1] = B[3, 0] - c_ * x + s * y, B[3, 1] - c_ * y - s * x
-                direction[:] = back
+                direction[0], direction[1] = back[0], back[1]
             n += 1
             guess = j - i
             i = j
@@ -286,7 +287,7 @@ def _set_legs(
         legs[0] = (r0 * c11 - r1 * c01) / determinant
         legs[1] = (r1 * c00 - r0 * c01) / determinant
         if not (0.25 * even < legs[0] < 3.0 * even and 0.25 * even < legs[1] < 3.0 * even):
-            legs[:] = even
+            legs[0] = legs[1] = even
     for axis in range(2):
         B[1, axis] = B[0, axis] + legs[0] * direction[axis]
         B[2, axis] = B[3, axis] - legs[1] * back[axis]

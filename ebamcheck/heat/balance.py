@@ -345,7 +345,8 @@ def march(
     count = len(content)
     half = 0.5 * column.size / column.area
     apart = half.copy()
-    apart[1:] = half[:-1] + half[1:]
+    for i in range(1, count):
+        apart[i] = half[i - 1] + half[i]
     work = _Step(
         column.size * column.area, apart, 1.0 / apart, np.empty(count), np.empty(count), np.empty(count),
         np.empty(count), np.empty(count), np.empty(count), np.empty(count),

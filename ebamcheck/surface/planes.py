@@ -59,6 +59,12 @@ def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: flo
 
 
 @kernel
+def _middle(vertices: Floats, faces: Index, f: int, axis: int) -> float:
+    """Coordinate of the middle of a facet, mm."""
+    return (vertices[faces[f, 0], axis] + vertices[faces[f, 1], axis] + vertices[faces[f, 2], axis]) / 3.0
+
+
+@kernel
 def _grow(
     vertices: Floats,
     faces: Index,
@@ -78,11 +84,12 @@ def _grow(
         if label[seed] >= 0:
             continue
         label[seed] = groups
-        total[:] = vectors[seed]
         area = areas[seed]
         reach = longest[seed]
-        middle[:] = (vertices[faces[seed, 0]] + vertices[faces[seed, 1]] + vertices[faces[seed, 2]]) / 3.0
-        normal[:] = total / max(area, 1e-300)
+        for axis in range(3):
+            total[axis] = vectors[seed, axis]
+            normal[axis] = total[axis] / max(area, 1e-300)
+            middle[axis] = _middle(vertices, faces, seed, axis)
         depth = 0
         if area > 0.0:
             stack[0], depth = seed, 1
@@ -94,8 +101,12 @@ def _grow(
                 if g == NO_TWIN or label[g // 3] >= 0:
                     continue
                 e = g // 3
-                tip = vertices[faces[e, (g % 3 + 2) % 3]]
-                x, y, z = tip[0] - middle[0], tip[1] - middle[1], tip[2] - middle[2]
+                tip = faces[e, (g % 3 + 2) % 3]
+                x, y, z = (
+                    vertices[tip, 0] - middle[0],
+                    vertices[tip, 1] - middle[1],
+                    vertices[tip, 2] - middle[2],
+                )
                 away = np.sqrt(x * x + y * y + z * z)
                 allowed = tolerance * min(1.0 + away * reach / area, MOST_REACH)
                 if abs(x * normal[0] + y * normal[1] + z * normal[2]) > allowed:
@@ -107,13 +118,13 @@ def _grow(
                 label[e] = groups
                 stack[depth] = e
                 depth += 1
-                total += vectors[e]
-                centre = (vertices[faces[e, 0]] + vertices[faces[e, 1]] + vertices[faces[e, 2]]) / 3.0
                 area += areas[e]
-                middle += (centre - middle) * (areas[e] / area)
-                length = np.sqrt(np.sum(total * total))
-                if length > 0.0:
-                    normal[:] = total / length
+                for axis in range(3):
+                    total[axis] += vectors[e, axis]
+                    middle[axis] += (_middle(vertices, faces, e, axis) - middle[axis]) * (areas[e] / area)
+                length = np.sqrt(total[0] ** 2 + total[1] ** 2 + total[2] ** 2)
+                for axis in range(3):
+                    normal[axis] = total[axis] / length if length > 0.0 else normal[axis]
                 reach = max(reach, away)
         groups += 1
     return label, groups
