@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 # A worker that dies ends the run: started anew, it may wait for ever for the tests of the one before it.
 PYTEST := $(BIN)/python -m pytest -q -n 4 --dist loadfile --max-worker-restart 0 $(PYTEST_OPTIONS)
 
-.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-scale benchmark-curves clean
+.PHONY: help setup lock newest oldest demo test test-quick test-slow test-long test-bounds lint types format map docs wheel container benchmark tables benchmark-gpu benchmark-curves clean
 
 help: ## Show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -107,16 +107,12 @@ tables: setup demo ## Make all tables anew that README and docs quote beside tho
 	@$(BIN)/python -m benchmarks.acceptance --again
 	@$(BIN)/python -m benchmarks.faults
 	@$(BIN)/python -m benchmarks.live demo/run --part demo/blade.stl
-	@$(BIN)/python -m benchmarks.scan_orders --orders thermal,farthest,raster --bases cooled
+	@$(BIN)/python -m benchmarks.orders
 	@$(BIN)/python -m benchmarks.curves --layers 3 --stack 200
 
 benchmark-gpu: setup ## The stencil alone, under the name of its renderer
 	@$(BIN)/ebamcheck warm
 	@$(BIN)/python -m benchmarks --gpu
-
-benchmark-scale: setup ## Ten million facets, ten thousand layers, under a watch of memory
-	@$(BIN)/ebamcheck warm
-	@$(BIN)/python -m benchmarks --scale
 
 benchmark-curves: setup ## How much of a part its curves give back; tables in reports/curves (a quarter of an hour)
 	@$(BIN)/python -m benchmarks.curves

@@ -20,9 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.deposit import BACKENDS, MODEL_TOLERANCE_MM
-from benchmarks.machine import machine
-from benchmarks.scan_orders import markdown
+from benchmarks.figures import machine, markdown
 from ebamcheck.pipeline import RunResult, run_job
 from ebamcheck.plugins.registry import Model, models
 from ebamcheck.program import read_program
@@ -44,6 +42,8 @@ PARTS = (
 """The nine reference parts: five that the default bead can build, and four that need a remedy."""
 
 DEFAULTS = "defaults"
+BACKENDS = ("planecut", "manifold")
+MODEL_TOLERANCE_MM = 0.02
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def rendered(table: pd.DataFrame) -> str:
         backends=" and ".join(BACKENDS),
         cpu=machine()["cpu"],
         share=100.0 * MASS_SHARE,
-        table=markdown(pd.DataFrame(rows)),
+        table=markdown(list(rows[0]), [list(row.values()) for row in rows]),
         causes="\n".join(["What shut the gates:", "", *causes]) + "\n" if causes else "",
         remedies="\n".join(["The remedies, and why:", "", *remedies]) + "\n" if remedies else "",
     )

@@ -20,7 +20,7 @@ import pandas as pd
 
 from benchmarks.curve_parts import CurvePart, heights_of, parts
 from benchmarks.curve_peers import arc_welded, splines
-from benchmarks.machine import machine
+from benchmarks.figures import machine
 from ebamcheck.curves import METHODS, Curves, contour_error, fit
 from ebamcheck.curves.crossings import crossings
 from ebamcheck.curves.gate import polylines

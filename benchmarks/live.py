@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.machine import machine
-from benchmarks.tables import markdown_table
+from benchmarks.figures import machine, markdown
 from ebamcheck.live.building import BetweenLayers, Building, answer_to
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.relaying import FinishedRun, finished_run
@@ -107,7 +106,7 @@ def text(tables: dict[str, pd.DataFrame], what: str) -> str:
             rows.append([name, str(row["islands"]), str(row["layers"]), *(f"{t:.3f}" for t in times)])
     aims = " and ".join(f"{aim:g} s for up to {n} islands" for n, aim in TARGETS_S.items())
     return (
-        f"# Latency of a live build\n\n{what}\n\n{markdown_table(head, rows)}\n\nAimed at in a running server are {aims}. "
+        f"# Latency of a live build\n\n{what}\n\n{markdown(head, rows)}\n\nAimed at in a running server are {aims}. "
         "Times are from the line with the height to the answer, when the layer has passed every gate and lies on disk.\n"
     )
 

@@ -22,7 +22,7 @@ import numpy as np
 import ebamcheck_models
 from benchmarks import even_mesh
 from ebamcheck.atomic_file import replacing
-from ebamcheck.mesh.part import Part, from_arrays
+from ebamcheck.mesh.part import Part
 from ebamcheck_models import LADDER, MODELS, write_stl
 from ebamcheck_models.ladder import LAYER_MM
 from ebamcheck_reports.paper import published
@@ -89,32 +89,10 @@ def model_file(name: str, tolerance_mm: float) -> Path:
     return _kept(f"{name}-{tolerance_mm:g}", lambda: MODELS[name].tessellate(tolerance_mm))
 
 
-def even_file(facets: int) -> Path:
-    """Return the file of the even mesh of about that many facets."""
-    return _kept(f"even-{facets}-facets", lambda: even_mesh.even_mesh(LADDER, facets))
-
-
 def facets_in(path: Path) -> int:
     """Facets of a binary STL file."""
     with path.open("rb") as file:
         return int.from_bytes(file.read(HEADER_BYTES)[80:], "little")
-
-
-def with_bar(part: Part, share: float) -> Part:
-    """Return a part with a bar through its wall over a share of its height: shells overlap there, and nowhere else."""
-    low, high = part.bounds
-    top = low[2] + share * (high[2] - low[2])
-    # From the middle of the part to beyond its greatest x, as thin as a bar is.
-    x, y, z = (0.5 * (low[0] + high[0]), high[0] + 5.0), (-2.0, 2.0), (low[2] - 1.0, top)
-    corners = np.array([(a, b, c) for c in z for b in y for a in x])
-    faces = np.array(
-        [
-            *((0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)),
-            *((2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)),
-        ]
-    )
-    vertices = np.concatenate([part.vertices, corners])
-    return from_arrays(vertices, np.concatenate([part.faces, faces + len(part.vertices)]), "with a bar")
 
 
 def sizes_of(text: str) -> tuple[int, ...]:

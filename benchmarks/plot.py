@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from benchmarks.figures import cell_times, find, is_scaled
-from benchmarks.spread import seconds
+from benchmarks.figures import cell_times, find, is_scaled, quantity
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck_reports.markup import Markup, element, join
 from ebamcheck_reports.paper import published
@@ -200,7 +199,7 @@ def _label(line: Line, x_axis: _Axis, y_axis: _Axis, rank: int, place_px: float)
     lead = f"M{x + 6.0:.1f},{y:.1f}L{right + 10.0:.1f},{place_px:.1f}"
     return [
         element("path", d=lead, fill="none", stroke=colour, stroke_width=0.6),
-        _text(right + 14.0, place_px + 4.0, f"{line.name}: {sign}{seconds(last.seconds)}", fill=colour),
+        _text(right + 14.0, place_px + 4.0, f"{line.name}: {sign}{quantity(last.seconds, 's')}", fill=colour),
     ]
 
 

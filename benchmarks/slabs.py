@@ -17,9 +17,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.large_mesh import write_even_mesh
-from benchmarks.machine import machine
-from benchmarks.target_tasks import check_command
+from benchmarks.even_mesh import write_even_mesh
+from benchmarks.figures import machine, markdown
+from benchmarks.targets import check_command
 from benchmarks.watch import ROOT
 from ebamcheck.atomic_file import replacing
 from ebamcheck.preflight.workload import FACETS_A_SLAB
@@ -97,15 +97,19 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """The table as Markdown."""
-    lines = [
-        "# Parts larger than memory",
+    columns = [
+        "facets",
+        "file",
+        "layers",
+        "slicers",
+        "slabs",
+        "result",
+        "time",
+        "memory of all processes",
+        *STAGES,
         "",
-        MEANING,
-        "",
-        "| facets | file | layers | slicers | slabs | result | time | memory of all processes | read | slice | compare | wait | |",
-        "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    lines += ["| " + " | ".join(_cells(row)) + " |" for row in rows]
+    lines = ["# Parts larger than memory", "", MEANING, "", markdown(columns, map(_cells, rows))]
     lines += ["", "Made by:", ""]
     for row in rows:
         m = row["machine"]

@@ -24,10 +24,10 @@ def over(part: str, method: str) -> dict[str, object]:
 def raw_figures() -> dict[str, object]:
     facets = {1: 4_000, 6: 38_000, 11: 1_480_000}
     return {
-        "format": 1, "command": "python -m benchmarks", "quick": False, "renderer": "llvmpipe (made up)",
+        "command": "python -m benchmarks",
         "machine": {
             "cpu": "made up", "cores": 2, "memory_gb": 24.0, "load_at_start": [0.1, 0.1, 0.1], "started": "now",
-            "ebamcheck": "0", "commit": "", "python": "3", "packages": {"numpy": "2"}, "backends": {},
+            "ebamcheck": "0", "commit": "", "python": "3", "packages": {"numpy": "2"}, "renderer": "llvmpipe (made up)",
         },
         "methods": ["planecut", "stencil literal", "slic3r", "cura"],
         "parts": {
@@ -40,5 +40,5 @@ def raw_figures() -> dict[str, object]:
             cell("ladder-11", "stencil literal", 10.0, layers_cut=25), over("ladder-11", "slic3r"),
             {**cell("ladder-11", "cura"), "status": "missing", "why": "the program | is not installed"},
         ],
-        "targets": {"ladder": {}}, "job": {}, "scale": [],
+        "targets": {"ladder": {}}, "job": {},
     }  # fmt: skip

@@ -5,8 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from benchmarks.acceptance import DEFAULTS, PAIRS, REMEDIES, apart, rendered, row
-from benchmarks.deposit import BACKENDS
+from benchmarks.acceptance import BACKENDS, DEFAULTS, PAIRS, REMEDIES, apart, rendered, row
 from ebamcheck.plugins.registry import models
 from ebamcheck.settings.config import Config
 

@@ -5,39 +5,32 @@ from __future__ import annotations
 import json
 import sys
 import xml.etree.ElementTree as ElementTree
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
-import shapely
 from benchmark_figures import cell, one_round, raw_figures
 
 import ebamcheck
 from benchmarks import __main__ as command
-from benchmarks import curves, methods, parts, plot, tables, target_rows, yardsticks
-from benchmarks.bitmaps import exact_image
-from benchmarks.crossings import farthest_mm
+from benchmarks import curves, ladder, parts, plot, targets, yardsticks
 from benchmarks.even_mesh import even_mesh
-from benchmarks.figures import cell_times, is_scaled, ratio, total_s
-from benchmarks.ladder import Effort, measure_ladder
-from benchmarks.methods import Method
-from benchmarks.spread import Spread, quantity, spread, spread_text
-from benchmarks.timing import some_of
+from benchmarks.figures import Spread, cell_times, is_scaled, quantity, ratio, spread, spread_text, total_s
+from benchmarks.ladder import Effort, Method, measure_ladder
 from benchmarks.watch import run_task, watch
+from benchmarks.worker import some_of
 from ebamcheck.curves import METHODS
 from ebamcheck.errors import BackendFailed
-from ebamcheck.layers.stack import from_rings
 from ebamcheck.mesh.files import load
 from ebamcheck.mesh.inspection import inspect
-from ebamcheck.slicers.slicing import slice_part
-from ebamcheck_models import LADDER, MODELS, write_stl
-from ebamcheck_stencil.field_of_view import field_of_view
+from ebamcheck_models import LADDER, write_stl
 
 # -- figures -------------------------------------------------------------------------------------------
 
 
 def test_the_spread_is_that_of_the_figures():
-    assert spread([5.0, 1.0, 2.0, 4.0]) == Spread(3.0, 1.0, 5.0, 1.5, 4)
+    assert spread([5.0, 1.0, 2.0, 4.0]) == Spread(3.0, 1.0, 5.0, 4)
     with pytest.raises(ValueError, match="no figures"):
         spread([])
 
@@ -86,11 +79,11 @@ def test_heights_are_chosen_over_the_whole_part_and_all_where_there_are_few():
 
 
 def test_tables_mark_what_was_scaled_cut_short_or_missing():
-    text = tables.ladder_text(raw_figures())
+    text = ladder.ladder_text(raw_figures())
     row = next(line for line in text.splitlines() if line.startswith("| 1,480,000"))
     assert [c.strip() for c in row.strip("|").split("|")] == ["1,480,000", "400 ms", "~25.0 s", "> 60.0 s"]
     assert "- cura, missing: the program | is not installed" in text
-    assert "| ~25.0 s |" in tables.readme_text(raw_figures())
+    assert "| ~25.0 s |" in ladder.readme_text(raw_figures())
 
 
 def test_the_table_of_targets_has_a_row_for_each():
@@ -98,12 +91,12 @@ def test_the_table_of_targets_has_a_row_for_each():
     raw["targets"] = {"ladder": {"cold": [{"status": "done", "why": "", "wall_s": 5.0}]}}
     done = {"status": "done", "why": ""}
     raw["job"] = {
-        "main job": [{**done, "wall_s": 12.0}],
+        "main job": [{**done, "wall_s": 12.0, "processor_s": 56.0}],
         "islands": [{**done, "layer_s": [9.0, 0.2, 0.6, 0.6], "islands": [10, 10, 10, 10]}],
     }
-    text = tables.targets_text(raw)
-    for target in (*target_rows.TARGETS, *target_rows.JOB):
-        assert f"| {target.what} |" in text
+    text = targets.targets_text(raw)
+    for row in (*targets.TARGETS, *targets.JOB):
+        assert f"| {row.what} |" in text
     assert "**missed**: 2.00 times the target" in text
     # The first layer brings everything up: it counts in no row.
     assert "| 467 ms | met |" in text
@@ -145,17 +138,6 @@ def test_the_even_mesh_is_closed_near_equilateral_and_of_the_size_asked_for(face
     assert np.median(edges.max(axis=1) / edges.min(axis=1)) < 1.1
     write_stl(part, tmp_path / "even.stl")
     assert len(load(tmp_path / "even.stl").vertices) == len(part.vertices)
-
-
-def test_a_bar_overlaps_the_share_of_the_layers_that_was_asked_for():
-    part = even_mesh(LADDER, 4822)
-    barred = parts.with_bar(part, 0.25)
-    assert inspect(barred).passed
-    heights = np.linspace(10.0, 890.0, 45)
-    united = slice_part(barred, heights, "planecut", overlaps="unite")
-    kept = slice_part(barred, heights, "planecut", overlaps="keep")
-    overlapping = np.abs(kept.areas() - united.areas()) > 1.0
-    assert np.array_equal(overlapping, heights < 0.25 * LADDER.height_mm)
 
 
 def test_shuffled_facets_are_the_same_facets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -214,7 +196,7 @@ def test_last_words_name_no_folder_of_this_machine():
 
 
 def test_a_task_that_fails_says_why():
-    method = Method("none", backend="no-such-slicer").as_dict()
+    method = asdict(Method("none", backend="no-such-slicer"))
     found = run_task("time", {"stl": "none.stl", "layer_mm": 1.0, "method": method}, 60.0)
     assert found["status"] == "failed"
     assert "no-such-slicer" in found["why"]
@@ -237,40 +219,19 @@ def test_what_ran_over_the_limit_is_not_tried_on_larger_parts(monkeypatch: pytes
 
 
 def test_methods_hold_every_backend_and_the_yardsticks():
-    found = {m.name: m for m in methods.all_methods()}
+    found = {m.name: m for m in ladder.all_methods()}
     assert set(ebamcheck.plugins.registry.slicers()) <= set(found)
-    assert {methods.LITERAL, methods.MANIFOLD_ALONE, methods.PRUSA_STAGE} <= set(found)
-    assert found[methods.LITERAL].by_layer
-    assert [m.name for m in methods.gpu_methods()] == ["stencil", methods.LITERAL]
-
-
-def test_the_exact_image_holds_the_pixel_centres_in_the_section():
-    part = MODELS["comb"].tessellate(0.1)
-    view = field_of_view(part, float(part.size[:2].max()) / 90.0)
-    layers = slice_part(part, [float(part.bounds[:, 2].mean())])
-    image = exact_image(layers, 0, view)
-    rows, columns = np.indices(image.shape)
-    centres = view.to_mm(2 * np.column_stack([columns.ravel(), rows.ravel()]))
-    inside = shapely.contains_xy(shapely.union_all(layers.polygons(0)), centres)
-    assert 0 < np.count_nonzero(image) < image.size
-    assert np.array_equal(image.ravel(), inside)
-
-
-def test_the_farthest_point_of_one_stack_from_another():
-    square = [(0, 0), (2, 0), (2, 2), (0, 2)]
-    grown = [(0, 0), (2, 0), (2.5, 2), (0, 2)]
-    one, other = from_rings([0.5, 1.5], [[square], []]), from_rings([0.5, 1.5], [[grown], [square]])
-    assert farthest_mm(other, one, 0) == 0.5
-    assert farthest_mm(one, one, 0) == 0.0
-    assert farthest_mm(other, one, 1) == float("inf")
+    assert {ladder.LITERAL, ladder.MANIFOLD_ALONE, ladder.PRUSA_STAGE} <= set(found)
+    assert found[ladder.LITERAL].by_layer
+    assert [m.name for m in ladder.GPU_METHODS] == ["stencil", ladder.LITERAL]
 
 
 @pytest.mark.slow
 def test_one_command_measures_and_writes_figures_tables_and_a_plot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    chosen = [Method("planecut", backend="planecut"), Method(methods.MANIFOLD_ALONE, "manifold3d")]
-    monkeypatch.setattr(methods, "all_methods", lambda: chosen)
+    chosen = [Method("planecut", backend="planecut"), Method(ladder.MANIFOLD_ALONE, "manifold3d")]
+    monkeypatch.setattr(ladder, "all_methods", lambda: chosen)
     monkeypatch.setattr(parts, "FOLDER", tmp_path / "parts")
     arguments = ["--quick", "--part", "even", "--sizes", "1", "--no-targets", "-o", str(tmp_path / "out")]
     assert command.main(arguments) == 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmarks.scan_orders import layers
+from benchmarks.orders import layers
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.scan.order.entries import (

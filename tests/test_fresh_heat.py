@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import shapely
 from fresh_layers import PLATE, PROFILE, islands_of, times_of
+from island_temperatures import compared
 from scipy.integrate import quad
 from scipy.special import erf
 from scipy.stats import norm
 from shapely import affinity
 
-from benchmarks.island_temperatures import compared
 from ebamcheck.heat import Medium, island_heat
 from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
 from ebamcheck.heat.near_field import (

@@ -7,11 +7,7 @@ import math
 import numpy as np
 import pytest
 import shapely
-from heat_sections import ALPHA, LINEAR, RING, SHAPES, gauss
-from scipy.optimize import brentq
-from scipy.special import erf
-
-from benchmarks.closed_form_heat import (
+from closed_form_heat import (
     after_line,
     after_source,
     after_spot,
@@ -19,6 +15,10 @@ from benchmarks.closed_form_heat import (
     radiated_w,
     rectangle_modes,
 )
+from heat_sections import ALPHA, LINEAR, RING, SHAPES, gauss
+from scipy.optimize import brentq
+from scipy.special import erf
+
 from ebamcheck.heat import HeatModel, Medium, contour_modes, depth_modes
 from ebamcheck.heat.medium import STEFAN_BOLTZMANN_W_M2K4
 from ebamcheck.heat.modes import section_grid

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 import shapely
+from closed_form_heat import after_source
 from scipy.integrate import quad
+from whole_program_heat import Deposits, constant_tables, heat_balance
 
-from benchmarks.closed_form_heat import after_source
-from benchmarks.whole_program_heat import Deposits, constant_tables, heat_balance
 from ebamcheck.heat import HeatModel, Medium, balance, contour_modes, depth_modes
 from ebamcheck.heat.balance import (
     HeatColumn,

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import shapely
+from closed_form_heat import rectangle_modes, slope_at_base
 from heat_sections import RING, SHAPES, gauss
 from scipy.special import jnp_zeros
 from shapely import affinity
 
-from benchmarks.closed_form_heat import rectangle_modes, slope_at_base
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import contour_modes, depth_modes
 from ebamcheck.heat.modes import section_grid

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import shapely
+from closed_form_heat import after_line, rectangle_modes
 from pydantic import ValidationError
 from scipy.special import erf
 from scipy.stats import kendalltau
 
-from benchmarks.closed_form_heat import after_line, rectangle_modes
 from benchmarks.referee import judged, referee, referee_of, refereed_entries, time_steps
 from ebamcheck.errors import GeometryError
 from ebamcheck.heat import HeatModel, Medium, depth_modes

@@ -8,9 +8,9 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import shapely
+from closed_form_heat import after_spot
 
 import ebamcheck
-from benchmarks.closed_form_heat import after_spot
 from ebamcheck.errors import SettingsError
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import HeatModel, Medium, carried, contour_modes, depth_modes

@@ -61,7 +61,8 @@ def planar_groups(vertices: Floats, faces: Index, twin: Index, tolerance_mm: flo
 @kernel
 def _middle(vertices: Floats, faces: Index, f: int, axis: int) -> float:
     """Coordinate of the middle of a facet, mm."""
-    return (vertices[faces[f, 0], axis] + vertices[faces[f, 1], axis] + vertices[faces[f, 2], axis]) / 3.0
+    a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+    return float(vertices[a, axis] + vertices[b, axis] + vertices[c, axis]) / 3.0
 
 
 @kernel

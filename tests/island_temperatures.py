@@ -1,4 +1,4 @@
-"""Temperatures of 2000 islands against a converged reference: ``python -m benchmarks.island_temperatures``.
+"""Temperatures of islands against a converged reference.
 
 The layer is a rectangle, whose modes are known in closed form: the reference takes all of them down to waves of a
 fraction of an island, and the depth's down to a fraction of a layer, and integrates them over every island. The model
@@ -7,20 +7,16 @@ takes its few hundred, with and without the fresh heat of near islands.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import shapely
+from closed_form_heat import rectangle_modes
 from numpy.typing import NDArray
 
-from benchmarks.closed_form_heat import rectangle_modes
-from benchmarks.machine import machine
-from benchmarks.scan_orders import markdown
 from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat import depth_modes
 from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
@@ -132,30 +128,3 @@ def compared(config: Config, sides_mm: tuple[float, float], waves: tuple[float, 
                 }
             )
     return pd.DataFrame(rows)
-
-
-def main() -> None:
-    """Compare, print, and write a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path("reports/scan"))
-    options = parser.parse_args()
-    config = Config().changed(scan={"hexagon_side_mm": HEXAGON_MM})
-    table = compared(config, SIDES_MM, WAVES)
-    digits = {"mean_k": 0, "max_k": 0, "rms_error_over_rms": 3, "error_of_max": 3}
-    for column, places in digits.items():
-        table[column] = table[column].map(f"{{:.{places}f}}".format)
-    here = machine()
-    what = (
-        f"A rectangle of {SIDES_MM[0]:g} x {SIDES_MM[1]:g} mm, hexagons of {HEXAGON_MM:g} mm; mean temperature rises of "
-        "the islands when the beam enters them, K. A reference of `w` has all modes of the rectangle down to waves of "
-        "that many widths of an island; errors are against the finest.\n"
-    )
-    by = f"By `python -m benchmarks.island_temperatures` on {here['cores']} cores of {here['cpu']}.\n"
-    lines = ["# Temperatures of islands against a converged reference\n", by, what, markdown(table)]
-    options.output.mkdir(parents=True, exist_ok=True)
-    (options.output / "islands.md").write_text("\n".join(lines), encoding="utf-8")
-    print("\n".join(lines))
-
-
-if __name__ == "__main__":
-    main()
