@@ -10,6 +10,8 @@ import argparse
 import itertools
 import json
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -20,6 +22,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.figures import machine, markdown
+from ebamcheck.commands.machine import TABLE
 from ebamcheck.live.building import BetweenLayers, Building, answer_to
 from ebamcheck.live.making import LayerMaker
 from ebamcheck.live.relaying import FinishedRun, finished_run
@@ -66,6 +69,16 @@ def built(found: FinishedRun, growth: Growth, side_mm: float | None, most: int |
         finally:
             building.close()
     return pd.DataFrame(rows)
+
+
+def on_control(run: Path, part: Path | None, growth: Growth) -> pd.DataFrame:
+    """Build a part on a played control with an OPC UA server, both as commands; one row a layer with the wait of its program."""
+    with tempfile.TemporaryDirectory(prefix="benchmark-live-") as folder:
+        words: list[object] = ["machine", run, "-o", folder, "--speed", 1e6, "--drift", growth.drift, "--noise", growth.noise, "--seed", growth.seed]  # fmt: skip
+        words += ["--part", part] if part else []
+        command = [str(Path(sys.executable).with_name("ebamcheck")), *map(str, words)]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        return pd.read_csv(Path(folder, TABLE))
 
 
 def by_islands(table: pd.DataFrame) -> pd.DataFrame:
@@ -124,9 +137,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--side", type=float, nargs="*", default=[], help="builds with hexagons of these sides, mm, too"
     )
     parser.add_argument("--side-layers", type=int, default=14, help="layers of each of those")
+    parser.add_argument(
+        "--opcua",
+        action="store_true",
+        help="by a played control with an OPC UA server instead: print the waits of its program",
+    )
     parser.add_argument("-o", "--output", type=Path, default=Path("reports/live"))
     given = parser.parse_args(arguments)
     growth = Growth(given.drift, given.noise, given.seed)
+    if given.opcua:
+        waits = on_control(given.run, given.part, growth)["wait_s"].to_numpy()[1:]
+        low, high = np.quantile(waits, [0.5, 0.99])
+        print(
+            f"{len(waits)} layers over OPC UA: median {low:.2f} s, 99th percentile {high:.2f} s, most {waits.max():.2f} s"
+        )
+        return
     found = finished_run(given.run, given.part)
     tables = {
         "planned" if side is None else f"{side:g} mm": built(
