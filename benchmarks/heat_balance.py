@@ -25,7 +25,7 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from benchmarks.machine import machine
-from benchmarks.referee import judged, referee
+from benchmarks.referee import beam_lines, judged, referee
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
 from benchmarks.whole_program_heat import Balance, Deposits, constant_tables, heat_balance
 from ebamcheck.checks.text_heat import (
@@ -43,7 +43,6 @@ from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.plugins.registry import models
 from ebamcheck.program import read_program
 from ebamcheck.scan import ScanPlan, plan_stack
-from ebamcheck.scan.plan.stacking import beam_lines
 from ebamcheck.settings.config import Config
 
 BOX = shapely.box(0, 0, 60, 60), 40

@@ -86,8 +86,7 @@ class DrivenPath:
 
 def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     """Motions of a program that move an axis; the axes stop at rapids and where beam or wire switch.
-
-    Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
+    | Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
     """
     moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
     stopped = np.zeros(len(nc) + 1, np.bool_)
@@ -164,23 +163,15 @@ PLACES = 5  # Places of a cell, its ends included, at which its curvature is tak
 MOST_CELLS = 64  # Cells of one motion
 AT_ONCE = 8192  # Cells that are looked at together: their columns stay in the cache of a processor
 CRAWL_SHARE = 1e-3  # Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow
-
 # Words by which the control rounds corners (SINUMERIK, continuous-path mode).
 SMOOTHING_WORDS = ("G641", "G642", "G643", "G644", "G645")
-
 EXACT_STOP_WORDS = ("G60", "G9")  # Words by which it stops in every corner
-
-
 STRAIGHT_RADIUS_MM = 1e9  # A corner that may be rounded with a larger radius is none
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Stretches of the path along each of which the greatest speed is held constant.
-
-    A curve is divided into cells about as long as a ramp from rest to the feed: speeds that vary over less
-    could not be followed.
-    """
+    """Stretches of the path, about as long as a ramp from rest to the feed, along each of which the greatest speed is held constant."""
 
     motion: Ints  # (C,) motion of the path
     length_mm: Floats  # (C,)
@@ -279,12 +270,10 @@ def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
 
 
 def corner_speeds(path: DrivenPath, config: Config) -> Floats:
-    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there.
-
-    The control goes through a corner at the speed whose jump the axes take, or rounds it within the
-    smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e cos(p/2) / (1 - cos(p/2))
-    that takes at most half of either motion; a jump of curvature k by a clothoid of length sqrt(24 e / k), whose
-    shift is e. The acceleration of either must stay within its share, its rise within the jerk.
+    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there: the one whose jump the axes take, or that of a
+    rounding within the smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e cos(p/2) / (1 - cos(p/2)) that takes at most half
+    of either motion; a jump of curvature k by a clothoid of length sqrt(24 e / k), whose shift is e. The acceleration must stay within its share, its rise
+    within the jerk.
     """
     axes, machine = config.kinematics, config.machine
     result = np.full(len(path), np.inf)

@@ -1,7 +1,4 @@
-"""Programs of a run beside the whole one: one that begins at a layer, and a main program that waits between layers.
-
-The first is read back and compared, and is no proof of the part but the end of a whole program that is; the second is judged by what it does.
-"""
+"""Programs of a run beside the whole one: one that begins at a layer, read back as the end of a whole program, and a main program that waits."""
 
 from __future__ import annotations
 
@@ -69,10 +66,7 @@ def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -
 def checked_again(
     run: Path, record: Mapping[str, Any], whole: Path, z_of: Floats, config: Config
 ) -> list[Check]:
-    """Check the entry program of a run again; nothing for a run without one.
-
-    Its status is that of the whole program: either is called validated only with the other.
-    """
+    """Check the entry program of a run again, whose status is that of the whole program; nothing for a run without one."""
     entry = record.get(ENTRY)
     if entry is None:
         return []
@@ -88,9 +82,8 @@ def checked_again(
         check = replace(check, passed=False, where=f"{names[0]}:1", text=text)
     for file in entry["files"]:
         if not (folder / file["name"]).is_file() or sha256_of_file(folder / file["name"]) != file["sha256"]:
-            check = replace(
-                check, passed=False, where=f"{file['name']}:1", text="its bytes are not those recorded"
-            )
+            text = "its bytes are not those recorded"
+            check = replace(check, passed=False, where=f"{file['name']}:1", text=text)
     return [check]
 
 
@@ -108,10 +101,7 @@ def _checked(
 
 
 def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
-    """Check a program that begins at a layer against the whole one, a program or that of a run folder.
-
-    The layer is the one at whose Z the text lays its first metal, whatever its comments say.
-    """
+    """Check a program against the whole one, a program or that of a run folder: it begins where its text lays its first metal, whatever its comments say."""
     said_validated = False
     if own_file(whole / MANIFEST):
         run = RunFolder(whole)
@@ -162,7 +152,6 @@ def _first_mm(nc: NCProgram) -> float:
 # -- the main program that waits -------------------------------------------------------------------
 
 LIVE = "live"  # folder of the program within a run
-
 NAME = "handshake"
 
 
@@ -178,11 +167,7 @@ def check_waits(config: Config) -> None:
 def write_live(
     run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write the waiting main program into a run folder and judge its text; its record.
-
-    It says validated where the whole program does and the check passes. Its layers are no part of it: each is released with a
-    proof of its own.
-    """
+    """Write the waiting main program into a run folder and judge its text; its record. It says validated where the whole program does and the check passes."""
     own = control(config.machine.control)
     name, text = own.load("waiting")(config, top_mm, header)
     check: Check = own.load("handshake")(text, name, config, top_mm)

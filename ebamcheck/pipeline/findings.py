@@ -1,7 +1,4 @@
-"""Findings of a run: what a person has to know of part, slicers, profile, fit, plan and program beside the gates.
-
-Every one follows from what the stages return; nobody hands one to the job while values are made.
-"""
+"""Findings of a run: what a person has to know beside the gates; every one follows from what the stages return."""
 
 from __future__ import annotations
 
@@ -40,9 +37,7 @@ from ebamcheck.settings.process_window import outside_window, unusual_layers, wi
 from ebamcheck.slicers.isolation import Outcome
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
-
 LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
-
 OVERHANG = "overhang"  # name of that check
 STEEP_DEG = 45.0  # overhang, from the vertical, over which hardly any process builds without support unless it was tried
 MOST_NARROW = 8  # narrow features that are told one by one
@@ -276,10 +271,7 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
             continue
         code, remedy = METAL[check.name]
         # Excess and lack of metal are one check; its words say which.
-        lacks = code == "metal-excess" and (
-            "too low" in check.text.split("(over all layers")[0] or _lacks(check.text)
-        )
-        if lacks:
+        if code == "metal-excess" and _lacks(check.text):
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
         severity: Severity = "warning" if check.passed else "fault"
         measured = check.value, check.limit, check.unit
@@ -287,10 +279,7 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
 
 
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
-    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them.
-
-    `heights` are (L,) mm of the cuts, here and below.
-    """
+    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them; `heights` (L,) are of cuts."""
     process = config.process
     for feature in features[:MOST_NARROW]:
         allowed = (process.least_wall_mm if feature.is_wall else process.least_hole_mm) is not None
@@ -325,6 +314,8 @@ def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
 
 def _lacks(text: str) -> bool:
     """Whether the words of a check tell less metal than there is to be: in all, of a layer, or as a mean height."""
+    if "too low" in text.split("(over all layers")[0]:
+        return True
     if whole := re.search(r"(\d+\.\d+) kg of metal for (\d+\.\d+) kg", text):
         return float(whole[1]) < float(whole[2])
     share = re.search(r"(?:has|metal is) (\d+\.\d+)", text)
@@ -439,11 +430,8 @@ def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check
 
 
 def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
-    """A program that ends beside the top of the part by more of its height than the metal may be off.
-
-    What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
-    may be off; by more, layers are missing or too many, which is a fault: listed heights (`layers.heights_mm`) have it, and a part of
-    less than half a layer.
+    """A program that ends beside the top of the part by more of its height than the metal may be off; a fault by more than half a layer.
+    | What the metal is held against are sections times the heights of layers, so that no gate sees it.
     """
     if not len(heights) or config.base_mm > 0.0:
         return

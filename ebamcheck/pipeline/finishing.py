@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ebamcheck.comparison import Comparison
 from ebamcheck.errors import ExitCode
 from ebamcheck.mesh.part import Part
 from ebamcheck.pipeline import findings, gates
@@ -44,7 +43,10 @@ def finish(
     config, comparison = job.config, checked.comparison
     primary = primary_of(checked, config)
     outcomes = {**checked.outcomes, **unavailable_backends(config)}
-    off = _volume_off(job, comparison, primary) if slabs is None else ""
+    off = ""
+    if slabs is None and primary in comparison.stacks and job.found.passed:
+        areas = comparison.stacks[primary]["area_mm2"].to_numpy(np.float64)
+        off = gates.volume_off(job.part, np.asarray(job.heights), areas, config)
     judged = [
         gates.input_gate(job.found, off),
         gates.agreement_gate(comparison, outcomes, len(job.heights), config.layer_height_mm, config.base_mm),
@@ -78,11 +80,3 @@ def finish(
         write_certificate(RunFolder(job.folder.path))
     (job.folder.path / FINGERPRINT).unlink()
     return RunResult(job.folder.finish(), tuple(judged), code, manifest)
-
-
-def _volume_off(job: Job, comparison: Comparison, primary: str) -> str:
-    """How far the volume of the part is off its sections; nothing where it has none, or none were compared."""
-    if primary not in comparison.stacks or not job.found.passed:
-        return ""
-    areas = comparison.stacks[primary]["area_mm2"].to_numpy(np.float64)
-    return gates.volume_off(job.part, np.asarray(job.heights), areas, job.config)

@@ -54,7 +54,8 @@ def manifest(
 
     That goes into a file of its own (:meth:`~ebamcheck.record.run_folder.RunFolder.write_manifest`).
     """
-    config = job.config.model_dump()
+    config, part = job.config.model_dump(), job.config.part
+    placed = part.place_at_mm is not None or part.rotate_deg
     plate = program.proof.plate if program else plate_record(job.part, job.config)
     return {
         "format": FORMAT_VERSION,
@@ -70,7 +71,8 @@ def manifest(
             "units": job.part.units,
             "units_from": job.part.units_from,
             "direction": list(job.part.direction),
-            **_placed(job),
+            # Where the settings give the part neither place nor turn, nothing is said of them.
+            **({"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg} if placed else {}),
             "inspection": job.found.as_dict(),
         },
         "settings": config,
@@ -113,6 +115,8 @@ def _timings(job: Job, outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
 
 
 def _comparison_record(comparison: Comparison, config: Config) -> dict[str, Any]:
+    heights = comparison.layers["height_mm"].to_numpy(np.float64)
+    z_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm).tolist()
     return {
         "compared_layers": comparison.compared_layers,
         "passed": comparison.passed,
@@ -121,16 +125,11 @@ def _comparison_record(comparison: Comparison, config: Config) -> dict[str, Any]
         "pairs": _pair_records(comparison.pairs),
         "evidence": evidence_records(comparison),
         "no_evidence": dict(comparison.without_weight),
-        "findings": _disagreements(comparison, config),
+        # With the number of the layer, from 1, and its height in the program
+        "findings": [
+            {**asdict(f), "layer": f.layer + 1, "program_z_mm": z_mm[f.layer]} for f in comparison.findings
+        ],
     }
-
-
-def _placed(job: Job) -> dict[str, Any]:
-    """Place and turn that the settings give the part; nothing where they give none."""
-    part = job.config.part
-    if part.place_at_mm is None and not part.rotate_deg:
-        return {}
-    return {"place_at_mm": part.place_at_mm, "rotate_deg": part.rotate_deg}
 
 
 def _program_records(made: ProgramResult, config: Config) -> dict[str, Any]:
@@ -177,13 +176,6 @@ def _fit_record(made: FitResult) -> dict[str, Any]:
     }
 
 
-def _disagreements(comparison: Comparison, config: Config) -> list[dict[str, Any]]:
-    """Disagreements with the number of the layer, from 1, and its height in the program."""
-    heights = comparison.layers["height_mm"].to_numpy(np.float64)
-    z_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm).tolist()
-    return [{**asdict(f), "layer": f.layer + 1, "program_z_mm": z_mm[f.layer]} for f in comparison.findings]
-
-
 def _file_hashes(folder: Path) -> dict[str, str]:
     """SHA-256 of every file that the stages wrote; the reports that follow are renderings of these."""
     written = (
@@ -197,6 +189,12 @@ def _backend_record(job: Job, outcome: Outcome, figures: pd.DataFrame | None) ->
     totals = {"rings": 0, "open_paths": 0, "points": 0}
     if figures is not None:
         totals = {name: int(figures[name].sum()) for name in totals}
+    file, settings = job.folder.layers_file(outcome.name), dict[str, Any]()
+    # Not where they were dropped slab by slab.
+    is_kept = outcome.file is not None and file.is_file()
+    if is_kept:
+        with LayerFile(file) as opened:  # settings as the slicer has filled them in, with what it declared
+            settings = opened.settings
     return {
         "status": outcome.failure or "done",
         "why": outcome.why,
@@ -205,31 +203,16 @@ def _backend_record(job: Job, outcome: Outcome, figures: pd.DataFrame | None) ->
         "versions": dict(outcome.probe.versions),
         "error_bound_mm": outcome.error_bound_mm,
         "height_bound_mm": outcome.height_bound_mm,
-        "settings": _settings_used(job, outcome),
+        "settings": settings,
         **totals,
-        "file": f"layers/{outcome.name}.parquet" if _is_kept(job, outcome) else "",
+        "file": f"layers/{outcome.name}.parquet" if is_kept else "",
     }
-
-
-def _is_kept(job: Job, outcome: Outcome) -> bool:
-    """Whether the layers of a backend are there, and not dropped slab by slab."""
-    return outcome.file is not None and job.folder.layers_file(outcome.name).is_file()
-
-
-def _settings_used(job: Job, outcome: Outcome) -> dict[str, Any]:
-    """Settings as the slicer has filled them in, with what it declared of this part."""
-    if not _is_kept(job, outcome):
-        return {}
-    with LayerFile(job.folder.layers_file(outcome.name)) as file:
-        return file.settings
 
 
 def _pair_records(pairs: pd.DataFrame) -> list[dict[str, Any]]:
     """One record a pair of backends: the worst figures over its layers."""
     records: list[dict[str, Any]] = []
-    if not len(pairs):
-        return records
-    for (a, b), rows in pairs.groupby(["a", "b"], sort=True):
+    for (a, b), rows in pairs.groupby(["a", "b"], sort=True) if len(pairs) else ():
         gated = rows[rows["gated"]]
         records.append(
             {

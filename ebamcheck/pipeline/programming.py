@@ -21,22 +21,10 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import deposition_heights
+from ebamcheck.pipeline import findings as told
 from ebamcheck.pipeline import gates, stages
 from ebamcheck.pipeline.cross_check import CrossCheck, witness_backend
 from ebamcheck.pipeline.entry_program import Entry, write_entry, write_live
-from ebamcheck.pipeline.findings import (
-    consumable_findings,
-    failed_checks,
-    fit_findings,
-    heat_findings,
-    height_findings,
-    interpass_findings,
-    limit_findings,
-    metal_findings,
-    narrow_findings,
-    overhang_findings,
-    seam_findings,
-)
 from ebamcheck.pipeline.fit import FitResult, fit_result, fitted, other_fits
 from ebamcheck.pipeline.job import Job, one_beside
 from ebamcheck.pipeline.tables import Table, tables_of_metal, tables_of_plan, tables_of_program
@@ -116,7 +104,7 @@ def make_program(
             }
             fitting = fit.result()
     made = tuple(stages.judged_program(fitting.verdict, proof.checks, plan.metrics, config))
-    findings = (*fit_findings(verdict), *heat_findings(plan, config), *proof.findings)
+    findings = (*told.fit_findings(verdict), *told.heat_findings(plan, config), *proof.findings)
     entry = _entry(job, files, layers)
     if entry is not None:
         made = (*made, gates.entry_gate(entry.check))
@@ -125,9 +113,8 @@ def make_program(
         entry = entry and entry.marked_validated()
     live = None
     if job.live:
-        live = write_live(
-            job.folder.path, config, float(job.part.size[2]), files.validated, stages.header_of(job.part)
-        )
+        top_mm, header = float(job.part.size[2]), stages.header_of(job.part)
+        live = write_live(job.folder.path, config, top_mm, files.validated, header)
         job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
     tables = {**fitting.tables, **planned, **proof.tables}
     return ProgramResult(fitting, plan, proof, files, entry, live, made, findings, tables)
@@ -185,15 +172,15 @@ def _proved(
     tables = {**of_text, **tables_of_metal(found, z_of, config.base_mm)}
     low_mm, top_mm = part.bounds[:, 2].tolist()
     findings = [
-        *seam_findings(program, heights, config),
-        *consumable_findings(program, config),
-        *overhang_findings(checks, config),
-        *limit_findings(checks, laid.plan, config),
-        *metal_findings(of_metal),
-        *narrow_findings(found.narrow, heights, config),
-        *(() if solid.tells_of(top_mm) else height_findings(top_mm - low_mm, heights, config)),
-        *failed_checks(remedied),
-        *interpass_findings(of_text["program.csv"], laid.plan, config),
+        *told.seam_findings(program, heights, config),
+        *told.consumable_findings(program, config),
+        *told.overhang_findings(checks, config),
+        *told.limit_findings(checks, laid.plan, config),
+        *told.metal_findings(of_metal),
+        *told.narrow_findings(found.narrow, heights, config),
+        *(() if solid.tells_of(top_mm) else told.height_findings(top_mm - low_mm, heights, config)),
+        *told.failed_checks(remedied),
+        *told.interpass_findings(of_text["program.csv"], laid.plan, config),
     ]
     plate = plate_record(part, config, program)
     return ProgramProof(remedied, findings, tables, witness.backend, times.result(), plate)

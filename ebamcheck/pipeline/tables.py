@@ -28,7 +28,6 @@ from ebamcheck.writing.tracks import Toolpath
 
 # What stands in a file of figures of a run
 Table: TypeAlias = pd.DataFrame | pa.Table | Curves | ScanPlan | Layers
-
 INDEXED = ("events.parquet",)  # tables for programs, which count layers from 0; those for people count from 1
 
 

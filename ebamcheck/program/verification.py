@@ -47,14 +47,11 @@ def verify_program(
     sha256: Mapping[str, str] | None = None,
     truth: Truth | None = None,
 ) -> list[Check]:
-    """Check a program that was read; every check is made that its inputs allow, in a fixed order.
-
-    `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections
-    by a slicer, best by one that did not make the program, and `smooth` the same with the curves that their chords stand for.
-    `beads` judges the beads themselves; `metal` lays the metal over the `layers`, or takes it from `laid`, and `part` has them held
-    against its mesh and file; `heat` works out a balance, from the heat `before` and the section `under` the program. `heights`
-    (L,) are those of the cuts, `sha256` the recorded hash of each file, `truth` what its header is held against. A check that
-    fails names the file and line of the first or worst place.
+    """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names file and line of the first or worst place.
+    | `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections by a slicer, best by one
+    that did not make the program, and `smooth` the same with the curves that their chords stand for. `beads` judges the beads themselves; `metal` lays the
+    metal over the `layers`, or takes it from `laid`, and `part` has them held against its mesh and file; `heat` works out a balance, from the heat `before`
+    and the section `under` the program. `heights` (L,) are of the cuts, `sha256` recorded by file, `truth` what its header is held against.
     """
     if match is None and curves is not None and plan is not None:
         nc, match = matched(nc, planned_path(curves, plan, config))
@@ -80,10 +77,7 @@ def verify_program(
 
 
 def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Check]:
-    """Read and check a program; one that cannot be read is a failed check named ``readable``.
-
-    Takes what :func:`verify_program` takes, and the same `path` as :func:`read_program`.
-    """
+    """Read and check a program, with what :func:`verify_program` takes; one that cannot be read is a failed check named ``readable``."""
     nc, readable = read_checked(path, config)
     if nc is None:
         return [readable]

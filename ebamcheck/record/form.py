@@ -1,8 +1,5 @@
-"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each.
-
-Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
-name, and a file's name one inside of the run folder. What a record *says* is believed by nobody; that is for
-:func:`ebamcheck.verify`.
+"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each; checked once, when they are read.
+| What a record *says* is believed by nobody; that is for :func:`ebamcheck.verify`.
 """
 
 from __future__ import annotations
@@ -69,7 +66,6 @@ Number = float | Literal["NaN", "Infinity", "-Infinity"]
 Figures = dict[str, Number]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
-
 PLATE = "plate"  # field of the record and of the certificate: one entry a part
 FORMAT_VERSION = 2  # of ``run.json``: layers are counted from 1; format 1 counted from 0
 

@@ -1,8 +1,5 @@
-"""Signatures under a certificate: Ed25519 (RFC 8032), detached, one file a signer.
-
-A seal tells that a file is whole; whoever changes the file can make a new one. A signature can be made only by
-who holds the private key, so that it tells *who* stands for what is written. Keys are PEM files: the private one
-in PKCS 8, the public one as SubjectPublicKeyInfo, as `openssl genpkey -algorithm ed25519` writes them, too.
+"""Signatures under a certificate: Ed25519 (RFC 8032), detached, one file a signer, who alone can make it with the private key.
+| Keys are PEM files, as `openssl genpkey -algorithm ed25519` writes them, too: the private one in PKCS 8, the public one as SubjectPublicKeyInfo.
 """
 
 from __future__ import annotations
@@ -54,10 +51,7 @@ class Signature:
 
 
 def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
-    """Make a pair of keys: ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; returns both paths.
-
-    A file that is there already is refused, since a key that is overwritten is lost.
-    """
+    """Make ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; a file that is there is refused: a key overwritten is lost."""
     stem = Path(path)
     private_path, public_path = (stem.with_name(stem.name + end) for end in (PRIVATE_SUFFIX, PUBLIC_SUFFIX))
     for file in (private_path, public_path):

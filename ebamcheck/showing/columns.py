@@ -23,9 +23,7 @@ STYLE = {
     "stroke_width": 1,
 }
 OPEN_STYLE = {"fill": "none", "stroke": "#d55e00", "stroke_width": 2}
-
 Item = TypeVar("Item")
-
 Facts = dict[str, int | str]  # facts about a value by name, counts by their plural
 
 

@@ -9,13 +9,9 @@ from typing import Any
 from markupsafe import Markup, escape
 
 __all__ = ["FONT", "NAMESPACE", "Markup", "clean", "element", "escaped", "inline", "join", "svg_file", "text"]
-
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
 EMPTY_ELEMENTS = frozenset({"meta", "br", "input", "hr", "path", "rect", "circle", "line", "image", "polygon", "polyline"})  # fmt: skip
-
 NAMESPACE = "http://www.w3.org/2000/svg"
-
 FONT = "Helvetica, Arial, sans-serif"
 
 

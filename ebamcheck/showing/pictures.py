@@ -21,7 +21,6 @@ from ebamcheck.showing.markup import Markup, element, svg_file, text
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
 # Length of a scale, of one of temperatures, and half the room of a label of its greatest one
 BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
-
 TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6  # of what is shown
 FIELD_PX = 3  # width of a pixel of a field; viewers smooth between them
 LABELLED = 400  # islands on a picture up to which each carries its number
@@ -35,10 +34,8 @@ def islands_svg(
     scene: Scene | None = None,
     temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw islands (I,), polygons, coloured by finite values (I,), each with its number where they are not too many.
-
-    A scene puts the section, contour beads and path over it, in the frame of the section; `temperatures` are the ends and marks of the scale
-    of values that are rises.
+    """Draw islands (I,), polygons, coloured by finite values (I,), each with its number where they are not too many. A scene puts section, contour beads
+    and path over it, in the frame of the section; `temperatures` are the ends and marks of the scale of values that are rises.
     """
     low, high = float(values.min(initial=0.0)), float(values.max(initial=1.0))
     if temperatures is not None:
@@ -100,10 +97,7 @@ def field_svg(
     scene: Scene | None = None,
     temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw a field over a section, given by its values (n,) at points (n, 2), coloured from 0 to the greatest value and more.
-
-    `scene` and `temperatures` as for :func:`islands_svg`.
-    """
+    """Draw a field over a section, given by its values (n,) at points (n, 2), coloured from 0 to the greatest value; rest as for :func:`islands_svg`."""
     view = _View.of(np.asarray(section.bounds))
     step_mm = FIELD_PX / view.scale
     columns, rows = (max(1, math.ceil(extent / step_mm)) for extent in (view.high - view.low).tolist())
@@ -265,10 +259,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class TemperatureScale:
-    """Scale of all temperature rises of a layer, K: from 0 to `greatest`, with marks at solidus and boiling point.
-
-    A rise over the boiling point is none that the model can tell: it is shown as that or more.
-    """
+    """Scale of all temperature rises of a layer, K: from 0 to `greatest`, with marks; no rise over the boiling point is one that the model can tell."""
 
     greatest: float
     solidus: float
@@ -290,11 +281,8 @@ class TemperatureScale:
 
 
 CHART_PX, CHART_HIGH_PX, LEFT_PX, RIGHT_PX, TOP_PX, BASE_PX = 760, 460, 70, 110, 40, 52
-
 BEST, OTHER = "#1b4f82", "#9aa5b1"  # orders that none beats in both figures, and others
 CHART_LABEL_PX = 13.0  # least distance of two labels one over the other
-
-
 TICKS = 5  # steps of each axis
 
 
@@ -372,11 +360,8 @@ KIND_COLOURS = {
 }
 # Rows to the right, up, and towards the eye
 VIEW = np.array([[0.8, 0.6, 0.0], [-0.36, 0.48, 0.8], [0.48, -0.64, 0.6]])
-
 PART_PX, PART_MARGIN_PX, KEY_PX = 720.0, 10.0, 20.0
-
 LEAST_LIGHT = 0.55
-
 MOST_DRAWN = 200_000  # more facets than pixels: a part beyond is drawn without those too small to see
 
 

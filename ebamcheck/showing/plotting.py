@@ -17,7 +17,6 @@ from ebamcheck.kernels import Floats
 
 ORDER_COLOURS = "viridis"  # from first to last
 MOST_FACETS = 200_000  # facets that matplotlib turns around in a bearable time
-
 LEAST_EXTENT_MM = 1e-6
 
 

@@ -66,46 +66,7 @@ def _check(function: Callable[[Subject], list[Figure]]) -> Check:
 
 
 # Every check, in the order in which they are run and shown
-CHECKS: tuple[Check, ...] = tuple(
-    _check(function)
-    for function in (
-        protocol.attributes,
-        protocol.signatures,
-        protocol.settings,
-        protocol.probe,
-        protocol.context,
-        protocol.blocks,
-        protocol.canonical_form,
-        protocol.orientation,
-        protocol.out_of_range,
-        protocol.labels,
-        protocol.progress,
-        protocol.declared_bound,
-        protocol.open_surfaces,
-        accuracy.bound_held,
-        accuracy.bound_attacked,
-        accuracy.bound_not_idle,
-        accuracy.no_shift,
-        accuracy.topology,
-        accuracy.points_on_contours,
-        accuracy.coplanar_planes,
-        accuracy.inside_rule,
-        accuracy.touching_bodies,
-        accuracy.reference_models,
-        laws.translation,
-        laws.rotation,
-        laws.mirror,
-        laws.scale,
-        laws.upside_down,
-        laws.large_offset,
-        laws.facet_order,
-        laws.vertex_order,
-        laws.subdivision,
-        laws.union_of_parts,
-        laws.volume,
-        laws.ring_parity,
-    )
-)
+CHECKS = (*map(_check, (*protocol.CHECKS, *accuracy.CHECKS)), *(Check(*law) for law in laws.LAWS))
 
 SHOWN_SHARE = 0.005  # shares of a limit under this are mere rounding and shown as a plain pass
 

@@ -29,6 +29,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.testing.subject import Figure, truth
 
 LAYERS = 3
+FORMS = ("", "arcs", "lines")  # forms of curves: the control's own, arcs, lines
 LONGEST_BLOCK = 255  # characters of a block; controls of this kind read at least so many
 
 # Settings of the process that bring every kind of event into a program
@@ -60,10 +61,6 @@ class ControlSubject:
         """Settings for the control; ``machine.curve_form`` where one is given."""
         machine = {"control": self.name, **self.machine, **({"curve_form": form} if form else {})}
         return Config().changed(machine=machine, process=dict(process))
-
-    def forms(self) -> list[str]:
-        """Forms of curves that the control takes: its own, arcs, lines."""
-        return ["", "arcs", "lines"]
 
     @cached_property
     def stacks(self) -> dict[str, tuple[Curves, ScanPlan]]:
@@ -121,7 +118,7 @@ def read_back(subject: ControlSubject) -> list[Figure]:
     """Every motion and event of a program is read back as it was meant, in every form of curves."""
     figures = []
     for process in PROCESSES:
-        for form in subject.forms() if process == "defaults" else [""]:
+        for form in FORMS if process == "defaults" else FORMS[:1]:
             with tempfile.TemporaryDirectory() as folder:
                 files, config = subject.written(Path(folder, "program"), process, form)
                 checks = subject.checked(files, config, process)
@@ -141,14 +138,12 @@ def form_of_text(subject: ControlSubject) -> list[Figure]:
         changed = [
             (files.folder / name).read_bytes() != (again.folder / name).read_bytes() for name in files.names
         ]
-    longest = max(len(line) for line in data.split(b"\n"))
+    longest, stamps = max(len(line) for line in data.split(b"\n")), stamped.validated and all(changed)
     return [
         truth("form of text", "encoding", data.isascii() and b"\r" not in data, "not ASCII with LF alone"),
         Figure("form of text", "longest block", -1, float(longest), float(LONGEST_BLOCK), "characters"),
         truth("form of text", "twice", files.sha256 == again.sha256, "two programs of the same differ"),
-        truth(
-            "form of text", "status", stamped.validated and all(changed), "files do not carry their status"
-        ),
+        truth("form of text", "status", stamps, "files do not carry their status"),
     ]
 
 
@@ -232,10 +227,7 @@ CONTROL_CHECKS = (declaration, read_back, form_of_text, planted_faults)
 
 
 def control_figures(subject: ControlSubject) -> Iterator[tuple[str, str, list[Figure]]]:
-    """Name, summary and figures of every check; whatever a control raises is a violation like any other.
-
-    A control whose programs are not read back is held to its declaration alone.
-    """
+    """Name, summary and figures of every check; whatever a control raises is a violation; one that is not read back is held to its declaration alone."""
     for check in CONTROL_CHECKS if subject.control.is_read else CONTROL_CHECKS[:1]:
         name = check.__name__.replace("_", " ")
         try:

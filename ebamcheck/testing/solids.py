@@ -1,7 +1,5 @@
-"""Small solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their arrangement, winding numbers.
-
-All meshes are closed. Those of :data:`SIMPLE` bound one winding number, so any slicer should take them; the others overlap, are inside out or
-open. Sections share no code with a slicer, work in float64 and take time with the number of segments squared.
+"""Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their arrangement, winding numbers.
+| Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes with segments squared.
 """
 
 from __future__ import annotations
@@ -19,9 +17,7 @@ from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
 
 FRAME_MM = 40.0  # side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all
-
 Matrix = NDArray[np.float64]
-
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -170,11 +166,10 @@ def _comb() -> BaseGeometry:
     return shapely.union_all([*teeth, shapely.box(0.0, 0.0, x + 1.0, 2.0)])
 
 
-def _pillars() -> BaseGeometry:
-    """Posts from 0.01 to 3 mm across, each far from the next."""
-    widths = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-    return shapely.union_all([regular(7, 0.5 * w, 4.3 * k, 2.1 * (k % 3)) for k, w in enumerate(widths)])
-
+# Posts from 0.01 to 3 mm across, each far from the next
+_PILLARS = [
+    regular(7, 0.5 * w, 4.3 * k, 2.1 * (k % 3)) for k, w in enumerate((0.01, 0.03, 0.1, 0.3, 1.0, 3.0))
+]
 
 # Closed meshes of one winding number
 SIMPLE: dict[str, Callable[[], Part]] = {
@@ -193,7 +188,7 @@ SIMPLE: dict[str, Callable[[], Part]] = {
     ),
     "comb": lambda: prism(_comb(), 0.0, 3.0),
     "turned comb": lambda: mapped(prism(_comb(), 0.0, 3.0), turn(31.0)),
-    "pillars": lambda: prism(_pillars(), 0.0, 3.0),
+    "pillars": lambda: prism(shapely.union_all(_PILLARS), 0.0, 3.0),
     "wedge": lambda: mapped(prism(shapely.Polygon([(0, 0), (20, 0.6), (0, 1.2)]), 0.0, 3.0), turn(44.9)),
 }
 
@@ -262,11 +257,7 @@ def _wedges() -> list[BaseGeometry]:
 
 
 def attackers(bound_mm: float) -> dict[str, Part]:
-    """Prisms with features about as thin as a bound: thin walls, slits, posts and pores, wedges.
-
-    All have the same box, ``FRAME_MM`` square and 4 mm high, so that a slicer whose samples are laid over
-    the part's box has the same bound for all of them (that of :func:`frame`).
-    """
+    """Prisms with features about as thin as a bound: thin walls, slits, posts and pores, wedges; all in the box of :func:`frame`, and so of one bound."""
     plate = shapely.box(0.0, 0.0, FRAME_MM, FRAME_MM)
     across = shapely.box(1.0, 8.0, FRAME_MM - 1.0, 14.0)
     strips, posts = _strips(bound_mm), _posts(bound_mm)
@@ -320,10 +311,8 @@ def house_rule(winding: int) -> bool:
 
 
 def segments(part: Part, height: float) -> NDArray[np.float64]:
-    """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left.
-
-    An edge is cut where ``min <= height < max``; the crossing is computed from its lower vertex, so that
-    both facets of an edge give the same point.
+    """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left; an edge is cut where ``min <= height < max``.
+    | The crossing is computed from its lower vertex, so that both facets of an edge give the same point.
     """
     corners = part.triangles
     above = corners[:, :, 2] > height
@@ -359,18 +348,14 @@ def section(part: Part, height: float, rule: WindingRule) -> list[shapely.Polygo
     cells = shapely.get_parts(shapely.polygonize([lines]))
     middles = shapely.get_coordinates(shapely.point_on_surface(cells))
     solid = [cell for cell, (x, y) in zip(cells, middles, strict=True) if rule(winding_number(cut, x, y))]
-    return polygons_of(shapely.union_all(solid))
+    parts = shapely.get_parts(shapely.union_all(solid))
+    return [part for part in parts if part.geom_type == "Polygon" and part.area > 0.0]
 
 
 def sections(part: Part, heights: ArrayLike, rule: WindingRule) -> Layers:
     """Sections of a closed part as layers, one a height."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     return from_polygons(planes, [section(part, h, rule) for h in planes.tolist()], part=part.sha256)
-
-
-def polygons_of(geometry: BaseGeometry) -> list[shapely.Polygon]:
-    """Polygons with area in a geometry."""
-    return [g for g in shapely.get_parts(geometry) if g.geom_type == "Polygon" and g.area > 0.0]
 
 
 def region(layers: Layers, layer: int) -> BaseGeometry:

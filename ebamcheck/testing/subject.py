@@ -180,8 +180,9 @@ class Differences(NamedTuple):
 
     # Deepest point of the symmetric difference, measured from the exact contours
     depth_mm: NDArray[np.float64]
-    topology_agrees: NDArray[np.bool_]
-    """Whether rings and holes agree once features thinner than twice the limit are set aside."""
+    topology_agrees: NDArray[
+        np.bool_
+    ]  # whether rings and holes agree once features thinner than twice the limit are set aside
     places: list[str]  # height of the layer, and where its deepest point lies
 
 
@@ -192,11 +193,9 @@ def differences(
     a, b = reference_exact, found_exact
     table = compare(reference, found, tolerance_mm=limit_mm, exact_a=a, exact_b=b, check_part=False)
     depth = table["depth_mm"].to_numpy(dtype=np.float64)
+    rows = table[["height_mm", "depth_x_mm", "depth_y_mm", "depth_mm"]].to_numpy(np.float64).tolist()
     places = [
-        f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "")
-        for z, x, y, deep in zip(
-            table["height_mm"], table["depth_x_mm"], table["depth_y_mm"], depth, strict=True
-        )
+        f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "") for z, x, y, deep in rows
     ]
     return Differences(depth, table["topology_agrees"].to_numpy(dtype=np.bool_), places)
 
@@ -244,6 +243,17 @@ class Figure:
     def __str__(self) -> str:
         where = f", layer {self.layer + 1}" if self.layer != NO_LAYER else ""
         return f"{self.check}: {self.model}{where}: {self.value:.6g} over {self.limit:.6g}: {self.text}"
+
+
+def cut_unless_refused(
+    check: str, subject: Subject, part: Part, heights: ArrayLike, found: list[Figure]
+) -> Layers | None:
+    """Layers of a part that may be refused, which is then told among the figures `found`: it is no violation."""
+    try:
+        return subject.cut(part, heights)
+    except BackendFailed as refusal:
+        found.append(truth(check, part.name, True, f"refused: {refusal}"))
+        return None
 
 
 def truth(check: str, model: str, holds: bool, text: str, layer: int = NO_LAYER) -> Figure:

@@ -15,18 +15,14 @@ from ebamcheck.settings.process_window import TURN_SPACINGS
 
 @dataclass(frozen=True, eq=False)
 class IslandSchedule:
-    """Columns of the islands of a layer.
+    """Columns of the islands of a layer. An island may be driven from either side, with turns at the other ends of its lines: both count by their mean."""
 
-    `entry`, `leave`: (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry
-    options of :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first;
-    `beam_s`, `time_s`: (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may
-    be driven from either side, with turns at the other ends of its lines: both count by their mean.
-    """
-
+    # (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry options of
+    # :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first
     entry: Floats
     leave: Floats
-    beam_s: Floats
-    time_s: Floats
+    beam_s: Floats  # (I,) time with the beam on, lines and turns
+    time_s: Floats  # (I,) the same with the jumps between its own lines
 
     def __len__(self) -> int:
         """Return the number of islands."""
@@ -34,10 +30,8 @@ class IslandSchedule:
 
 
 def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
-    """Work out how islands are driven.
-
-    `lines`: lines sorted by island; an island without any takes no time and lies where its neighbour in number ends;
-    `chained`: (I,) whether the lines of an island follow each other.
+    """How islands are driven, by their lines, sorted by island, and whether (I,) these follow each other.
+    | An island without any line takes no time and lies where its neighbour in number ends.
     """
     count = len(chained)
     a, b = lines.start, lines.end
@@ -68,19 +62,14 @@ def island_ends(start: Floats, end: Floats, first: Ints, chained: Bools) -> tupl
     return entry, leave
 
 
+# Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its track again. Turns
+# between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them.
 SHARPEST_TURN = -math.cos(math.radians(20.0))
-"""Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its
-track again. Turns between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them."""
-
+# The middle of a turn is at least this many spacings away from every line of its island, if the turn is longer than the second of them: nearer it
+# would lay metal on metal. Between parallel lines, two thirds of a spacing apart, it is a third of one away.
 BESIDE_SPACINGS, SHORT_SPACINGS = 0.25, 0.6
-"""The middle of a turn is at least this many spacings away from every line of its island, if the turn is longer than the second of
-them: nearer it would lay metal on metal. Between parallel lines, two thirds of a spacing apart, it is a third of one away."""
-
-SHORTEST_MM = 0.01
-"""A line or turn that is shorter has no direction that counts."""
-
-TINY = 1e-300
-"""Least divisor."""
+SHORTEST_MM = 0.01  # a line or turn that is shorter has no direction that counts
+TINY = 1e-300  # least divisor
 
 
 def gaps_mm(start: Floats, end: Floats) -> Floats:
@@ -92,16 +81,9 @@ def gaps_mm(start: Floats, end: Floats) -> Floats:
 
 
 def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
-    """Which lines go on where the one before ended, by a turn or without one.
-
-    `island`: (V,) island of each line, in the order in which they are driven; `start`, `end`: (V, 2) mm; `spacing_mm`:
-    distance between parallel beads.
-
-    Returns (V,) true where the beam stays on: the turn is short, goes back on neither line, and over no line of its island.
-
-    Examples
-    --------
-    >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
+    """Which lines (V,), in the order in which they are driven, go on where the one before ended: the beam stays on.
+    | The turn is short, goes back on neither line, and over no line of its island; `spacing_mm` is the distance between parallel beads.
+    | >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
     >>> follows(np.zeros(3, np.int64), *ends, 4.32).tolist()
     [False, True, False]
     >>> hairpin = np.array([[0.0, 0.0], [13.0, 0.1]]), np.array([[10.0, 0.0], [5.0, 0.5]])
@@ -159,5 +141,5 @@ def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: flo
     return np.where(on, gaps, 0.0), np.where(on, 0.0, gaps)
 
 
+# A line that starts within this of the end of the last one goes on without a jump or a wire start
 JOINED_MM = 1e-6
-"""A line that starts within this of the end of the last one goes on without a jump or a wire start."""

@@ -1,12 +1,7 @@
 """Beads along thin walls: the centre line of a wall, and lines parallel to it, as many as fit side by side.
-
-The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two
-sides: an edge counts where its two border points lie much further apart along the border than straight
-across, which leaves out the spurs into corners. Where three branches meet, the two that go straightest on are
-one bead, and the third ends before it.
-
-A wall that changes its width has more beads where it is wide and one where it is narrow. A pointed end is
-left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
+| The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two sides: an edge counts where its two border
+points lie much further apart along the border than straight across. Where three branches meet, the two that go straightest on are one bead. A
+pointed end is left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
 """
 
 from __future__ import annotations
@@ -24,76 +19,47 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.regions import NO_WIDTH_MM, mean_width_mm
 from ebamcheck.kernels import Bools, Floats, Ints
 
+# Border points per wall width. Where those of its two sides are out of step the centre line goes to and fro by a fraction of a percent of the width;
+# with three of them that was more than it is simplified by, and two of five blocks of a wall were zigzag.
 SAMPLES_ACROSS = 9.0
-"""Border points per wall width. Where those of its two sides are out of step the centre line goes to and fro by a fraction of a
-percent of the width; with three of them that was more than it is simplified by, and two of five blocks of a wall were zigzag."""
-
-MOST_SAMPLES = 20_000
-"""Border points of one wall; a wall that would need more is sampled more coarsely."""
-
+MOST_SAMPLES = 20_000  # border points of one wall; a wall that would need more is sampled more coarsely
+# Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6 around a rounded end, 2 where a wall is as long
+# as half its width
 ARC_OVER_CHORD = 2.0
-"""Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6
-around a rounded end, 2 where a wall is as long as half its width."""
-
+# A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's own greatest width, where that is
+# less: its round end covers half a bead more, no spot that stays is wide enough for a gap bead, and no more than a hundredth of a wedge stays
 TAPER, TAPER_SHARE = 0.2, 0.1
-"""A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's own
-greatest width, where that is less: its round end covers half a bead more, no spot that stays is wide enough for a
-gap bead, and no more than a hundredth of a wedge stays."""
-
-LEFT_SHARE = 0.02
-"""Share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper."""
-
-ALONE = 1.01
-"""Greatest width, over the bead's, of a wall that one bead fills: it reaches both sides."""
-
-LEAST_APART = 0.5
-"""No bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both."""
-
-LEAST_BEAD = 0.5
-"""No bead reaches less far than this times the bead width, unless the wall has no longer one."""
-
+LEFT_SHARE = 0.02  # share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper
+ALONE = 1.01  # greatest width, over the bead's, of a wall that one bead fills: it reaches both sides
+LEAST_APART = 0.5  # no bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both
+LEAST_BEAD = 0.5  # no bead reaches less far than this times the bead width, unless the wall has no longer one
+# Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions are wider than their walls
 LEAST_RUN = 1.0
-"""Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions
-are wider than their walls."""
-
+# Length, over the wall's width, by which a bead goes on beyond the end of the centre line, which lies half a width before that of the wall: to the
+# end and beyond, where the wall is cut from other metal; else half-way, so that the round end of the bead covers the corners of the wall and hardly
+# reaches over it
 WHOLE_END, ROUND_END = 2.0, 0.25
-"""Length, over the wall's width, by which a bead goes on beyond the end of the centre line, which lies half a width before
-that of the wall: to the end and beyond, where the wall is cut from other metal; else half-way, so that the round end of
-the bead covers the corners of the wall and hardly reaches over it."""
-
-STEP = 0.25
-"""Distance, over the bead width, of the points where the width of a wall is measured."""
-
-STRAIGHT_ON_DEG = 60.0
-"""Turn at a fork up to which one bead goes on through it."""
-
+STEP = 0.25  # distance, over the bead width, of the points where the width of a wall is measured
+STRAIGHT_ON_DEG = 60.0  # turn at a fork up to which one bead goes on through it
+# Length, over the bead width, of a piece of a bead that goes back on the one before, and cosine of the turn: no bead is wanted there
 HOOK, HOOK_COS = 0.25, -0.5
-"""Length, over the bead width, of a piece of a bead that goes back on the one before, and cosine of the turn: no bead is wanted there."""
-
+# Deviation of the centre line from its samples, over the wall's width, by which it is simplified
 STRAIGHTNESS = 0.02
-"""Deviation of the centre line from its samples, over the wall's width, by which it is simplified."""
-
+# The border points are joggled by some 1e-11 of their extent before their diagram is drawn: without it, its time grows with the square of the points
+# on a straight side, to 10 s for those of a hair of metal
 QHULL_OPTIONS = "Qbb Qc QJ"
-"""The border points are joggled by some 1e-11 of their extent before their diagram is drawn: without it, its time
-grows with the square of the points on a straight side, to 10 s for those of a hair of metal."""
-
 ARC_SEGMENTS = 16
+# Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius
 CHORD = math.cos(0.25 * math.pi / ARC_SEGMENTS)
-"""Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius."""
-
-WEED_MM = 1e-4
-"""Corners of the Voronoi diagram joined by an edge shorter than this are one: where four arms meet, it has two forks instead."""
+WEED_MM = 1e-4  # corners of the Voronoi diagram joined by an edge shorter than this are one: where four arms meet, it has two forks instead
 
 
 def wall_lines(
     wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
 ) -> list[Floats]:
-    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough.
-
-    Every line lies in the wall; a line reaches the end of the wall, or that of its taper, unless it is not `to_the_end`:
-    then the round end of its bead does, as where there is no other metal around the wall. No two are nearer
-    than :data:`LEAST_APART`, and none is shorter than :data:`LEAST_BEAD` where there is another one. The list
-    is empty only where the wall is so crooked, so short, or so much a hair, that it has no centre line.
+    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough; none for a wall that has no centre line.
+    | Every line lies in the wall, and reaches its end, or that of its taper, unless it is not `to_the_end`: then the round end of its bead does, as where
+    there is no other metal around. No two are nearer than :data:`LEAST_APART`, none is shorter than :data:`LEAST_BEAD` where there is another one.
     """
     width = mean_width_mm(wall)
     if width <= NO_WIDTH_MM:
@@ -113,10 +79,7 @@ def wall_lines(
 
 
 def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineString]:
-    """Branches of the centre line of a wall of the given width, each from fork to fork or end to end.
-
-    A free end lies half a width before the end of the wall.
-    """
+    """Branches of the centre line of a wall of the given width, from fork to fork or end to end; a free end lies half a width before that of the wall."""
     points, place, around, ring = _border_samples(wall, width_mm)
     middle = points.mean(axis=0)  # Qhull joggles, and rounds, by the greatest coordinate
     try:

@@ -29,35 +29,24 @@ from ebamcheck.geometry.regions import (
 )
 from ebamcheck.settings.config import Config
 
+# Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them
 THIN_WALL_BEADS = 3.0
-"""Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them."""
-
-CRUMB = 0.25
-"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
-
-CORNER = 0.5
-"""Narrow pieces of the fill under this times the squared opening width are corners of a solid (down to
-about 35 degrees), not walls."""
-
+CRUMB = 0.25  # bare pieces under this times the squared bead width are corners that a round bead never fills
+CORNER = 0.5  # narrow pieces of the fill under this times the squared opening width are corners of a solid (down to about 35 degrees), not walls
+# Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for the sake of its surface, which the fill does
+# not reach
 FILL_TOLERANCE = 0.002
-"""Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
-the sake of its surface, which the fill does not reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """The regions of one layer, all of them inside the section.
+    """The regions of one layer, all of them inside the section."""
 
-    `section`: the solid region; `contour`: region whose border is the centre line of the contour bead; `solids`: fill to be
-    partitioned; `narrow_fills`: fill between two contour beads, to be filled along the wall; `bare_walls`: parts of the
-    section where no contour bead fits.
-    """
-
-    section: BaseGeometry
-    contour: BaseGeometry
-    solids: list[shapely.Polygon]
-    narrow_fills: list[shapely.Polygon]
-    bare_walls: list[shapely.Polygon]
+    section: BaseGeometry  # the solid region
+    contour: BaseGeometry  # its border is the centre line of the contour bead
+    solids: list[shapely.Polygon]  # fill to be partitioned
+    narrow_fills: list[shapely.Polygon]  # fill between two contour beads, to be filled along the wall
+    bare_walls: list[shapely.Polygon]  # parts of the section where no contour bead fits
 
 
 def contour_region(section: BaseGeometry, config: Config) -> BaseGeometry:

@@ -16,10 +16,8 @@ from ebamcheck.scan.order.entries import nearest_options
 def entry_temperatures(
     heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
 ) -> tuple[Floats, Floats]:
-    """Simulate an order with times (I,) by island.
-
-    Returns the mean temperature rise (I,) of each island when the beam enters it, K, and its excess uniformity (I,): the spread
-    of the temperature over the layer when the beam leaves it, without its own heat, over the mean temperature.
+    """Simulate an order with times (I,) by island: the mean temperature rise (I,) of each island when the beam enters it, K, and its excess uniformity
+    (I,): the spread of the temperature over the layer when the beam leaves it, without its own heat, over the mean temperature.
     """
     mean, share = heat.modes.mean, area_mm2 / area_mm2.sum()
     entry_k, excess = np.zeros(len(start_s)), np.zeros(len(start_s))
@@ -39,12 +37,6 @@ def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tu
         entry_k[island] = before.surface() @ heat.modes.mean[:, island]
         state = after.state
     return (entry_k if heat.near is None else _entered_k(heat, order, start_s, end_s)), state
-
-
-def island_history(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
-    """Mean temperature rises (I, I) K, by the modes: a row for the end of each island in scan order, a column an island."""
-    steps = _steps(heat, order, start_s, end_s)
-    return np.array([after.surface() @ heat.modes.mean for _, _, after in steps])
 
 
 def entry_points(

@@ -27,10 +27,9 @@ from ebamcheck.scan.plan.whole_part import OrderedLayer
 from ebamcheck.settings.config import Config
 
 RANDOM = "random"
+SEEDS = 20  # seeds over which the figures of `random` are averaged
 
-SEEDS = 20
-"""Seeds over which the figures of `random` are averaged."""
-
+# Columns of a comparison and what they are
 FIGURES = {
     "order": "name of the order",
     "seeds": "plans that were averaged",
@@ -46,7 +45,6 @@ FIGURES = {
     "starts": "wire starts",
     "time_s": "time of the layer without contour beads",
 }
-"""Columns of a comparison and what they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,13 +81,7 @@ class OrderResult:
 
 
 def compared_orders() -> tuple[str, ...]:
-    """Names of the orders that are compared unless others are named: each that is installed once, by its fullest name.
-
-    Examples
-    --------
-    >>> "nearest" in compared_orders(), "nearest-any" in compared_orders()
-    (False, True)
-    """
+    """Names of the orders that are compared unless others are named: each that is installed once, by its fullest name."""
     installed = registry.load_plugins(registry.ORDERS)
     return tuple({id(order): name for name, order in installed.items()}.values())
 

@@ -1,7 +1,5 @@
-"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come.
-
-Layers take the time of their text over a speed; waits of the main program are shortened likewise, to no less than the time in
-which a server can answer. The faults of :data:`FAULTS` happen at the layers at which they were asked for.
+"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come, named faults happen.
+| Layers take the time of their text over a speed; waits are shortened likewise, to no less than the time in which a server can answer.
 """
 
 from __future__ import annotations
@@ -62,8 +60,8 @@ class Panel:
     rights: str = "operate"  # `operate`, `refused`, or `lost`: what becomes of writes from outside
     swap_next: bool = False  # whether the next upload is kept as another file
     break_next: bool = False  # whether the server goes away in the middle of the next upload
+    # R parameters that another client writes over as soon as they are written, once, and what it writes
     overwritten: dict[int, float] = field(default_factory=dict)
-    """R parameters that another client writes over as soon as they are written, once, and what it writes."""
 
     def get(self, number: int) -> float:
         """Return an R parameter."""
@@ -93,10 +91,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Growth:
-    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution.
-
-    The noise follows from seed and layer, so that a build comes out the same again.
-    """
+    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution, which seed and layer give."""
 
     drift: float = 0.0
     noise: float = 0.0
