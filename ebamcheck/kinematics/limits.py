@@ -35,7 +35,6 @@ class DrivenPath:
     start: Floats  # (B, 3) mm
     end: Floats  # (B, 3) mm
     coefficients: Floats  # (B, 2, 4) powers of t in X and Y over 0 <= t <= 1
-    radius_mm: Floats  # of an arc; infinite for others
     centre: Floats  # (B, 2) of an arc; NaN for others
     sweep_rad: Floats  # signed, of an arc; NaN for others
     feed_mm_s: Floats  # speed programmed
@@ -86,7 +85,8 @@ class DrivenPath:
 
 def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     """Motions of a program that move an axis; the axes stop at rapids and where beam or wire switch.
-    | Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
+
+    Raises SettingsError if a feed motion has no feed, or starts at an unknown position.
     """
     moved = np.isfinite(nc.start).all(axis=1) & (nc.lengths > 0.0)
     stopped = np.zeros(len(nc) + 1, np.bool_)
@@ -98,8 +98,7 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     bad = np.flatnonzero(~(feed > 0.0))
     if bad.size:
         raise SettingsError(f"{nc.where(int(rows[bad[0]]))}: a motion without a feed: it would never end")
-    arc = nc.kind[rows] == ARC
-    coefficients = np.where(np.isnan(nc.coefficients[rows]), 0.0, nc.coefficients[rows])
+    arc, coefficients = nc.kind[rows] == ARC, np.nan_to_num(nc.coefficients[rows], nan=0.0)
     straight = (nc.kind[rows] == STRAIGHT) | rapid[rows]
     coefficients[straight] = _line_coefficients(nc.start[rows[straight], :2], nc.end[rows[straight], :2])
     centre = np.where(arc[:, None], nc.arc[rows, :2], np.nan)
@@ -112,7 +111,6 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
         start=nc.start[rows],
         end=nc.end[rows],
         coefficients=coefficients,
-        radius_mm=np.where(arc, np.linalg.norm(nc.start[rows, :2] - centre, axis=1), np.inf),
         centre=centre,
         sweep_rad=np.where(arc, nc.arc[rows, 2], np.nan),
         feed_mm_s=feed,
@@ -122,13 +120,11 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
 
 def polyline_path(layers: Layers, feed_mm_s: float) -> DrivenPath:
     """Path of one straight block for each point of a contour, every ring a run of its own."""
-    points = layers.points
-    after = np.arange(1, len(points) + 1)
-    filled = np.diff(layers.ring_starts) > 0
-    after[layers.ring_starts[1:][filled] - 1] = layers.ring_starts[:-1][filled]
-    ring = np.repeat(np.arange(layers.closed.size), np.diff(layers.ring_starts))
-    last = np.zeros(len(points), np.bool_)
-    last[layers.ring_starts[1:][filled] - 1] = True
+    points, size = layers.points, np.diff(layers.ring_starts)
+    ends = layers.ring_starts[1:][size > 0] - 1
+    after, last = np.arange(1, len(points) + 1), np.zeros(len(points), np.bool_)
+    after[ends], last[ends] = layers.ring_starts[:-1][size > 0], True
+    ring = np.repeat(np.arange(layers.closed.size), size)
     start, end = points, points[after] if len(points) else points
     length = np.hypot(*(end - start).T)
     keep = np.flatnonzero((length > 0.0) & ~(last & ~layers.closed[ring]))
@@ -143,7 +139,6 @@ def polyline_path(layers: Layers, feed_mm_s: float) -> DrivenPath:
         start=np.hstack([start[keep], z]),
         end=np.hstack([end[keep], z]),
         coefficients=_line_coefficients(start[keep], end[keep]),
-        radius_mm=np.full(keep.size, np.inf),
         centre=np.full((keep.size, 2), np.nan),
         sweep_rad=np.full(keep.size, np.nan),
         feed_mm_s=np.full(keep.size, feed_mm_s),

@@ -1,5 +1,6 @@
 """The surface that a part has while it is built: what the layers so far have laid too much or too little.
-| A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal around it; none flows over the
+
+A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal around it; none flows over the
 border. A place that a bead could have reached and that none did stays where it was, a layer deeper than it should be.
 """
 
@@ -24,7 +25,8 @@ DOME = 0.5**0.5
 
 def bead_centres(inside: Bools, bead_cells: float) -> Bools:
     """Cells (rows, columns) of a section, at least one beside it is none, on which the middle of a bead so many cells wide keeps within the border.
-    | >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
+
+    >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
     20
     """
     return np.asarray(border_distance(inside) >= 0.5 * bead_cells, np.bool_)
@@ -32,7 +34,8 @@ def bead_centres(inside: Bools, bead_cells: float) -> Bools:
 
 def reachable(inside: Bools, bead_cells: float) -> Bools:
     """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead; parameters as of :func:`bead_centres`.
-    | >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
+
+    >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
     array([5, 7, 9, 9, 9, 9, 7, 5])
     """
     centres = bead_centres(inside, bead_cells)

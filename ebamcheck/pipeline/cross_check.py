@@ -48,7 +48,8 @@ def cross_check(
     meanwhile: Callable[[], object] | None = None,
 ) -> CrossCheck:
     """Slice and compare; the layers are on disk afterwards. `meanwhile` is called once the first slicers are at work.
-    | No more than one block of layers of every backend (``slicing.block_points``) is in memory at a time, two while they are compared.
+
+    No more than one block of layers of every backend (``slicing.block_points``) is in memory at a time, two while they are compared.
     """
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
     outcomes = _slice(job, backends, borders, resume, meanwhile)
@@ -66,7 +67,8 @@ def compared_layers(
     borders: NDArray[np.int64] | None = None,
 ) -> Comparison:
     """Compare what slicers made of a part, by what the registry says of each; `bounds` are error and height bound, mm, that each declares.
-    | An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of layers.
+
+    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of layers.
     """
     slicers = {name: registry.slicer(name) for name in stacks}
     return compare_all(
@@ -207,7 +209,8 @@ ALL = "all"  # word for every installed witness
 
 def chosen_backends(config: Config) -> dict[str, BackendSettings]:
     """Settings of the backends to run, by name: those asked for or all that are available, and the witnesses.
-    | Raises SettingsError for a choice that contradicts itself, BackendMissing for a name that is unknown or not available.
+
+    Raises SettingsError for a choice that contradicts itself, BackendMissing for a name that is unknown or not available.
     """
     chosen = config.slicing
     for name in chosen.required:

@@ -431,7 +431,8 @@ def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check
 
 def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
     """A program that ends beside the top of the part by more of its height than the metal may be off; a fault by more than half a layer.
-    | What the metal is held against are sections times the heights of layers, so that no gate sees it.
+
+    What the metal is held against are sections times the heights of layers, so that no gate sees it.
     """
     if not len(heights) or config.base_mm > 0.0:
         return

@@ -41,7 +41,8 @@ def input_gate(inspection: Inspection, volume_off: str = "") -> Check:
 
 def volume_off(part: Part, cuts: Floats, areas: Floats, config: Config) -> str:
     """Say how far the volume of the part is off that of its sections; empty where they agree, or the layers are not all of it.
-    | `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer, which unites bodies layer by layer;
+
+    `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer, which unites bodies layer by layer;
     the volume is of the union of bodies by manifold3d. Sections of the mesh itself are known in closed form, with every body counted; what the slicers'
     lack of them would count twice, and is summed over layers. A section of it changes by no more than its surface seen from above, P, so that, cut at the
     middles of layers of height h, it is summed to within h P / 2.
@@ -236,7 +237,8 @@ def entry_gate(check: Check) -> Check:
 
 def exit_code(gates: Iterable[Check], compared_layers: int, outcomes: Mapping[str, Outcome]) -> ExitCode:
     """Exit code of a run: 5 where nothing could be compared, 1 where a gate is shut, else 0.
-    | A method that was lost, and a part that did not pass the input gate, are 1, not 5: something was found.
+
+    A method that was lost, and a part that did not pass the input gate, are 1, not 5: something was found.
     """
     shut = {gate.name for gate in gates if not gate.passed}
     lost = any(o.file is None and o.failure != "unavailable" for o in outcomes.values())

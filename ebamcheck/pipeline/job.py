@@ -135,7 +135,8 @@ def carried_out(
     keep_layers: bool = True,
 ) -> RunResult:
     """Carry a job out in its run folder; a finished run of the same is returned where `resume` asks for it.
-    | `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed run left are gone
+
+    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed run left are gone
     on with unless `keep_layers` is off.
     """
     target, observer = Path(target), job.observer

@@ -1,5 +1,6 @@
 """The cross-check of a part that does not fit into memory: read, cut and compared in slabs of z, one after the other.
-| Every slab is a closed mesh that has the sections and the box of the whole one (:mod:`ebamcheck.mesh.slabs`), so that every slicer cuts it alike. Of a
+
+Every slab is a closed mesh that has the sections and the box of the whole one (:mod:`ebamcheck.mesh.slabs`), so that every slicer cuts it alike. Of a
 slab the tables and the figures of the inspection are kept; its layers are dropped.
 """
 

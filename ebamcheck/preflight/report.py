@@ -1,5 +1,6 @@
 """The preflight of a job: part, layer height, heights and all checks, made once and handed on.
-| A level face within a layer moves to one of its borders, so that metal is added or lacks there, unless the layer height divides its height.
+
+A level face within a layer moves to one of its borders, so that metal is added or lacks there, unless the layer height divides its height.
 """
 
 from __future__ import annotations

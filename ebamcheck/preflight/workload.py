@@ -1,5 +1,6 @@
 """How much work a job will be, whole or in slabs, worked out from the mesh and the settings in a fraction of a second.
-| Time and memory are those of the parts that were measured, on a core of 2020s make, and right within a factor of three or so.
+
+Time and memory are those of the parts that were measured, on a core of 2020s make, and right within a factor of three or so.
 """
 
 from __future__ import annotations

@@ -48,7 +48,8 @@ def verify_program(
     truth: Truth | None = None,
 ) -> list[Check]:
     """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names file and line of the first or worst place.
-    | `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections by a slicer, best by one
+
+    `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections by a slicer, best by one
     that did not make the program, and `smooth` the same with the curves that their chords stand for. `beads` judges the beads themselves; `metal` lays the
     metal over the `layers`, or takes it from `laid`, and `part` has them held against its mesh and file; `heat` works out a balance, from the heat `before`
     and the section `under` the program. `heights` (L,) are of the cuts, `sha256` recorded by file, `truth` what its header is held against.

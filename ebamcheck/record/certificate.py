@@ -1,5 +1,6 @@
 """The certificate of a run: what was made from what, by what, how well, and who releases it; made last, beside the record.
-| Its seal tells whether it is whole, its list of files whether the run is, signatures who stands for it. :func:`ebamcheck.verify` believes none of it.
+
+Its seal tells whether it is whole, its list of files whether the run is, signatures who stands for it. :func:`ebamcheck.verify` believes none of it.
 """
 
 from __future__ import annotations
@@ -89,8 +90,7 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
 
 def write_certificate(run: RunFolder, release: Mapping[str, Any] | None = None) -> Path:
     """Write the certificate of a run beside its record, with what `release` says; every other file of the run must be there and final."""
-    files = {name: sha256_of_file(run.path / name) for name in file_names(run.path)}
-    said = {"release": {**RELEASE, **(release or {})}, "files": files}
+    said = {"release": {**RELEASE, **(release or {})}, "files": file_hashes(run.path)}
     return write_sealed(run.path / CERTIFICATE, {**certificate(run.manifest()), **said})
 
 
@@ -126,6 +126,11 @@ def seal(fields: Mapping[str, Any]) -> str:
 def is_sealed(path: Path, found: Mapping[str, Any]) -> bool:
     """Whether a certificate's seal fits, and its bytes are those that were written with it."""
     return found.get("seal") == seal(found) and path.read_bytes() == json_text(found).encode()
+
+
+def file_hashes(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file of a run folder but the certificate and its signatures, by relative name."""
+    return {name: sha256_of_file(folder / name) for name in file_names(folder)}
 
 
 def file_names(folder: Path) -> list[str]:

@@ -1,5 +1,6 @@
 """Signatures under a certificate: Ed25519 (RFC 8032), detached, one file a signer, who alone can make it with the private key.
-| Keys are PEM files, as `openssl genpkey -algorithm ed25519` writes them, too: the private one in PKCS 8, the public one as SubjectPublicKeyInfo.
+
+Keys are PEM files, as `openssl genpkey -algorithm ed25519` writes them, too: the private one in PKCS 8, the public one as SubjectPublicKeyInfo.
 """
 
 from __future__ import annotations

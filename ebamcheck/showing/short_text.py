@@ -14,7 +14,8 @@ LONGEST = 200  # characters of a line at most: what is longer cannot be read at 
 
 def line(kind: str, *facts: str) -> str:
     """Write a value as its kind and the facts that tell it from others.
-    | >>> line("Layers", "42 layers", "", "planecut")
+
+    >>> line("Layers", "42 layers", "", "planecut")
     '<Layers: 42 layers, planecut>'
     """
     said = ", ".join(fact for fact in facts if fact)

@@ -1,5 +1,6 @@
 """Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their arrangement, winding numbers.
-| Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes with segments squared.
+
+Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes with segments squared.
 """
 
 from __future__ import annotations
@@ -312,7 +313,8 @@ def house_rule(winding: int) -> bool:
 
 def segments(part: Part, height: float) -> NDArray[np.float64]:
     """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left; an edge is cut where ``min <= height < max``.
-    | The crossing is computed from its lower vertex, so that both facets of an edge give the same point.
+
+    The crossing is computed from its lower vertex, so that both facets of an edge give the same point.
     """
     corners = part.triangles
     above = corners[:, :, 2] > height

@@ -180,9 +180,8 @@ class Differences(NamedTuple):
 
     # Deepest point of the symmetric difference, measured from the exact contours
     depth_mm: NDArray[np.float64]
-    topology_agrees: NDArray[
-        np.bool_
-    ]  # whether rings and holes agree once features thinner than twice the limit are set aside
+    # Whether rings and holes agree once features thinner than twice the limit are set aside
+    topology_agrees: NDArray[np.bool_]
     places: list[str]  # height of the layer, and where its deepest point lies
 
 

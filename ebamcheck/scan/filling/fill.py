@@ -191,7 +191,8 @@ def spots_to_close(
     spots: Sequence[shapely.Polygon], width_mm: float, area_mm2: float, covered: float, least: float
 ) -> tuple[list[shapely.Polygon], float]:
     """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered; and the width of the widest that stays.
-    | `area_mm2` is that of the section, `covered` its share that is covered without gap beads, `least` the share that is to be covered.
+
+    `area_mm2` is that of the section, `covered` its share that is covered without gap beads, `least` the share that is to be covered.
     """
     widths = spot_widths_mm(spots)
     by_area = np.argsort([-spot.area for spot in spots], kind="stable")

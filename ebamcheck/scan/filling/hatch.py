@@ -1,5 +1,6 @@
 """Parallel lines that fill islands: an exact scan-line clip of all islands at once.
-| An island of depth D across its hatch gets the whole number of lines that comes nearest to the set spacing and leaves no gap, spread evenly. Lines
+
+An island of depth D across its hatch gets the whole number of lines that comes nearest to the set spacing and leaves no gap, spread evenly. Lines
 end on its border, so that lines times pitch is its area, and neighbouring islands meet without a seam.
 """
 
@@ -30,7 +31,8 @@ def widest_pitch_mm(bead_width_mm: float, spacing_mm: float) -> float:
 
 def lines_across(depth_mm: Floats, spacing_mm: float, widest_mm: float) -> Ints:
     """Lines that fill strips of the given depths (n,): nearest to the spacing, none wider apart than allowed.
-    | >>> lines_across(np.array([0.5, 5.0, 5.5, 26.0]), 4.32, 5.4)
+
+    >>> lines_across(np.array([0.5, 5.0, 5.5, 26.0]), 4.32, 5.4)
     array([1, 1, 2, 6])
     """
     fewest = np.ceil(depth_mm / widest_mm - 1e-9)
@@ -50,7 +52,8 @@ def hatch(
     islands: ArrayLike, angle_rad: ArrayLike, bead_width_mm: float, spacing_mm: float
 ) -> tuple[Vectors, Floats]:
     """Fill islands (I,) with parallel lines at angles (I,), rad counter-clockwise from +X, one after the other, alternating; and the angles used.
-    | An island narrower than the spacing is filled along its long side: one line there is better than many stubs across.
+
+    An island narrower than the spacing is filled along its long side: one line there is better than many stubs across.
     """
     geometries = np.asarray(islands, object).reshape(-1)
     angles = np.array(np.broadcast_to(np.asarray(angle_rad, np.float64), geometries.shape))
@@ -99,7 +102,8 @@ def scan_lines(
     shortest: float,
 ) -> tuple[Ints, Floats, Floats]:
     """Lines inside each island (rings closed by a repeated point), by the even-odd rule: island of each, start and end.
-    | Works in coordinates turned by the island's angle about its first point, so that islands far from the origin lose no digits.
+
+    Works in coordinates turned by the island's angle about its first point, so that islands far from the origin lose no digits.
     """
     first = ring_starts[island_rings]
     some = np.flatnonzero(np.diff(first) >= 3)

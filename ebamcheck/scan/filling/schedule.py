@@ -31,7 +31,8 @@ class IslandSchedule:
 
 def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
     """How islands are driven, by their lines, sorted by island, and whether (I,) these follow each other.
-    | An island without any line takes no time and lies where its neighbour in number ends.
+
+    An island without any line takes no time and lies where its neighbour in number ends.
     """
     count = len(chained)
     a, b = lines.start, lines.end
@@ -82,8 +83,10 @@ def gaps_mm(start: Floats, end: Floats) -> Floats:
 
 def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
     """Which lines (V,), in the order in which they are driven, go on where the one before ended: the beam stays on.
-    | The turn is short, goes back on neither line, and over no line of its island; `spacing_mm` is the distance between parallel beads.
-    | >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
+
+    The turn is short, goes back on neither line, and over no line of its island; `spacing_mm` is the distance between parallel beads.
+
+    >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
     >>> follows(np.zeros(3, np.int64), *ends, 4.32).tolist()
     [False, True, False]
     >>> hairpin = np.array([[0.0, 0.0], [13.0, 0.1]]), np.array([[10.0, 0.0], [5.0, 0.5]])

@@ -1,5 +1,6 @@
 """Beads along thin walls: the centre line of a wall, and lines parallel to it, as many as fit side by side.
-| The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two sides: an edge counts where its two border
+
+The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two sides: an edge counts where its two border
 points lie much further apart along the border than straight across. Where three branches meet, the two that go straightest on are one bead. A
 pointed end is left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
 """
@@ -58,7 +59,8 @@ def wall_lines(
     wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
 ) -> list[Floats]:
     """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough; none for a wall that has no centre line.
-    | Every line lies in the wall, and reaches its end, or that of its taper, unless it is not `to_the_end`: then the round end of its bead does, as where
+
+    Every line lies in the wall, and reaches its end, or that of its taper, unless it is not `to_the_end`: then the round end of its bead does, as where
     there is no other metal around. No two are nearer than :data:`LEAST_APART`, none is shorter than :data:`LEAST_BEAD` where there is another one.
     """
     width = mean_width_mm(wall)

@@ -1,5 +1,6 @@
 """The cells laid over a layer: hexagons by the paper's odd/even rule (section 4.1), squares and stripes as baselines, as wide as those.
-| The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more where that is even, so that one centre lies on
+
+The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more where that is even, so that one centre lies on
 the midpoint of L1; centres are ``sqrt(3) d`` apart. Rows follow each other along L2 at ``1.5 d``, every other one shifted by half a step.
 """
 
@@ -39,9 +40,8 @@ class Lattice:
     side_mm: float  # side d of a hexagon; of the hexagon of the same width, where the cells are others
     centres: Floats  # (H, 2) mm, row by row along the long side of the rectangle
     colour: Ints  # (H,) 0, 1 or 2, such that no two cells with a common side have the same one; the hatch turns by it
-    cells: NDArray[
-        np.object_
-    ]  # (H,) polygons; cells with a common side share its two corners to the last bit
+    # (H,) polygons; cells with a common side share its two corners to the last bit
+    cells: NDArray[np.object_]
 
     @property
     def width_mm(self) -> float:
@@ -51,7 +51,8 @@ class Lattice:
 
 def hexagons_across(short_mm: float, side_mm: float) -> int:
     """Hexagons along the short side, always odd (paper, section 4.1; halves round up).
-    | >>> hexagons_across(100.0, 10.0), hexagons_across(110.0, 10.0)
+
+    >>> hexagons_across(100.0, 10.0), hexagons_across(110.0, 10.0)
     (11, 13)
     """
     count = math.floor(short_mm / side_mm + 0.5) + 1
@@ -145,9 +146,11 @@ LATTICES: dict[str, Callable[[Rectangle, float], Lattice]] = {
 
 def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> float:
     """Side of the hexagons from the area of a layer and its thickness (paper, introduction, point 2).
-    | The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average (2 A / P); then the width between two sides is
+
+    The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average (2 A / P); then the width between two sides is
     rounded to a whole number m of beads within :data:`BEADS_ACROSS`: ``sqrt(3) d = m spacing``.
-    | >>> round(planned_side_mm(30_000.0, 800.0, 4.32), 2)  # 300 x 100 mm, six beads across
+
+    >>> round(planned_side_mm(30_000.0, 800.0, 4.32), 2)  # 300 x 100 mm, six beads across
     14.96
     """
     width = SQRT3 * math.sqrt(2.0 * area_mm2 / (3.0 * SQRT3 * ZONES))
@@ -177,7 +180,8 @@ ROWS_REPEAT = 3.0
 
 def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -> Rectangle:
     """Rectangle around the points (N, 2), mm, of a section's border over which the cells of a layer are laid, shifted and turned by the settings.
-    | The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is moved, and grown by as much as it moves,
+
+    The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is moved, and grown by as much as it moves,
     shifts the lattice and still holds every point.
     """
     smallest = minimum_rectangle(points, config.scan.rectangle)
@@ -235,7 +239,8 @@ class Rectangle:
 
 def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "exact") -> Rectangle:
     """Find the rectangle of least area around points (N, 2), mm; raises GeometryError for no point, or one that is not finite.
-    | ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the convex hull, among which the minimum lies.
+
+    ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the convex hull, among which the minimum lies.
     """
     column = np.asarray(points, np.float64).reshape(-1, 2)
     if not len(column) or not np.isfinite(column).all():

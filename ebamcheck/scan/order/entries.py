@@ -1,12 +1,8 @@
 """Where islands are entered, how far the gun jumps between them, and when each is scanned.
 
-An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
-ago, hundreds of kelvins warmer than the far side of the same island. So the rise at every end is worked out: old heat
-by the modes of the section at that very place, young heat by the Green's functions of
-:mod:`ebamcheck.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
-order: the least sum of the powers of the rises (as :func:`high_mean` counts them) plus a price on travel, the least that
-keeps the travel allowed. Heat changes little by the ends chosen before, so that a few rounds settle it; the best of them
-is kept, that of the nearest ends among them.
+An island has up to four ends at which it may be entered; the nearest is often the one beside what was laid a minute ago. So the rise at every end is
+worked out, and ends are chosen for all islands at once, by dynamic programming over the order: the least sum of the powers of the rises
+(:func:`high_mean`) plus a price on travel, the least that keeps the travel allowed. Heat changes little by the ends chosen before: a few rounds settle it.
 """
 
 from __future__ import annotations
@@ -21,24 +17,14 @@ from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, island_ends
 
-NEAREST = -1
-"""Entry option of an island that is entered from its corner nearest to where the last one ended."""
-
-HIGH = 12
-"""Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
-
-ROUNDS = 3
-"""Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
-
+NEAREST = -1  # entry option of an island that is entered from its corner nearest to where the last one ended
+HIGH = 12  # exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler
+ROUNDS = 3  # rounds of choosing ends, each with the heat of islands as driven by those of the round before
+# Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest rise: by the dearest only the
+# travel counts, by the cheapest only the heat
 DEAREST, CHEAPEST = 1e15, 1e-15
-"""Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest
-rise: by the dearest only the travel counts, by the cheapest only the heat."""
-
-HALVINGS = 50
-"""Halvings of the range of prices, on a scale of decades: to 4 %."""
-
-TIE = 1e-12
-"""Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
+HALVINGS = 50  # halvings of the range of prices, on a scale of decades: to 4 %
+TIE = 1e-12  # sums closer than this share are equal: rounding must not decide between ends that mirror each other
 
 # -- The way from island to island.
 
@@ -113,9 +99,8 @@ def in_sequence(
 ) -> tuple[Ints, Bools]:
     """Rows (V,) of the lines of islands in scan order, and whether each is driven from its end to its start.
 
-    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are
-    driven in either sequence and either direction, as its entry option says (:data:`NEAREST`: that nearest to where the
-    last island ended); those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
+    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are driven in either sequence and either
+    direction, as its entry option says; those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
     """
     order = order[np.diff(first)[order] > 0]
     if not len(order):
@@ -151,13 +136,9 @@ def high_mean(entry_k: Floats) -> float:
 def cool_options(
     heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float
 ) -> Ints:
-    """Choose the entry option of each island.
+    """Choose the entry option (I,) of each island of an order.
 
-    `order`: (I,) islands in scan order; `longest_mm`: travel between islands that is allowed; that by the nearest options,
-    where it is longer already.
-
-    Returns (I,) entry options by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and
-    :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel that is allowed.
+    Travel, and :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel up to `longest_mm`, which is allowed.
     """
     best = options = nearest_options(order, schedule.entry, schedule.leave)
     if len(order) < 2:
@@ -197,11 +178,7 @@ def _young_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, opti
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
-    """Entry options (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
-
-    `rise_k`: (I, 4) rises at the ends; `entry`, `leave`: (I, 4, 2) as in
-    :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`.
-    """
+    """Entry options (I,) of the least high mean of rises (I, 4) whose travel is allowed; those of the least travel if none is."""
     top_k = float(rise_k.min(axis=1).max())
     share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
     low, high = np.log(CHEAPEST), np.log(DEAREST)

@@ -1,5 +1,6 @@
 """Orders in which the islands of a layer are scanned, by name: entry points of the group ``ebamcheck.orders``.
-| The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is the smallest": to the nearest of them
+
+The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is the smallest": to the nearest of them
 (``nearest-any``, which ``nearest`` is), to the last one (``nearest-last``), or in sum (``nearest-sum``). All of them contradict the paper's aim
 ("increase the molding time interval of adjacent regions"), since the nearest island is a neighbour that is still hot. ``farthest`` does the opposite;
 ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th island of it at first, ``random`` is a seeded shuffle.
@@ -106,7 +107,8 @@ class HeatOrder:
 
 def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None = None) -> Ints:
     """Order the islands of a layer by an order or its name, (I,) indices; raises SettingsError if there is no order of that name.
-    | `heat` is that with which the layer begins; None: that of a cold part, set up where the order needs it.
+
+    `heat` is that with which the layer begins; None: that of a cold part, set up where the order needs it.
     """
     order = named_order(name)
     if len(islands) < 2:

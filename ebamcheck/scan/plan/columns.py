@@ -1,5 +1,6 @@
 """The plan of a stack: islands, the order in which they are scanned, every line of the beam; in Parquet files with one row a layer.
-| The schema's metadata hold ``ebamcheck`` (JSON: format, settings). Every number comes back in the same bits.
+
+The schema's metadata hold ``ebamcheck`` (JSON: format, settings). Every number comes back in the same bits.
 """
 
 from __future__ import annotations
@@ -97,7 +98,6 @@ class Island:
     plan: ScanPlan
     index: int  # number of the island in the plan
     rank: int  # its place in the order of its layer, from 0
-
     layer: int  # index of its layer
     kind: str  # ``hexagon``, ``square``, ``stripe``, ``whole``, ``thin wall`` or ``gap``
     area_mm2: float
@@ -207,9 +207,7 @@ class ScanPlan(LayerColumns[PlannedLayer]):
     """How a stack of layers is scanned, as columns. Islands are numbered through the stack; those of a layer do not overlap."""
 
     heights: Floats  # (L,) absolute z of each layer, mm
-    contours: NDArray[
-        np.object_
-    ]  # (L,) shapely regions whose borders are the centre lines of the contour beads
+    contours: NDArray[np.object_]  # (L,) shapely regions bordered by the centre lines of the contour beads
     islands: NDArray[np.object_]  # (I,) shapely polygons, sorted by layer
     island_layer: Ints  # (I,) layer of each
     # (I,) ``hexagon``, ``square``, ``stripe``, ``whole`` (a solid not divided), ``thin wall``, ``gap`` (what all others leave bare)

@@ -115,9 +115,7 @@ NEAR_SPACINGS = 2.0
 class ContourBeads:
     """The contour beads of a layer, which no order of its islands changes."""
 
-    rings: list[
-        shapely.LinearRing
-    ]  # (R,) centre lines, from their least points on, in the canonical sequence of rings
+    rings: list[shapely.LinearRing]  # (R,) centre lines from their least points on, in the canonical sequence
     pieces: Floats  # (K, P) modes in the middles of their pieces, less their means over the section
     count: Ints  # (R,) pieces of each
     length_mm: Floats  # (R,) lengths with what overlaps the start
@@ -144,7 +142,8 @@ def bead_sequence(
     options: Ints,
 ) -> tuple[Beads, float]:
     """Contours, and islands in an order, in the sequence in which the program drives them; and the jumps between islands, mm.
-    | `heat` is the model of the islands, in whose modes the beads are read; None where there are none. Without an `order` the contours alone are taken.
+
+    `heat` is the model of the islands, in whose modes the beads are read; None where there are none. Without an `order` the contours alone are taken.
     """
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)

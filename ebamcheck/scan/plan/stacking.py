@@ -193,7 +193,8 @@ def plan_stack(
     contours: Sequence[BaseGeometry] | None = None,
 ) -> ScanPlan:
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads; open paths bound no region and are not filled.
-    | An order that asks the heat model begins each layer with the heat that those under it have left, unless `scan.carry_heat` is off. Whatever the
+
+    An order that asks the heat model begins each layer with the heat that those under it have left, unless `scan.carry_heat` is off. Whatever the
     order, each layer is simulated for its power and waits, unless `process.interpass` is off. `power_of` gives the power along beads by their wire
     (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each has that of its layer. `contours` are the regions of the contour beads, if known.
     """
@@ -253,7 +254,8 @@ def scheduled(plan: ScanPlan, config: Config) -> Schedule:
 
 def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0, without contour beads and pauses.
-    | One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`, `travel_mm` (jump before it),
+
+    One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`, `travel_mm` (jump before it),
     `inner_travel_mm` (jumps between its lines), `length_mm` of its lines, `turn_mm` of the turns between them, `starts` of the wire; NaN times without lines.
     """
     driven = scheduled(plan, config)

@@ -148,7 +148,8 @@ def ordered_layers(
     power_of: PowerOf | None = None,
 ) -> Iterator[OrderedLayer]:
     """Put layers in order, from below; each is yielded as soon as it is done.
-    | `carry` lets each order know the heat that is left below, else it is that of a cold part; `simulated` simulates each layer for its waits and power,
+
+    `carry` lets each order know the heat that is left below, else it is that of a cold part; `simulated` simulates each layer for its waits and power,
     which is always done where heat is carried; `power_of` gives the power along beads, else each has that of its layer.
     """
     if not (carry or simulated):
@@ -174,7 +175,8 @@ def ordered_on(
     power_of: PowerOf | None = None,
 ) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
     """Put one layer in order on the heat of the `part` that those under it have left, and simulate it; `last` is how the layer under it was simulated.
-    | `carry` lets the order know the heat; `lowest`: nothing lies under it, so that there is nothing to wait for; `power_of` as for :func:`ordered_layers`.
+
+    `carry` lets the order know the heat; `lowest`: nothing lies under it, so that there is nothing to wait for; `power_of` as for :func:`ordered_layers`.
     Returns the layer, and part and simulation when it is done: those before where it has no metal.
     """
     laid, islands, cold = ready.laid, ready.islands, ready.cold
@@ -200,7 +202,8 @@ def scan_part(
     sections: Sequence[BaseGeometry], heights_mm: Floats, config: Config, order: str | Order, seed: int
 ) -> Generator[dict[str, Any], None, None]:
     """Order all layers of a part with the heat of those under them; a row of :data:`WHOLE_PART` for each as soon as it is done.
-    | `sections` are valid, from below; `heights_mm` (L,) are their heights over the base plate, rising.
+
+    `sections` are valid, from below; `heights_mm` (L,) are their heights over the base plate, rising.
     """
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}

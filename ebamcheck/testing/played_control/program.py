@@ -1,5 +1,6 @@
 """What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come, named faults happen.
-| Layers take the time of their text over a speed; waits are shortened likewise, to no less than the time in which a server can answer.
+
+Layers take the time of their text over a speed; waits are shortened likewise, to no less than the time in which a server can answer.
 """
 
 from __future__ import annotations
