@@ -191,9 +191,8 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     edges = block_edges(bent.size, largest=AT_ONCE)
     rows, begin, end = motion[bent], t0[bent], t1[bent]
     bends = run_in_order(lambda a, b: _bends(path, rows[a:b], begin[a:b], end[a:b]), edges)
-    curvature[bent], direction[bent, 0], direction[bent, 1], direction[bent, 2], length[bent] = np.hstack(
-        list(bends)
-    )
+    curvature[bent], *axes_of, length[bent] = np.hstack(list(bends))
+    direction[bent] = np.stack(axes_of, axis=1)
     # Those of one motion add up to its length.
     whole = np.bincount(motion, length, minlength=len(path))
     length *= (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion]
@@ -285,10 +284,8 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
         result[1:] = np.where(half > SMOOTH_RAD, 0.0, np.inf)
         return result
     rounded = _rounded_corner(path, half, machine, axes)
-    bends = [
-        np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0)
-        for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
-    ]
+    sides = (before, np.ones(before.size)), (after, np.zeros(after.size))
+    bends = [np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0) for at, t in sides]
     # A cusp slows its own cell down.
     known = np.isfinite(bends[0]) & np.isfinite(bends[1])
     bend = np.abs(np.where(known, bends[1], 0.0) - np.where(known, bends[0], 0.0))

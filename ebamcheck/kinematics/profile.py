@@ -40,8 +40,8 @@ class FeedProfile:
     def slow(self) -> pd.DataFrame:
         """Stretches of deposits under `dip_share` of the feed programmed, in the order of the path.
 
-        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`, `length_mm`, `least_mm_s`, `feed_mm_s`, `excess_mm3`,
-        and `metal_per_mm`: the metal of a millimetre over that at the feed programmed, at its worst; infinite where the axes stop.
+        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`, `length_mm`, `least_mm_s`, `feed_mm_s`,
+        `excess_mm3` and `metal_per_mm`: the metal of a millimetre over that at the feed programmed, at its worst; infinite where the axes stop.
         """
         cells, path = self.cells, self.path
         feed = path.feed_mm_s[cells.motion]
@@ -108,7 +108,7 @@ def polyline_profile(layers: Layers, config: Config) -> FeedProfile:
 
 
 def side_by_side(nc: NCProgram, contours: Layers, config: Config) -> pd.DataFrame:
-    """Contour beads of a program beside polylines through the points of `contours`, one row each; `least_share` is that of the feed, ends of tracks left out."""
+    """Contour beads of a program beside polylines through the points of `contours`, one row each; ends of tracks are left out of `least_share`."""
     paths = {"program": feed_profile(nc, config), "polyline": polyline_profile(contours, config)}
     return pd.DataFrame([_row(name, profile) for name, profile in paths.items()]).set_index("path")
 
@@ -154,7 +154,7 @@ START, DIP, END = range(3)
 
 @kernel
 def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-    """Stretches of each run along which the speed is under a threshold (C,), mm/s, by the cells (C, 6): length, entry, peak and exit speed, acceleration, jerk.
+    """Stretches of each run that are slower than a threshold (C,), by the cells (C, 6): length, entry, peak and exit speed, acceleration, jerk.
 
     Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the least speed, s, mm, mm/s.
     """

@@ -100,7 +100,7 @@ def gathered(
 def pooled(
     places: Floats, area_mm2: Floats, radius: float, shape: tuple[int, ...], cell_mm2: float
 ) -> Floats:
-    """Height of the metal in each cell of a grid, over that of the layer: each place (n, 2), in cells, shares its metal (n,) between the cells within a radius.
+    """Height of the metal in each cell, over that of the layer: each place (n, 2), in cells, shares its metal (n,) between those within a radius.
 
     Slower to build widths on than :func:`footprints`, which knows each bead by itself, but free of the steps that come from whether the middle of a cell
     lies within a pool: a tip that gets a film of metal is part of the surface.

@@ -53,9 +53,8 @@ class Surface:
         self.step_mm = cell_mm(bounds, bead_width_mm)
         margin_mm = 2.0 * bead_width_mm
         low = np.floor((bounds[:2] - margin_mm) / self.step_mm) - 1.0
-        columns, rows = (
-            (np.ceil((bounds[2:] + margin_mm) / self.step_mm) - low + 1.0).astype(np.int64).tolist()
-        )
+        high = np.ceil((bounds[2:] + margin_mm) / self.step_mm)
+        columns, rows = (high - low + 1.0).astype(np.int64).tolist()
         self._corner = low.astype(np.int64)
         self._over_mm: Floats = np.zeros((rows, columns))
         self._share: Floats = np.zeros((rows, columns))
@@ -107,9 +106,8 @@ class Surface:
             return np.zeros_like(target.share)
         at = self._window(target)
         height, share = _spread(self._over_mm[at], self._share[at], SPOT_BEADS * self._bead)
-        return np.asarray(
-            np.divide(height, share, out=np.zeros_like(share), where=self._share[at] > 0.0), np.float64
-        )
+        metal = self._share[at] > 0.0
+        return np.asarray(np.divide(height, share, out=np.zeros_like(share), where=metal), np.float64)
 
     def add(self, target: Target, laid_mm: Floats, thickness_mm: float) -> None:
         """Build a layer that is to have a height, of metal as high as (rows, columns) in the cells of `target`."""

@@ -98,9 +98,8 @@ def _slice(
     waiting = {n: s for n, s in backends.items() if n not in kept}
     for name in waiting:
         if blocks := count_kept(job.folder.layers_file(name)):
-            job.observer.note(
-                f"{name}: {blocks} of {borders.size - 1} blocks of layers of the former run are kept"
-            )
+            count = borders.size - 1
+            job.observer.note(f"{name}: {blocks} of {count} blocks of layers of the former run are kept")
     with job.stage("slice", len(waiting) * len(job.heights)):
         made = slice_all(
             job.part,
@@ -162,10 +161,8 @@ def primary_of(checked: CrossCheck, config: Config) -> str:
 def evidence_rule(config: Config, names: Iterable[str]) -> EvidenceRule:
     """Which agreements of these slicers count: see ``comparison.evidence_share``."""
     share = config.comparison.evidence_share
-    kin = [pair for pair in combinations(names, 2) if registry.one_method(*pair)]
-    return EvidenceRule(
-        share * config.process.bead_width_mm, share * config.layer_height_mm, frozenset(map(frozenset, kin))
-    )
+    kin = frozenset(frozenset(pair) for pair in combinations(names, 2) if registry.one_method(*pair))
+    return EvidenceRule(share * config.process.bead_width_mm, share * config.layer_height_mm, kin)
 
 
 def not_counted(comparison: Comparison) -> list[str]:
@@ -173,11 +170,8 @@ def not_counted(comparison: Comparison) -> list[str]:
     said = [f"{name} is no evidence: {why}" for name, why in comparison.without_weight.items()]
     if len(comparison.pairs):
         one = comparison.pairs[~comparison.pairs["evidence"]][["a", "b"]].drop_duplicates()
-        said += [
-            f"{a} and {b} are one method"
-            for a, b in one.itertuples(index=False)
-            if not {a, b} & set(comparison.without_weight)
-        ]
+        pairs = [pair for pair in one.to_numpy().tolist() if not {*pair} & set(comparison.without_weight)]
+        said += [f"{a} and {b} are one method" for a, b in pairs]
     return said
 
 
@@ -258,7 +252,7 @@ def _asked_for(config: Config) -> list[str]:
 
 
 def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:
-    """Exact backend of the highest priority that did not make a program, among some, else those of the house that are available; `maker` without another."""
+    """Exact backend of the highest priority that did not make a program, among some, else those of the house that are available; else `maker`."""
     maker = maker or registry.default_backend()
     known = registry.house_slicers() if among is None else among
     others = [name for name in known if name != maker and registry.slicer(name).exact]

@@ -44,13 +44,9 @@ class Entry:
 
     def record(self) -> dict[str, Any]:
         """What the run's record holds of it."""
-        files = self.files
-        return {
-            "layer": self.layer,
-            "validated": files.validated,
-            "files": [{"name": name, "sha256": files.sha256[name]} for name in files.names],
-            "check": check_record(self.check),
-        }
+        files = [{"name": name, "sha256": self.files.sha256[name]} for name in self.files.names]
+        said = {"layer": self.layer, "validated": self.files.validated}
+        return {**said, "files": files, "check": check_record(self.check)}
 
 
 def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -> Entry:
@@ -101,7 +97,7 @@ def _checked(
 
 
 def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
-    """Check a program against the whole one, a program or that of a run folder: it begins where its text lays its first metal, whatever its comments say."""
+    """Check a program against the whole one, a program or a run folder: it begins where its text lays its first metal, whatever its comments say."""
     said_validated = False
     if own_file(whole / MANIFEST):
         run = RunFolder(whole)
@@ -167,21 +163,17 @@ def check_waits(config: Config) -> None:
 def write_live(
     run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write the waiting main program into a run folder and judge its text; its record. It says validated where the whole program does and the check passes."""
+    """Write the waiting main program into a run folder and judge its text; it says validated where the whole program does and the check passes."""
     own = control(config.machine.control)
     name, text = own.load("waiting")(config, top_mm, header)
     check: Check = own.load("handshake")(text, name, config, top_mm)
-    if validated and check.passed:
+    validated = validated and check.passed
+    if validated:
         text = text.replace(NOT_VALIDATED, VALIDATED, 1)
     (run / LIVE).mkdir(exist_ok=True)
     (run / LIVE / name).write_text(text, encoding="ascii", newline="\n")
     sha256 = hashlib.sha256(text.encode("ascii")).hexdigest()
-    return {
-        "name": name,
-        "sha256": sha256,
-        "validated": validated and check.passed,
-        "check": check_record(check),
-    }
+    return {"name": name, "sha256": sha256, "validated": validated, "check": check_record(check)}
 
 
 def live_checked_again(run: Path, record: Mapping[str, Any], config: Config, top_mm: float) -> list[Check]:

@@ -199,13 +199,9 @@ def placeholder_codes(config: Config) -> list[str]:
     used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop", "set_wire"]
     used += ["set_power"] if process.ramps_beam or process.interpass in ("power", "both") else []
     used += ["wire_retract"] if process.wire_retract_mm > 0.0 else []
-    stock = control(machine.control).templates
-    return [
-        name
-        for name in used
-        if getattr(machine, name) in (MachineSettings.model_fields[name].default, stock.get(name, ()))
-        and getattr(machine, name)
-    ]
+    stock, fields = control(machine.control).templates, MachineSettings.model_fields
+    codes = {name: getattr(machine, name) for name in used}
+    return [n for n, code in codes.items() if code and code in (fields[n].default, stock.get(n, ()))]
 
 
 def profile_findings(config: Config) -> Iterator[Check]:
@@ -239,10 +235,8 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
     """Rings that fell back, by cause, and what no method was found for."""
     found = verdict.evidence
     if not found.known:
-        yield _told(
-            "curves-not-lifted",
-            "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are",
-        )
+        text = "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are"
+        yield _told("curves-not-lifted", text)
     for number, cause in enumerate(CAUSES):
         rings = np.flatnonzero((found.cause == number) & (found.method > 0))
         if not number or not rings.size:
@@ -279,7 +273,7 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
 
 
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
-    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them; `heights` (L,) are of cuts."""
+    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them."""
     process = config.process
     for feature in features[:MOST_NARROW]:
         allowed = (process.least_wall_mm if feature.is_wall else process.least_hole_mm) is not None
@@ -304,11 +298,8 @@ def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
-            place, text = (
-                ", ".join(text for text in (check.where, check.place) if text),
-                f"{check.name}: {check.text}",
-            )
-            said = {"unit": check.unit, "remedy": check.remedy}
+            place = ", ".join(text for text in (check.where, check.place) if text)
+            text, said = f"{check.name}: {check.text}", {"unit": check.unit, "remedy": check.remedy}
             yield _told("check-failed", text, place, check.value, check.limit, **said)
 
 
@@ -324,8 +315,7 @@ def _lacks(text: str) -> bool:
 
 def heat_findings(plan: ScanPlan, config: Config) -> Iterator[Check]:
     """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
-    ambient_k = config.process.ambient_temperature_k
-    entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
+    entry_k = plan.metrics["entry_max_k"].to_numpy() + config.process.ambient_temperature_k
     solidus_k = config.material.solidus_k
     hot = np.flatnonzero(entry_k > solidus_k)
     if hot.size:
@@ -350,9 +340,8 @@ def interpass_findings(summary: pd.DataFrame, plan: ScanPlan, config: Config) ->
     share = plan.metrics["power_share"].to_numpy()
     if share.size and np.nanmin(share) < 1.0:
         k, power_w = int(np.nanargmin(share)), config.process.power_w
-        text = (
-            f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm"
-        )
+        least = f"{100.0 * share[k]:.3g} % of {power_w:g} W"
+        text = f"the beam's power goes down to {least} as the part gets warm"
         yield _told("power-taper", text, _at(k, plan.heights, config), float(share[k] * power_w), power_w)
 
 
@@ -360,9 +349,8 @@ def limit_findings(checks: Iterable[Check], plan: ScanPlan, config: Config) -> I
     """Layers that the plan, or the balance of the program's text, enters above the interpass limit; see the gate `heat`."""
     limit_k, metrics = entry_limit_k(config), plan.metrics
     at_bead = config.process.interpass_at == "bead"
-    planned_k = (
-        metrics["entry_max_k"] + config.process.ambient_temperature_k if at_bead else metrics["enter_k"]
-    )
+    ambient_k = config.process.ambient_temperature_k
+    planned_k = metrics["entry_max_k"] + ambient_k if at_bead else metrics["enter_k"]
     hot = np.flatnonzero(planned_k.to_numpy(np.float64) > limit_k)
     what = "beads" if at_bead else "layers"
     if hot.size:
@@ -397,15 +385,11 @@ def seam_findings(program: NCProgram, heights: Floats, config: Config) -> Iterat
     corner_deg = 180.0 - config.curves.corner_angle_deg
     at_corner = turn_deg > corner_deg
     if at_corner.any():
-        k = int(row[at_corner.argmax()])
-        x_mm, y_mm, z_mm = program.start[k].tolist()
-        layer = int(
-            np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
-        )
-        count = int(at_corner.sum())
-        text = (
-            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees"
-        )
+        x_mm, y_mm, z_mm = program.start[int(row[at_corner.argmax()])].tolist()
+        tops_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm)
+        layer, count = int(np.abs(tops_mm - z_mm).argmin()), int(at_corner.sum())
+        turned = f"start where they turn by more than {corner_deg:g} degrees"
+        text = f"{count} of {row.size} closed contours {turned}"
         yield _told("seam-at-corner", text, _at(layer, heights, config, x_mm, y_mm), float(count), 0.0)
 
 
@@ -413,10 +397,8 @@ def consumable_findings(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
-            place = f"layer {found.changes[0] + 1}"
-            yield _told(
-                "consumable-change", found.check().text, place, found.total, found.holds, unit=found.unit
-            )
+            place, text = f"layer {found.changes[0] + 1}", found.check().text
+            yield _told("consumable-change", text, place, found.total, found.holds, unit=found.unit)
 
 
 def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check]:

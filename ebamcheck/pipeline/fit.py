@@ -115,10 +115,7 @@ def fitted(
 
 def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[FitVerdict, pd.DataFrame]:
     """What speaks for the curves of a fit, and its table, one row a layer."""
-    found = curves.evidence
-    if found is None:
-        raise ValueError("curves of a fit carry its evidence")
-    deviation = fit_deviation(curves, layers)
+    found, deviation = _evidence(curves), fit_deviation(curves, layers)
     far_mm = float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
     stack = stack_evidence(curves, layers, part, found) if found.known else None
     verdict = FitVerdict(curves, found, stack, None, far_mm, largest_move_mm(config))
@@ -152,9 +149,8 @@ def gate_text(verdict: FitVerdict) -> str:
     found = verdict.evidence
     count = found.cause.size
     fallen = [f"{int((found.method == k).sum())} by {name}" for k, name in enumerate(FALLBACKS) if k]
-    text = (
-        f"{int((found.method == 0).sum())} of {count} rings by {verdict.curves.method}, {', '.join(fallen)}"
-    )
+    asked = f"{int((found.method == 0).sum())} of {count} rings by {verdict.curves.method}"
+    text = ", ".join([asked, *fallen])
     if verdict.open_rings:
         ring = int(np.flatnonzero(~found.accepted)[0])
         cause = CAUSES[int(found.cause[ring])]
@@ -183,21 +179,13 @@ def gate_text(verdict: FitVerdict) -> str:
 
 
 @dataclass(frozen=True)
-class MethodFigures:
-    """What a fit takes, and how far it leaves the contours."""
-
-    blocks: int
-    max_points_mm: float  # greatest distance of a contour's points from the curve
-    max_bulge_mm: float  # greatest distance of the curve from the contour
-
-
-@dataclass(frozen=True)
 class FitResult:
     """The curves of a run with what speaks for them, beside those of the other methods."""
 
     verdict: FitVerdict
     points: int  # points of the contours
-    methods: Mapping[str, MethodFigures]  # figures by method; those of the chosen one are first
+    # By method, the chosen one first: `blocks`, and how far its curves leave the contours, `max_points_mm` and `max_bulge_mm`
+    methods: Mapping[str, Mapping[str, float]]
     tables: Mapping[str, Table]  # its files in a run folder
 
     @property
@@ -239,15 +227,17 @@ def fit_result(
     return FitResult(verdict, len(layers.points), figures, tables)
 
 
-def _figures(curves: Curves) -> MethodFigures:
-    found = curves.evidence
-    if found is None:
+def _evidence(curves: Curves) -> Evidence:
+    if curves.evidence is None:
         raise ValueError("curves of a fit carry its evidence")
-    return MethodFigures(
-        blocks=int(curves.block_count()),
-        max_points_mm=float(found.points_mm.max(initial=0.0)),
-        max_bulge_mm=float(found.bulge_mm.max(initial=0.0)),
-    )
+    return curves.evidence
+
+
+def _figures(curves: Curves) -> dict[str, float]:
+    most = {
+        f"max_{n}": float(getattr(_evidence(curves), n).max(initial=0.0)) for n in ("points_mm", "bulge_mm")
+    }
+    return {"blocks": int(curves.block_count()), **most}
 
 
 def _against_reference(
@@ -286,8 +276,6 @@ def _rms(errors: pd.DataFrame) -> dict[str, float]:
     result = {}
     for figure, rings in (("polar_rms_mm", "polar_rings"), ("normal_rms_mm", "rings")):
         known = errors[errors[figure].notna()]
-        weight = known[rings].sum()
-        result[figure] = (
-            float(np.sqrt((known[figure] ** 2 * known[rings]).sum() / weight)) if weight else float("nan")
-        )
+        weight, squares = known[rings].sum(), (known[figure] ** 2 * known[rings]).sum()
+        result[figure] = float(np.sqrt(squares / weight)) if weight else float("nan")
     return result

@@ -172,10 +172,8 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Check:
         text = "no program was written: there is no contour"
         return Check.gate("deposit", False, float("nan"), limit, "of the part", text)
     failed = [check for check in made if not check.passed]
-    said = failed[0] if failed else made[0]
-    more = (
-        f" (and {len(failed) - 1} more: {', '.join(c.name for c in failed[1:])})" if len(failed) > 1 else ""
-    )
+    said, others = failed[0] if failed else made[0], [check.name for check in failed[1:]]
+    more = f" (and {len(others)} more: {', '.join(others)})" if others else ""
     text = said.text if failed else "; ".join(check.text for check in made[:3])
     return Check.gate("deposit", not failed, said.value, said.limit, said.unit, text + more)
 

@@ -140,9 +140,8 @@ def carried_out(
     on with unless `keep_layers` is off.
     """
     target, observer = Path(target), job.observer
-    job.fingerprint = sha256_of_json(
-        [what, sha256, job.config.model_dump(), job.heights, list(backends), __version__, *inputs]
-    )
+    of_job = [job.config.model_dump(), job.heights, list(backends), __version__]
+    job.fingerprint = sha256_of_json([what, sha256, *of_job, *inputs])
     if resume and not force and (done := finished_run(target, job.fingerprint)) is not None:
         observer.note(f"{target}: is finished already")
         return RunResult.of(done)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from ebamcheck.checks.consumables import plate_record
 from ebamcheck.checks.header_checks import marked_validated
@@ -31,7 +31,6 @@ from ebamcheck.pipeline.tables import Table, tables_of_metal, tables_of_plan, ta
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.result import Check, has_fault
 from ebamcheck.scan import ScanPlan
-from ebamcheck.settings.config import Config
 from ebamcheck.surface.part_surface import surface_kept
 
 
@@ -96,12 +95,9 @@ def make_program(
             # Contours by another exact method than the one that made the program, where there is one.
             name = witness_backend(layers.backend, checked.done)
             witness = layers if name == layers.backend else job.folder.read_layers(name)
-            proof = _proved(job.part, files, laid, _Sections(layers, verdict.curves, witness), config, aside)
-            planned: dict[str, Table] = {
-                "scan.parquet": plan,
-                "beads.parquet": laid.beads,
-                **of_plan.result(),
-            }
+            proof = _proved(job, files, laid, layers, verdict.curves, witness, aside)
+            planned: dict[str, Table] = {"scan.parquet": plan, "beads.parquet": laid.beads}
+            planned |= of_plan.result()
             fitting = fit.result()
     made = tuple(stages.judged_program(fitting.verdict, proof.checks, plan.metrics, config))
     findings = (*told.fit_findings(verdict), *told.heat_findings(plan, config), *proof.findings)
@@ -129,28 +125,21 @@ def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
     return entry
 
 
-class _Sections(NamedTuple):
-    """Sections of the part: contours of the primary slicer, the curves fitted to them, and contours of the witness."""
-
-    contours: Layers
-    curves: Curves
-    witness: Layers
-
-
 def _proved(
-    part: Part,
+    job: Job,
     files: ProgramFiles,
     laid: stages.LaidOut,
-    sections: _Sections,
-    config: Config,
+    contours: Layers,
+    curves: Curves,
+    witness: Layers,
     aside: Executor,
 ) -> ProgramProof:
-    """Read the text of a program back and check it against what it was made from."""
-    witness, heights = sections.witness, sections.contours.heights
+    """Read the text of a program back and check it against what it was made from, and against the contours of a witness."""
+    part, config, heights = job.part, job.config, contours.heights
     z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
     program, match = matched(read_program(files.main, config), laid.path)
     metal = aside.submit(deposit, program, witness, z_of, config, asked=True)
-    of_program = aside.submit(tables_of_program, program, sections.contours, config)
+    of_program = aside.submit(tables_of_program, program, contours, config)
     times = aside.submit(build_times_s, program, config, known_sections(laid.plan, witness))
     checks = verify_program(
         program,
@@ -163,7 +152,7 @@ def _proved(
         laid=metal.result,
         heat=True,
         sha256=files.sha256,
-        smooth=stages.smooth_sections(sections.curves, config),
+        smooth=stages.smooth_sections(curves, config),
     )
     found, solid = metal.result(), solid_check(part, witness, config)
     of_metal = [*deposit_checks(program, found, config), solid.check, *of_mesh(part, witness, config)]

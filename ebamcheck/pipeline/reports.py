@@ -1,4 +1,4 @@
-"""Report writers: the house's write into the run folder, a stranger's into a copy of it (``python -m ebamcheck.pipeline.reports NAME VALUE FOLDER PARENT``)."""
+"""Report writers: the house's write into the run folder, a stranger's into a copy (``python -m ebamcheck.pipeline.reports NAME VALUE FOLDER PARENT``)."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ from ebamcheck.layers.heights import cut_heights, layer_blocks
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slabs import Division, FacetFile, Slab, SlabInspection, divided, facet_count, read_once
 from ebamcheck.pipeline.cross_check import CrossCheck, chosen_backends, compared_layers
-from ebamcheck.pipeline.finishing import SlabRecord, finish
+from ebamcheck.pipeline.finishing import finish
 from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
 from ebamcheck.preflight.report import Preflight
 from ebamcheck.preflight.workload import slab_workload, work_checks
@@ -73,7 +73,7 @@ def check_in_slabs(
         checked, job.found, settings = cut_slabs(job, division, backends)
         borders_mm = division.borders_mm[1:-1].tolist()
         figures = {"count": len(division), "most_facets": most, "borders_mm": borders_mm}
-        return finish(job, checked, slabs=SlabRecord(settings, figures))
+        return finish(job, checked, slabs=figures, settings=settings)
 
     what, sha256 = "check in slabs", file.outline.source_sha256
     options = {"resume": resume, "force": force, "keep_layers": False}
@@ -81,17 +81,11 @@ def check_in_slabs(
 
 
 def _as_it_stands(config: Config) -> None:
-    part = config.part
-    asked = {
-        "part.direction": part.direction != (0.0, 0.0, 1.0),
-        "part.rotate_deg": part.rotate_deg != 0.0,
-        "part.place_at_mm": part.place_at_mm is not None,
-        "part.fix_orientation": part.fix_orientation,
-    }
-    for name, is_asked in asked.items():
-        if is_asked:
+    plain = {"direction": (0.0, 0.0, 1.0), "rotate_deg": 0.0, "place_at_mm": None, "fix_orientation": False}
+    for name, value in plain.items():
+        if getattr(config.part, name) != value:
             raise SettingsError(
-                f"{name}: a check in slabs takes the part as it stands in its file: leave the setting out, or check the "
+                f"part.{name}: a check in slabs takes the part as it stands in its file: leave the setting out, or check the "
                 "part whole (--slabs 1)"
             )
 

@@ -88,8 +88,7 @@ def power_by_wire(
         path = with_bead_ends(path, process, decimals, below)
         if not path.kind.size:
             return BeadPower(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-        parts = wired(path, plan, config, surface)
-        return along_beads(parts, path.ring.size, thickness_mm, config)
+        return along_beads(wired(path, plan, config, surface), path.ring.size, thickness_mm, config)
 
     return power_of
 
@@ -97,7 +96,7 @@ def power_by_wire(
 def contour_curves(
     layers: Layers, contours: Sequence[BaseGeometry], config: Config, first_layer: int = 0
 ) -> Curves:
-    """Curves along the centre lines (L,) of the contour beads of layers, in the direction in which they are driven; the lowest is `first_layer` of the build."""
+    """Curves along the centre lines (L,) of the contour beads of layers, as they are driven; the lowest is `first_layer` of the build."""
     labels = {name: getattr(layers, name) for name in ("part", "direction", "backend", "settings")}
     lines = from_polygons(layers.heights, [[region] for region in contours], **labels)
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.

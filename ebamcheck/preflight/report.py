@@ -44,11 +44,8 @@ class Preflight:
 
     def as_dict(self) -> dict[str, Any]:
         """All checks and the estimate, for JSON."""
-        return {
-            "passed": self.passed,
-            "checks": [preflight_record(check) for check in self.checks],
-            "work": asdict(self.work),
-        }
+        checks = [preflight_record(check) for check in self.checks]
+        return {"passed": self.passed, "checks": checks, "work": asdict(self.work)}
 
     def stop(self, job: str) -> None:
         """Refuse a job that cannot come to a good end: the SettingsError tells the first fault that stops it, how many more there are, and what to do."""
@@ -56,9 +53,8 @@ class Preflight:
         if not faults:
             return
         first, more = faults[0], f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise SettingsError(
-            f"preflight: {first.name}: {first.text}{more}: {first.remedy}; `ebamcheck preflight` shows all"
-        )
+        said = f"{first.name}: {first.text}{more}: {first.remedy}"
+        raise SettingsError(f"preflight: {said}; `ebamcheck preflight` shows all")
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +159,7 @@ class ChosenHeight(NamedTuple):
 
 
 def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
-    """Settings of a run with a layer height that fits the part, where they leave it open; a mesh that is not `sound` encloses no volume, which tells nothing."""
+    """Settings of a run with a layer height that fits the part, where they leave it open; of a mesh that is not `sound`, nothing is known."""
     bead_mm, limit = config.layer_height_mm, config.process.mass_tolerance
     if config.layers.layer_height_mm is not None or config.layers.heights_mm or config.base_mm > 0.0:
         return _kept(config, f"{bead_mm:g} mm, as set" if not config.layers.heights_mm else "as listed")

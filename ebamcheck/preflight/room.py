@@ -59,9 +59,9 @@ def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
         if over <= ROUNDING_MM:
             yield Check.preflight(name, "pass", span, float(greatest), limit_high, "mm")
             continue
-        which, figure, limit = (
-            ("travel_max_mm", greatest, limit_high) if above > below else ("travel_min_mm", least, limit_low)
-        )
+        which, figure, limit = "travel_max_mm", greatest, limit_high
+        if above <= below:
+            which, figure, limit = "travel_min_mm", least, limit_low
         remedy = _room_remedy(axis, greatest - least, limit_high - limit_low, config)
         text = f"{span}: {over:.6g} mm beyond machine.{which}"
         yield Check.preflight(name, "fault", text, float(figure), limit, "mm", remedy, (RUN,))
@@ -72,9 +72,7 @@ def _room_remedy(axis: str, needed_mm: float, there_mm: float, config: Config) -
     if axis == "Z":
         return "lay it down (--direction), or check the unit of the file (--units)"
     if needed_mm <= there_mm:
-        x, y = (
-            0.5 * (a + b) for a, b in zip(machine.travel_min_mm[:2], machine.travel_max_mm[:2], strict=True)
-        )
+        x, y, _ = (0.5 * (a + b) for a, b in zip(machine.travel_min_mm, machine.travel_max_mm, strict=True))
         return f"place it, such as in the middle of the travel: --place {x:g},{y:g} (part.place_at_mm)"
     return "turn it (--rotate, --direction), or check the unit of the file (--units)"
 
@@ -144,9 +142,8 @@ def sense_checks(config: Config) -> Iterator[Check]:
     """Check layer height, wire and energy against the process window, and what else excludes itself."""
     window = [replace(found, name="process window", stops=(RUN,)) for found in outside_window(config)]
     layer, bead = config.layer_height_mm, config.process.bead_height_mm
-    said = (
-        f"layers of {layer:.4g} mm, {layer / bead:.3g} of the height of one bead; within the process window"
-    )
+    of_bead = f"{layer / bead:.3g} of the height of one bead"
+    said = f"layers of {layer:.4g} mm, {of_bead}; within the process window"
     yield from window or [Check.preflight("process window", "pass", said, layer / bead, None, "of the bead")]
     yield from (replace(found, name="layer height") for found in unusual_layers(config))
     yield _control(config)
@@ -233,9 +230,8 @@ def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
     largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
     size = sizes(found.size_mm)
     if largest < few_mm:
-        text = (
-            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads"
-        )
+        read = f"the part is {size} mm, read as {found.units}"
+        text = f"{read}: its largest extent is under {FEW_BEADS:g} beads"
         remedy = f"check the unit of the file (--units){_in_other_units(found, config)}"
         yield Check.finding("warning", "part-under-beads", text, "part.units", largest, few_mm, "mm", remedy)
     # Of a file in inches that is what one expects.

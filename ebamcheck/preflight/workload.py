@@ -135,9 +135,8 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
     """Refuse to slice a part with one slicer where that is more work than the settings allow; the message names figure, limit and setting."""
-    one = config.model_copy(
-        update={"slicing": config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})}
-    )
+    alone = config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})
+    one = config.model_copy(update={"slicing": alone})
     for check in work_checks(workload(part, heights, one, CHECK), config, yes):
         if check.level == "fault":
             raise SettingsError(f"{check.text}: {check.remedy}")
@@ -150,10 +149,9 @@ def _amount(figure: float, unit: str) -> str:
     ('1,234,567', '1.5 hours', '1.6 minutes', '2.3 GB')
     """
     if unit == "s":
-        scale, name = (
-            (3600.0, "hours") if figure >= 3600.0 else (60.0, "minutes") if figure >= 60.0 else (1.0, "s")
-        )
-        return f"{figure / scale:.2g} {name}"
+        scales = ((3600.0, "hours"), (60.0, "minutes"), (-math.inf, "s"))
+        scale, name = next((least, name) for least, name in scales if figure >= least)
+        return f"{figure / max(scale, 1.0):.2g} {name}"
     if unit == "MB":
         return f"{figure * 1e-3:.2g} GB" if figure >= 1000.0 else f"{figure:.0f} MB"
     return f"{figure:,.0f}"

@@ -47,7 +47,7 @@ def verify_program(
     sha256: Mapping[str, str] | None = None,
     truth: Truth | None = None,
 ) -> list[Check]:
-    """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names file and line of the first or worst place.
+    """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names the first or worst line.
 
     `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections by a slicer, best by one
     that did not make the program, and `smooth` the same with the curves that their chords stand for. `beads` judges the beads themselves; `metal` lays the

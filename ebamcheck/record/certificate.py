@@ -55,7 +55,7 @@ NOT_PROVED = (
 
 
 def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What the record of a run says of it, as its certificate holds it, without files, release and seal; `made` is the software, as an earlier one tells."""
+    """What the record of a run says of it, as its certificate holds it, without files, release and seal; `made` is the software that made it."""
     config = validated(manifest["settings"], "run.json: settings")
     program = manifest.get("program") or {"files": [], "validated": False, "checks": []}
     part, machine = manifest["part"], config.machine
@@ -98,9 +98,8 @@ def released(path: Path, release: Mapping[str, Any]) -> Path:
     """Write what a person adds into a certificate, and seal it anew; a broken seal, or a signature that would no longer hold, is refused."""
     found = read_certificate(path)
     if not is_sealed(path, found):
-        raise InputError(
-            f"{path}: its seal is broken: it was changed since it was written, and is not to be signed"
-        )
+        why = "it was changed since it was written, and is not to be signed"
+        raise InputError(f"{path}: its seal is broken: {why}")
     after = {**found["release"], **release}
     if after == found["release"]:
         return path
@@ -137,9 +136,8 @@ def file_names(folder: Path) -> list[str]:
     """Relative names of the files that a certificate lists: of all that stands there and is no folder."""
     found = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
     names = (path.relative_to(folder).as_posix() for path in found)
-    return sorted(
-        n for n in names if n not in (CERTIFICATE, "fingerprint") and not n.startswith(f"{SIGNATURES}/")
-    )
+    own = CERTIFICATE, "fingerprint"
+    return sorted(n for n in names if n not in own and not n.startswith(f"{SIGNATURES}/"))
 
 
 def profile_sha256(settings: Mapping[str, Any]) -> str:
@@ -230,10 +228,8 @@ class Statement:
 def statement(manifest: Mapping[str, Any]) -> Statement:
     """Statement of a run from its record; what comes after a validated program (codes, dry run, approval) is said of no other one."""
     gates, found = manifest["gates"], manifest.get("findings", [])
-    unproved, proved = (
-        tuple(PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"] is passed)
-        for passed in (False, True)
-    )
+    said = [(gate["passed"], PROVED.get(gate["name"], gate["text"])) for gate in gates]
+    unproved, proved = (tuple(text for passed, text in said if passed is which) for which in (False, True))
     shut = [str(gate["name"]) for gate in gates if not gate["passed"]]
     left = [f"to open the gate{'s' if len(shut) > 1 else ''} {', '.join(shut)}"] if shut else []
     grave = [finding for finding in found if finding["severity"] != "note"]
@@ -309,8 +305,7 @@ def source_sha256() -> str:
 
 def commit() -> str:
     """Commit of the checkout that this package is run from; empty for an installed one."""
-    found = _git(Path(ebamcheck.__file__).resolve().parent.parent, "rev-parse", "HEAD")
-    return (found or "").strip()
+    return (_git(Path(ebamcheck.__file__).resolve().parent.parent, "rev-parse", "HEAD") or "").strip()
 
 
 @functools.cache

@@ -53,9 +53,8 @@ def refuse_unfit(run: RunFolder) -> None:
     checks += told_once([file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
     for check in checks:
         if not check.passed:
-            raise InputError(
-                f"{run.path}: is not what its certificate says, and is not to be signed: {check.in_words()}"
-            )
+            why = f"and is not to be signed: {check.in_words()}"
+            raise InputError(f"{run.path}: is not what its certificate says, {why}")
 
 
 def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str]) -> list[Check]:
@@ -65,11 +64,8 @@ def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str
     unknown = [name for name in of_run.file_names(run.path) if name not in listed]
     ignored = [name for name in unknown if name.rpartition("/")[2] in HARMLESS]
     added = dict.fromkeys(set(unknown) - set(ignored), "the certificate does not know this file")
-    added |= {
-        name: "the record does not know this file"
-        for name in set(listed) - set(recorded)
-        if name.partition("/")[0] in OF_THE_RECORD
-    }
+    strange = {name for name in listed if name.partition("/")[0] in OF_THE_RECORD} - set(recorded)
+    added |= dict.fromkeys(strange, "the record does not know this file")
     checks += [Check.fault("file unchanged", printable(name), text) for name, text in sorted(added.items())]
     return told_once(checks, ignored)
 

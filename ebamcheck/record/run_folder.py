@@ -62,9 +62,8 @@ class RunFolder:
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
         found = read_json(path)
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
-            raise InputError(
-                f"{path}: is not a run of format {FORMAT_VERSION}: make it again with `ebamcheck run`"
-            )
+            again = "make it again with `ebamcheck run`"
+            raise InputError(f"{path}: is not a run of format {FORMAT_VERSION}: {again}")
         found = in_form(RecordForm, found, path)
         # Runs of earlier versions have them in the record itself.
         return found if "timings" in found else {**found, "timings": self._timings()}
@@ -73,8 +72,7 @@ class RunFolder:
         path = self.path / TIMINGS
         if not own_file(path):
             return {}
-        found = read_json(path)
-        return in_form(TimingsForm, found, path)
+        return in_form(TimingsForm, read_json(path), path)
 
     def write_manifest(self, manifest: Mapping[str, Any]) -> None:
         """Write the record: ``timings`` into a file of their own, everything else into ``run.json``."""

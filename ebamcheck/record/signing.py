@@ -60,14 +60,12 @@ def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
             raise SettingsError(
                 f"{file}: is there already, and a key that is overwritten is lost: give another name"
             )
-    key = Ed25519PrivateKey.generate()
+    key, pem = Ed25519PrivateKey.generate(), serialization.Encoding.PEM
     encryption: serialization.KeySerializationEncryption = serialization.NoEncryption()
     if password:
         encryption = serialization.BestAvailableEncryption(password.encode())
-    private = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
-    public = key.public_key().public_bytes(
-        serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
-    )
+    private = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, encryption)
+    public = key.public_key().public_bytes(pem, serialization.PublicFormat.SubjectPublicKeyInfo)
     try:
         stem.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(private_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -167,9 +165,8 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
     broken = [s for s in found if s.state == BROKEN]
     if broken:
         text = broken[0].text + (f" (and {len(broken) - 1} more)" if len(broken) > 1 else "")
-        return Check(
-            "signature", False, float(len(broken)), 0.0, "faults", f"{SIGNATURES}/{broken[0].file}", text
-        )
+        where = f"{SIGNATURES}/{broken[0].file}"
+        return Check("signature", False, float(len(broken)), 0.0, "faults", where, text)
     text = "; ".join(s.text for s in found) or "unsigned: anyone who can write here can write another one"
     others = sorted({*(certificate.parent / SIGNATURES).glob("*")} - {*signature_files(certificate)})
     text += f"; ignored: {', '.join(printable(path.name) for path in others)}" if others else ""
@@ -193,9 +190,8 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
     except (InputError, ValueError, KeyError, TypeError, binascii.Error):
         return Signature(path.name, BROKEN, "", "", "is no signature of ours")
     except InvalidSignature:
-        return Signature(
-            path.name, BROKEN, "", fingerprint(public), "the signature does not fit what it covers"
-        )
+        text = "the signature does not fit what it covers"
+        return Signature(path.name, BROKEN, "", fingerprint(public), text)
     key = fingerprint(public)
     name, role, date = (printable(said[field]) for field in ("name", "role", "date"))
     if said["certificate_sha256"] != digest:

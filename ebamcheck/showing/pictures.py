@@ -45,10 +45,8 @@ def islands_svg(
     body, texts = [], []
     for island, value in zip(islands, values.tolist(), strict=True):
         share = (value - low) / (high - low) if high > low else 0.0
-        path = ring_path(island, view.place)
-        body.append(
-            element("path", d=path, fill=ramp(share), fill_rule="evenodd", stroke="#fff", stroke_width=0.7)
-        )
+        filled = {"d": region_path(island, view.place), "fill": ramp(share), "fill_rule": "evenodd"}
+        body.append(element("path", **filled, stroke="#fff", stroke_width=0.7))
         if len(islands) <= LABELLED:
             ((x, y),) = view.place(shapely.get_coordinates(shapely.point_on_surface(island)))
             told = str(round(value)) if temperatures is None else temperatures.told(value)
@@ -68,10 +66,7 @@ def _label(x_px: float, y_px: float, words: str, on_dark: bool, with_halo: bool)
 
 def overlay(scene: Scene, place: Callable[[Floats], Floats]) -> Markup:
     """Paths of the section's outline, the contour beads, the lines and the ways between islands, by class."""
-    outline, contour = (
-        "".join(ring_path(part, place) for part in shapely.get_parts(region))
-        for region in (scene.section, scene.contour)
-    )
+    outline, contour = (region_path(region, place) for region in (scene.section, scene.contour))
     lines, jumps = (_strokes(columns, place) for columns in (scene.lines, scene.jumps))
     return element(
         "g",
@@ -108,17 +103,11 @@ def field_svg(
     share = np.zeros(len(points))
     share[inside] = values_at(points[inside]) / greatest if greatest > 0.0 else 0.0
     pixels = np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8).reshape(len(y), len(x))
-    outline = "".join(ring_path(part, view.place) for part in shapely.get_parts(section))
+    outline = region_path(section, view.place)
     left, top = view.place(view.low[None])[0, 0], view.place(view.high[None])[0, 1]
-    image = element(
-        "image",
-        x=f"{left:.1f}",
-        y=f"{top:.1f}",
-        width=len(x) * FIELD_PX,
-        height=len(y) * FIELD_PX,
-        preserveAspectRatio="none",
-        href=png_address(palette_image(pixels, SCALE)),
-    )
+    box = {"x": f"{left:.1f}", "y": f"{top:.1f}", "width": len(x) * FIELD_PX, "height": len(y) * FIELD_PX}
+    address = png_address(palette_image(pixels, SCALE))
+    image = element("image", **box, preserveAspectRatio="none", href=address)
     body = [
         element("clipPath", element("path", d=outline, clip_rule="evenodd"), id="section"),
         element("g", image, clip_path="url(#section)"),
@@ -146,12 +135,9 @@ class _View:
 
     def place(self, points: Floats) -> Floats:
         """Places of points (n, 2) on the picture, px."""
-        return np.column_stack(
-            [
-                MARGIN_PX + self.scale * (points[:, 0] - self.low[0]),
-                TITLE_PX + self.scale * (self.high[1] - points[:, 1]),
-            ]
-        )
+        x, y = points.T
+        right, down = self.scale * (x - self.low[0]), self.scale * (self.high[1] - y)
+        return np.column_stack([MARGIN_PX + right, TITLE_PX + down])
 
     def picture(
         self,
@@ -166,38 +152,26 @@ class _View:
         extent = float(self.high[1] - self.low[1])
         height_px = math.ceil(TITLE_PX + self.scale * extent + FOOT_PX + SCALE_PX)
         top_px = float(height_px - SCALE_PX)
-        if temperatures is None:
-            bar = _scale_bar(low, high, unit, top_px)
-        else:
+        if temperatures is not None:
             bar = _temperature_bar(temperatures, unit, top_px)
+        else:
+            ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
+            bar = _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
         return svg_file(WIDTH_PX, height_px, [text(MARGIN_PX, 18, title, 14), *body, *bar])
 
 
-def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str:
-    """Path of the rings of an island, whose points are put on the picture by `place`."""
-    rings = [shapely.get_coordinates(ring)[:-1] for ring in (island.exterior, *island.interiors)]
+def region_path(region: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
+    """Path of the rings of polygons, whose points are put on the picture by `place`."""
+    rings = [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(shapely.get_parts(region))]
     return "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in place(ring)) + "Z" for ring in rings)
-
-
-def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[Markup]:
-    ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
-    return _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
 
 
 def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[Markup]:
     """Colours from 0 to the greatest rise, in their last one on to the boiling point, with the marks over it."""
     per_k = LONG_BAR_PX / max(scale.greatest, *(rise for _, rise in scale.marks))
     hottest = scale.greatest * per_k
-    beyond = element(
-        "rect",
-        x=MARGIN_PX,
-        y=f"{top_px:.1f}",
-        width=LONG_BAR_PX,
-        height=10,
-        fill=ramp(1.0),
-        fill_opacity=0.35,
-    )
-    bar = [beyond, *_gradient(hottest, top_px)]
+    box = {"x": MARGIN_PX, "y": f"{top_px:.1f}", "width": LONG_BAR_PX, "height": 10}
+    bar = [element("rect", **box, fill=ramp(1.0), fill_opacity=0.35), *_gradient(hottest, top_px)]
     low, high = f"0{unit}", f"{scale.greatest:.0f}{unit} and more"
     if hottest > 3 * LABEL_PX:
         bar += [
@@ -218,17 +192,9 @@ def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[
 def _gradient(width_px: float, top_px: float) -> list[Markup]:
     steps = 40
     width = width_px / steps
-    return [
-        element(
-            "rect",
-            x=f"{MARGIN_PX + n * width:.1f}",
-            y=f"{top_px:.1f}",
-            width=f"{width + 0.5:.1f}",
-            height=10,
-            fill=ramp(n / (steps - 1)),
-        )
-        for n in range(steps)
-    ]
+    box = {"y": f"{top_px:.1f}", "width": f"{width + 0.5:.1f}", "height": 10}
+    places = [f"{MARGIN_PX + n * width:.1f}" for n in range(steps)]
+    return [element("rect", x=x, **box, fill=ramp(n / (steps - 1))) for n, x in enumerate(places)]
 
 
 def _scale_text(x_px: float, anchor: str, words: str, y_px: float) -> Markup:

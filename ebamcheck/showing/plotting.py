@@ -109,13 +109,9 @@ def _add_lines(ax: Any, groups: Sequence[Lines], style: dict[str, Any]) -> None:
     from matplotlib.collections import LineCollection
 
     for group in groups:
-        drawn = {
-            "colors": group.colour,
-            "linewidths": group.width,
-            "linestyles": group.dashes,
-            "label": group.name or None,
-        }
-        ax.add_collection(LineCollection(list(group.points), **{**drawn, **style}))
+        drawn = {"colors": group.colour, "linewidths": group.width, "linestyles": group.dashes}
+        named = {**drawn, "label": group.name or None, **style}
+        ax.add_collection(LineCollection(list(group.points), **named))
 
 
 def _plane(ax: Any, title: str) -> Any:

@@ -14,33 +14,9 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.mesh.topology import weld
 from ebamcheck.plugins.registry import Model
-from ebamcheck.testing.solids import (
-    FRAME_MM,
-    HOUSE_RULE,
-    SIMPLE,
-    attackers,
-    box,
-    frame,
-    house_rule,
-    joined,
-    mapped,
-    named,
-    region,
-    sections,
-    simple,
-    steps,
-    turn,
-    winding_rule,
-)
-from ebamcheck.testing.subject import (
-    NO_LAYER,
-    Figure,
-    Subject,
-    cut_unless_refused,
-    generic_heights,
-    rounding_mm,
-    truth,
-)
+from ebamcheck.testing import solids
+from ebamcheck.testing.solids import SIMPLE, box, house_rule, joined, mapped, named, sections, simple, turn
+from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, generic_heights, rounding_mm, truth
 
 LOOSEST = 3.0  # a bound more than this many times the worst case that the kit finds is idle
 SHIFT_SHARE = 0.2  # share of the bound by which the centroids of round sections may be off, on the mean of a body's layers
@@ -84,15 +60,13 @@ def no_shift(subject: Subject) -> list[Figure]:
     found = []
     for part, heights in _solids(ROUND, SHIFT_LAYERS):
         layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
-        limit, one_limit = (
-            share * subject.promise_mm(part) + rounding_mm(part) for share in (SHIFT_SHARE, LAYER_SHIFT_SHARE)
-        )
+        promise_mm, rounding = subject.promise_mm(part), rounding_mm(part)
+        limit, one_limit = (share * promise_mm + rounding for share in (SHIFT_SHARE, LAYER_SHIFT_SHARE))
         shifts = []
         for k in range(len(heights)):
-            cut, true = region(layers, k), region(exact, k).centroid
-            shifts.append(
-                (np.inf, np.inf) if cut.is_empty else (cut.centroid.x - true.x, cut.centroid.y - true.y)
-            )
+            cut, true = solids.region(layers, k), solids.region(exact, k).centroid
+            off = (np.inf, np.inf) if cut.is_empty else (cut.centroid.x - true.x, cut.centroid.y - true.y)
+            shifts.append(off)
         # A small section lies off by chance; what is wrong lies off the same way in all.
         shift = float(np.hypot(*np.mean(shifts, axis=0)))
         text = f"mean distance of the centroids of {len(heights)} layers, mm"
@@ -108,18 +82,12 @@ def topology(subject: Subject) -> list[Figure]:
     """Rings and holes are those of the exact section; if sampled, those thicker than twice the limit."""
     found = []
     for part, heights in _solids():
+        seen = subject.differences(part, heights)
         if subject.slicer.exact:
             layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
-            agree = (layers.outer_counts() == exact.outer_counts()) & (
-                layers.hole_counts() == exact.hole_counts()
-            )
-        else:
-            agree = subject.differences(part, heights).topology_agrees
-        places = subject.differences(part, heights).places
-        found += [
-            truth("topology", part.name, bool(agree[k]), f"other rings or holes at {places[k]}", k)
-            for k in range(len(heights))
-        ]
+            agree = layers.outer_counts() == exact.outer_counts()
+            seen = seen._replace(topology_agrees=agree & (layers.hole_counts() == exact.hole_counts()))
+        found += seen.topology_figures("topology", part.name)
     return found
 
 
@@ -134,7 +102,7 @@ def points_on_contours(subject: Subject) -> list[Figure]:
         for k in range(len(heights)):
             rings = [layers.ring(r) for r in layers.rings_of(k)]
             points = shapely.points(np.concatenate([np.zeros((0, 2)), *rings]))
-            off = shapely.distance(points, region(exact, k).boundary).max(initial=0.0)
+            off = shapely.distance(points, solids.region(exact, k).boundary).max(initial=0.0)
             found.append(Figure("points on contours", part.name, k, float(off), limit, "farthest point, mm"))
             error = float(abs(layers.areas()[k] - exact.areas()[k]))
             allowed = limit * float(exact.perimeters()[k])
@@ -145,11 +113,11 @@ def points_on_contours(subject: Subject) -> list[Figure]:
 def coplanar_planes(subject: Subject) -> list[Figure]:
     """Planes through vertices and faces give the section of z = h + 0, if that is the declared rule."""
     parts = {
-        "steps": steps(),
-        "turned steps": mapped(steps(), turn(29.0)),
+        "steps": solids.steps(),
+        "turned steps": mapped(solids.steps(), turn(29.0)),
         "pyramid": simple("pyramid"),
         "sphere": simple("sphere"),
-        "upside-down steps": mapped(steps(), turn(180.0, "x")),
+        "upside-down steps": mapped(solids.steps(), turn(180.0, "x")),
     }
     found = []
     for name, made in parts.items():
@@ -177,18 +145,18 @@ def inside_rule(subject: Subject) -> list[Figure]:
     for name, made in parts.items():
         part = named(name, made)
         heights = generic_heights(part, 4)
-        layers = cut_unless_refused("inside rule", subject, part, heights, found)
+        layers = subject.cut_unless_refused("inside rule", part, heights, found)
         if layers is None:
             continue
         rule = subject.inside_rule(layers)
-        if winding_rule(rule) is None:
+        if solids.winding_rule(rule) is None:
             found.append(truth("inside rule", name, False, f"unknown rule {rule!r}"))
             continue
         differences = subject.differences(part, heights)
         limit = subject.limit_mm(part)
         for k, depth in enumerate(differences.depth_mm):
             found.append(Figure("inside rule", name, k, float(depth), limit, differences.places[k]))
-            twice = abs(float(layers.areas()[k]) - region(layers, k).area)
+            twice = abs(float(layers.areas()[k]) - solids.region(layers, k).area)
             rounding_mm2 = rounding_mm(part) * float(layers.perimeters()[k])
             found.append(Figure("inside rule", name, k, twice, rounding_mm2, "area under two rings, mm2"))
     return found
@@ -215,7 +183,7 @@ def touching_bodies(subject: Subject) -> list[Figure]:
         for degrees in (0.0, 29.0):
             part = named(f"{name}, {degrees:g} degrees", mapped(made, turn(degrees)))
             heights = generic_heights(part, 2)
-            layers = cut_unless_refused("touching bodies", subject, part, heights, found)
+            layers = subject.cut_unless_refused("touching bodies", part, heights, found)
             if layers is None:
                 continue
             seen, limit = subject.differences(part, heights), subject.limit_mm(part)
@@ -260,13 +228,11 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
         if k in told_otherwise:
             found.append(told_otherwise[k])
             continue
-        near = [
-            shapely.union_all(model.section(z + share * t, SECTION_SHARE * t))
-            for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
-        ]
+        heights_near = z + t * np.linspace(-1.0, 1.0, 5)
+        near = [shapely.union_all(model.section(at, SECTION_SHARE * t)) for at in heights_near.tolist()]
         most = shapely.union_all(near).buffer(reach_mm, quad_segs=16)
         least = eroded(shapely.intersection_all(near), reach_mm)
-        cut = region(layers, k)
+        cut = solids.region(layers, k)
         beyond = float(cut.difference(most).area + least.difference(cut).area)
         rounding_mm2 = rounding_mm(part) * max(float(most.length), 1.0)
         text = f"area beyond, mm2, at z = {z:.9g} mm"
@@ -278,8 +244,8 @@ def _by_another_rule(subject: Subject, part: Part, layers: Layers, heights: Floa
     """Figures of the layers where the declared inside rule asks for another solid than the house's, the union of shells, which is a model's closed form:
     there the slicer is held against the section of the mesh by that rule, as on solids (`inside_rule`).
     """
-    rule = winding_rule(subject.inside_rule(layers))
-    if rule is None or subject.inside_rule(layers) == HOUSE_RULE:
+    rule = solids.winding_rule(subject.inside_rule(layers))
+    if rule is None or subject.inside_rule(layers) == solids.HOUSE_RULE:
         return {}
     own, house = (sections(part, heights, by) for by in (rule, house_rule))
     other = np.flatnonzero(~np.isclose(own.areas(), house.areas(), rtol=1e-9, atol=rounding_mm(part) ** 2))
@@ -301,15 +267,13 @@ def _solids(names: Iterable[str] = tuple(SIMPLE), layers: int = 3) -> Iterator[t
 
 
 def _attackers(subject: Subject) -> dict[str, Part]:
-    return attackers(min(max(subject.bound_mm(frame()), FINE_FEATURES_MM), 0.02 * FRAME_MM))
+    return solids.attackers(
+        min(max(subject.bound_mm(solids.frame()), FINE_FEATURES_MM), 0.02 * solids.FRAME_MM)
+    )
 
 
 def _depths(check: str, subject: Subject, part: Part, heights: Floats) -> list[Figure]:
-    differences, limit = subject.differences(part, heights), subject.limit_mm(part)
-    return [
-        Figure(check, part.name, k, float(depth), limit, f"depth, mm, at {differences.places[k]}")
-        for k, depth in enumerate(differences.depth_mm)
-    ]
+    return subject.differences(part, heights).depth_figures(check, part.name, subject.limit_mm(part))
 
 
 # In the order in which they are run

@@ -85,8 +85,7 @@ def _stack(config: Config) -> tuple[Curves, ScanPlan]:
     plate = shapely.box(0.0, 0.0, 62.0, 44.0).buffer(-8.0).buffer(8.0, quad_segs=32)
     oval = shapely.affinity.scale(shapely.Point(20.0, 22.0).buffer(8.0, quad_segs=48), 1.0, 0.7)
     section: BaseGeometry = plate.difference(shapely.union_all([oval, shapely.box(40.0, 18.0, 70.0, 26.0)]))
-    height = config.layer_height_mm
-    layers = from_polygons(height * (np.arange(LAYERS) + 0.5), [[section]] * LAYERS)
+    layers = from_polygons(config.layer_height_mm * (np.arange(LAYERS) + 0.5), [[section]] * LAYERS)
     smooth = smooth_layers(fit(layers, "paper", config.curves))
     plan = plan_program(smooth, config)
     return bead_paths(smooth, plan, config), plan
@@ -135,9 +134,8 @@ def form_of_text(subject: ControlSubject) -> list[Figure]:
         again, _ = subject.written(Path(folder, "two"))
         data = b"".join((files.folder / name).read_bytes() for name in files.names)
         stamped = mark_validated(files)
-        changed = [
-            (files.folder / name).read_bytes() != (again.folder / name).read_bytes() for name in files.names
-        ]
+        places = [(files.folder / name, again.folder / name) for name in files.names]
+        changed = [one.read_bytes() != two.read_bytes() for one, two in places]
     longest, stamps = max(len(line) for line in data.split(b"\n")), stamped.validated and all(changed)
     return [
         truth("form of text", "encoding", data.isascii() and b"\r" not in data, "not ASCII with LF alone"),
@@ -154,9 +152,8 @@ def planted_faults(subject: ControlSubject) -> list[Figure]:
         files, config = subject.written(Path(folder, "program"))
         texts = {name: (files.folder / name).read_text(encoding="ascii") for name in files.names}
         for fault, plant in _faults(config, subject.name).items():
-            name, text = next(
-                ((n, new) for n, old in reversed(texts.items()) if (new := plant(old)) != old), ("", "")
-            )
+            planted = ((n, new) for n, old in reversed(texts.items()) if (new := plant(old)) != old)
+            name, text = next(planted, ("", ""))
             if not name:
                 figures.append(truth("planted faults", fault, False, "there is no place to plant it"))
                 continue

@@ -45,13 +45,11 @@ def carried_by_map(
     order = slice(None, None, 1 if linear[2, 2] > 0.0 else -1)
     planes = linear[2, 2] * heights + move[2]
     found = subject.cut(image, np.ascontiguousarray(planes[order]))
-    wanted = carried_layers(
-        subject.cut(part, heights).take(np.arange(len(heights))[order]), linear, move, found.heights
-    )
+    before = subject.cut(part, heights).take(np.arange(len(heights))[order])
+    wanted = carried_layers(before, linear, move, found.heights)
     scale = float(np.sqrt(abs(np.linalg.det(linear[:2, :2]))))
-    return _alike(
-        subject, law, image, found, wanted, scale * subject.limit_mm(part) + subject.limit_mm(image)
-    )
+    limit_mm = scale * subject.limit_mm(part) + subject.limit_mm(image)
+    return _alike(subject, law, image, found, wanted, limit_mm)
 
 
 def same_sections(subject: Subject, law: str, part: Part, other: Part, heights: Floats) -> list[Figure]:
@@ -65,15 +63,7 @@ def _alike(
 ) -> list[Figure]:
     exact = subject.slicer.exact
     seen = differences(wanted, found, limit_mm, reference_exact=exact, found_exact=exact)
-    figures = [
-        Figure(law, part.name, k, float(depth), limit_mm, f"depth, mm, at {seen.places[k]}")
-        for k, depth in enumerate(seen.depth_mm)
-    ]
-    figures += [
-        truth(law, part.name, bool(agrees), f"other rings or holes at {seen.places[k]}", k)
-        for k, agrees in enumerate(seen.topology_agrees)
-    ]
-    return figures
+    return seen.depth_figures(law, part.name, limit_mm) + seen.topology_figures(law, part.name)
 
 
 # -- meshes of the same solid --------------------------------------------------------------------------
@@ -115,15 +105,11 @@ def disjoint_union(subject: Subject, part: Part, other: Part, heights: Floats) -
     gap = float(part.size[0]) + 3.7
     moved = mapped(other, shift=(gap + float(part.bounds[0, 0] - other.bounds[0, 0]), 1.3, 0.0))
     both = joined(part, moved)
-    alone = [subject.cut(p, heights) for p in (part, moved)]
-    rings = [
-        [layers.ring(r) for layers in alone for r in layers.rings_of(k) if layers.closed[r]]
-        for k in range(len(heights))
-    ]
+    alone, every = [subject.cut(p, heights) for p in (part, moved)], range(len(heights))
+    rings = [[n.ring(r) for n in alone for r in n.rings_of(k) if n.closed[r]] for k in every]
     limit = max(subject.limit_mm(part), subject.limit_mm(moved)) + subject.limit_mm(both)
-    return _alike(
-        subject, "union of parts", both, subject.cut(both, heights), from_rings(heights, rings), limit
-    )
+    wanted = from_rings(heights, rings)
+    return _alike(subject, "union of parts", both, subject.cut(both, heights), wanted, limit)
 
 
 def volume_from_areas(subject: Subject, part: Part) -> list[Figure]:

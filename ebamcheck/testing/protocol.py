@@ -15,7 +15,7 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.plugins.registry import SLICER_ATTRIBUTES
 from ebamcheck.testing.solids import box, joined, mapped, named, simple, winding_rule
-from ebamcheck.testing.subject import Figure, Subject, cut_unless_refused, generic_heights, truth
+from ebamcheck.testing.subject import Figure, Subject, generic_heights, truth
 
 SIGNATURES = {
     "probe": (),
@@ -41,9 +41,8 @@ def attributes(subject: Subject) -> list[Figure]:
         found.append(truth("attributes", what, good, f"it is {getattr(slicer, what)!r}"))
 
     holds("name", isinstance(slicer.name, str) and bool(slicer.name) and slicer.name == slicer.name.strip())
-    holds(
-        "summary", isinstance(slicer.summary, str) and slicer.summary.count("\n") == 0 < len(slicer.summary)
-    )
+    told = isinstance(slicer.summary, str) and slicer.summary.count("\n") == 0 < len(slicer.summary)
+    holds("summary", told)
     holds("exact", isinstance(slicer.exact, bool))
     holds("priority", isinstance(slicer.priority, int))
     holds("coplanar_rule", slicer.coplanar_rule in get_args(CoplanarRule))
@@ -132,9 +131,7 @@ def canonical_form(subject: Subject) -> list[Figure]:
     for name in FORM_SOLIDS:
         part = simple(name)
         layers = subject.cut(part, generic_heights(part, 3))
-        again = canonical(
-            layers.heights, layers.points, layers.ring_starts, layers.layer_starts, layers.closed
-        )
+        again = canonical(*(getattr(layers, column) for column in COLUMNS))
         found.append(_same("canonical form", name, again, layers))
     return found
 
@@ -233,7 +230,7 @@ def open_surfaces(subject: Subject) -> list[Figure]:
     for name, gone in {"no lid": level, "no side": side}.items():
         part = named(name, type(closed)(closed.vertices, closed.faces[~gone]))
         with _Heard() as heard:
-            layers = cut_unless_refused("open surfaces", subject, part, [4.1], found)
+            layers = subject.cut_unless_refused("open surfaces", part, [4.1], found)
         if layers is None:
             continue
         paths = int((layers.ring_counts() + layers.open_counts())[0])

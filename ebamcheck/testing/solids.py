@@ -88,9 +88,8 @@ def box(low: ArrayLike, high: ArrayLike) -> Part:
 def regular(sides: int, radius_mm: float, x_mm: float = 0.0, y_mm: float = 0.0) -> shapely.Polygon:
     """Regular polygon; its first corner lies off the axes."""
     angle = 0.1 + 2.0 * math.pi * np.arange(sides) / sides
-    return shapely.Polygon(
-        np.column_stack([x_mm + radius_mm * np.cos(angle), y_mm + radius_mm * np.sin(angle)])
-    )
+    x, y = x_mm + radius_mm * np.cos(angle), y_mm + radius_mm * np.sin(angle)
+    return shapely.Polygon(np.column_stack([x, y]))
 
 
 def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) -> Part:
@@ -98,10 +97,8 @@ def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) 
     angle = 2.0 * math.pi * np.arange(around) / around
     rows = np.asarray(profile if closed else profile[1:-1], dtype=np.float64)
     r, z = rows.T
-    grid = np.stack(
-        [np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle)), np.repeat(z[:, None], around, 1)], -1
-    )
-    vertices = grid.reshape(-1, 3)
+    x, y = np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle))
+    vertices = np.stack([x, y, np.repeat(z[:, None], around, 1)], -1).reshape(-1, 3)
     last = len(rows) if closed else len(rows) - 1
     i, j = np.meshgrid(np.arange(last), np.arange(around), indexing="ij")
     a, b = i * around + j, i * around + (j + 1) % around
@@ -123,9 +120,8 @@ def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) 
 def sphere(radius_mm: float = 10.0, rows: int = 12, around: int = 24) -> Part:
     """Sphere of latitude and longitude, its poles single vertices."""
     latitude = np.linspace(-0.5 * math.pi, 0.5 * math.pi, rows + 1)
-    return revolved(
-        [(radius_mm * math.cos(a), radius_mm * math.sin(a)) for a in latitude], around, closed=False
-    )
+    profile = [(radius_mm * math.cos(a), radius_mm * math.sin(a)) for a in latitude]
+    return revolved(profile, around, closed=False)
 
 
 def torus(major_mm: float = 12.0, minor_mm: float = 4.0, around: int = 30, across: int = 14) -> Part:
@@ -139,8 +135,7 @@ def steps() -> Part:
     """A block with a terrace and a pit: level faces that look up at 3, 5 and 8 mm, and down at 0 and 2 mm."""
     block = box((0, 0, 0), (20, 14, 5))
     tower = box((4, 3, 5), (11, 9, 8))
-    shelf = box((25, 0, 2), (31, 6, 3))
-    return joined(block, tower, shelf)
+    return joined(block, tower, box((25, 0, 2), (31, 6, 3)))
 
 
 def named(name: str, part: Part) -> Part:
@@ -249,10 +244,8 @@ def _wedges() -> list[BaseGeometry]:
     for k, angle in enumerate((1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 80.0)):
         row, column = divmod(k, 4)
         x, y, direction = 7.0 + 8.7 * column, 12.0 + 15.0 * row, math.radians(23.7 + 47.0 * k)
-        half = math.radians(0.5 * angle)
-        corners = [
-            (x + 3.7 * math.cos(direction + t), y + 3.7 * math.sin(direction + t)) for t in (-half, half)
-        ]
+        sides = (direction - math.radians(0.5 * angle), direction + math.radians(0.5 * angle))
+        corners = [(x + 3.7 * math.cos(side), y + 3.7 * math.sin(side)) for side in sides]
         wedges.append(shapely.Polygon([(x, y), *corners]))
     return wedges
 

@@ -30,12 +30,8 @@ class Subject:
 
     Parameters
     ----------
-    slicer
-        The slicer, or its class.
-    settings
-        Its settings; the defaults where none are given.
-    models
-        Reference models that it is to cut, by name.
+    slicer, settings, models
+        The slicer, or its class; its settings, by default its own; reference models that it is to cut, by name.
 
     Examples
     --------
@@ -79,6 +75,16 @@ class Subject:
         if key not in self._layers:
             self._layers[key] = self._cut(part, planes)
         return self._layers[key]
+
+    def cut_unless_refused(
+        self, check: str, part: Part, heights: ArrayLike, found: list[Figure]
+    ) -> Layers | None:
+        """Layers of a part that may be refused, which is then told among the figures `found`: it is no violation."""
+        try:
+            return self.cut(part, heights)
+        except BackendFailed as refusal:
+            found.append(truth(check, part.name, True, f"refused: {refusal}"))
+            return None
 
     def _cut(self, part: Part, planes: NDArray[np.float64]) -> Layers:
         """Cut a part; what the slicer raises tells part, settings, height and place."""
@@ -184,6 +190,16 @@ class Differences(NamedTuple):
     topology_agrees: NDArray[np.bool_]
     places: list[str]  # height of the layer, and where its deepest point lies
 
+    def depth_figures(self, check: str, model: str, limit_mm: float) -> list[Figure]:
+        """How deep they differ, one figure a layer."""
+        rows = enumerate(zip(self.depth_mm.tolist(), self.places, strict=True))
+        return [Figure(check, model, k, deep, limit_mm, f"depth, mm, at {at}") for k, (deep, at) in rows]
+
+    def topology_figures(self, check: str, model: str) -> list[Figure]:
+        """Whether rings and holes agree, one figure a layer."""
+        rows = enumerate(zip(self.topology_agrees.tolist(), self.places, strict=True))
+        return [truth(check, model, same, f"other rings or holes at {at}", k) for k, (same, at) in rows]
+
 
 def differences(
     reference: Layers, found: Layers, limit_mm: float, reference_exact: bool = True, found_exact: bool = False
@@ -210,16 +226,10 @@ class Figure:
 
     Parameters
     ----------
-    check
-        Name of the check.
-    model
-        Solid or reference model that was cut, or what was looked at.
-    layer
-        Index of the layer, :data:`NO_LAYER` for none in particular.
-    value, limit
-        In the unit that the text names.
-    text
-        What the value is.
+    check, model, layer
+        Name of the check, what was cut or looked at, and index of the layer, :data:`NO_LAYER` for none in particular.
+    value, limit, text
+        Figure and limit in the unit that the text names, which says what the value is.
 
     Examples
     --------
@@ -242,17 +252,6 @@ class Figure:
     def __str__(self) -> str:
         where = f", layer {self.layer + 1}" if self.layer != NO_LAYER else ""
         return f"{self.check}: {self.model}{where}: {self.value:.6g} over {self.limit:.6g}: {self.text}"
-
-
-def cut_unless_refused(
-    check: str, subject: Subject, part: Part, heights: ArrayLike, found: list[Figure]
-) -> Layers | None:
-    """Layers of a part that may be refused, which is then told among the figures `found`: it is no violation."""
-    try:
-        return subject.cut(part, heights)
-    except BackendFailed as refusal:
-        found.append(truth(check, part.name, True, f"refused: {refusal}"))
-        return None
 
 
 def truth(check: str, model: str, holds: bool, text: str, layer: int = NO_LAYER) -> Figure:

@@ -45,13 +45,9 @@ def fill_layer(regions: Regions, found: cells.Cells, config: Config, layer: int)
     """Fill the cells of the solids and the walls of a layer, and close the gaps that are left."""
     walls = [*regions.narrow_fills, *regions.bare_walls]
     lines, chained = fill_islands(found, walls, len(regions.narrow_fills), config, layer)
-    filled = FilledLayer(
-        islands=np.concatenate([found.polygons, cells.column(walls)]),
-        kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
-        lines=lines,
-        chained=chained,
-    )
-    return close_gaps(filled, regions, config)
+    islands = np.concatenate([found.polygons, cells.column(walls)])
+    kind = np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_)
+    return close_gaps(FilledLayer(islands, kind, lines, chained), regions, config)
 
 
 def fill_islands(
@@ -70,9 +66,8 @@ def fill_islands(
     for number, wall in enumerate(walls, count):
         lines = wall_lines(wall, width, spacing, to_the_end=number < count + narrow)
         if lines:
-            start, end = (
-                np.concatenate([line[ends] for line in lines]) for ends in (slice(-1), slice(1, None))
-            )
+            start = np.concatenate([line[:-1] for line in lines])
+            end = np.concatenate([line[1:] for line in lines])
         else:  # too short or too crooked for a centre line
             straight, _ = hatch(cells.column([wall]), 0.0, width, spacing)
             start, end = straight.start, straight.end
@@ -96,18 +91,13 @@ def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledL
     width, section = config.process.bead_width_mm, regions.section
     beads = _beads(regions, filled.lines)
     bare = bare_samples(section, beads, width)
-    chosen, widest_mm = spots_to_close(
-        bare_spots(section, bare, beads, width),
-        config.scan.gap_width * width,
-        section.area,
-        bare.covered,
-        config.scan.least_coverage,
-    )
+    spots, asked = bare_spots(section, bare, beads, width), config.scan
+    measured = section.area, bare.covered, asked.least_coverage
+    chosen, widest_mm = spots_to_close(spots, asked.gap_width * width, *measured)
     if not chosen:
         return replace(filled, covered=bare.covered, widest_gap_mm=widest_mm)
-    beads_of, island, polygons = gap_beads(
-        chosen, section, filled.islands, width, config.process.hatch_spacing_mm
-    )
+    spacing = config.process.hatch_spacing_mm
+    beads_of, island, polygons = gap_beads(chosen, section, filled.islands, width, spacing)
     added = len(polygons)
     line, start, end = line_rows(beads_of)
     lines = joined(filled.lines, Vectors(island[line], start, end))
@@ -170,11 +160,8 @@ def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
     if not count:
         return np.zeros(0, object)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    kept = [
-        place
-        for place, n in zip(ndimage.find_objects(labels), sizes, strict=True)
-        if place is not None and n * bare.step_mm**2 >= least_mm2
-    ]
+    places = zip(ndimage.find_objects(labels), sizes * bare.step_mm**2, strict=True)
+    kept = [place for place, area_mm2 in places if place is not None and area_mm2 >= least_mm2]
     if not kept:
         return np.zeros(0, object)
     low = np.array([(x.start - 1, y.start - 1) for y, x in kept]) * bare.step_mm + bare.origin
@@ -229,10 +216,8 @@ def gap_beads(
         local = shapely.box(*(np.array(spot.bounds) + np.array([-1, -1, 1, 1]) * 2.0 * bead_width_mm))
         region = _within(parts, around, local)
         near = {int(k): islands[k] for k in np.sort(tree.query(local))}
-        near |= {
-            len(islands) + int(k): new[k]
-            for k in np.flatnonzero(shapely.intersects(local, cells.column(new)))
-        }
+        met = np.flatnonzero(shapely.intersects(local, cells.column(new)))
+        near |= {len(islands) + int(k): new[k] for k in met}
         free = shapely.difference(region, shapely.union_all(list(near.values())))
         over = _beads_over(spot, region, free, bead_width_mm, spacing_mm)
         found = [
@@ -312,9 +297,8 @@ def _long_way(hull: Floats) -> Floats:
 
 def _deepest(parts: Sequence[shapely.Polygon], region: BaseGeometry) -> Floats:
     """Point of some polygons that lies furthest from the border of a region."""
-    points = np.vstack(
-        [shapely.get_coordinates([*(p.representative_point() for p in parts), p]) for p in parts]
-    )
+    inner = [p.representative_point() for p in parts]
+    points = np.vstack([shapely.get_coordinates([*inner, p]) for p in parts])
     depth = shapely.distance(shapely.points(points), shapely.boundary(region))
     return np.asarray(points[int(np.argmax(depth))], np.float64)
 

@@ -37,9 +37,8 @@ def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSch
     count = len(chained)
     a, b = lines.start, lines.end
     if not len(a):
-        return IslandSchedule(
-            np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count)
-        )
+        places, times = np.zeros((count, 4, 2)), np.zeros(count)
+        return IslandSchedule(places, places, times, times)
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))])
     entry, leave = island_ends(a, b, first, chained)
     spacing = config.process.hatch_spacing_mm
@@ -124,10 +123,8 @@ def _over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing_mm:
     count = size[run[turn]]
     first = np.cumsum(count) - count
     line = np.arange(count.sum()) - np.repeat(first - (np.cumsum(size) - size)[run[turn]], count)
-    way, away = (
-        (end - start)[line],
-        np.repeat(0.5 * (end[turn - 1] + start[turn]), count, axis=0) - start[line],
-    )
+    way, middle = (end - start)[line], 0.5 * (end[turn - 1] + start[turn])
+    away = np.repeat(middle, count, axis=0) - start[line]
     along = (away * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), TINY)
     aside = np.hypot(*(np.clip(along, 0.0, 1.0)[:, None] * way - away).T)
     over[turn] = np.minimum.reduceat(aside, first) < BESIDE_SPACINGS * spacing_mm

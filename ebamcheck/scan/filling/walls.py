@@ -127,8 +127,7 @@ def _facing(points: Floats, place: Floats, around: Floats, ring: Ints, pairs: In
 
 def _weeded(corners: Floats, edges: Ints) -> Floats:
     """Ends of the edges (S, 2, 2) of a diagram, those of short edges one point, and the edges themselves left out."""
-    length = np.hypot(*(corners[edges[:, 0]] - corners[edges[:, 1]]).T)
-    short = edges[length < WEED_MM]
+    short = edges[np.hypot(*(corners[edges[:, 0]] - corners[edges[:, 1]]).T) < WEED_MM]
     joins = coo_array((np.ones(len(short), np.bool_), (short[:, 0], short[:, 1])), shape=(len(corners),) * 2)
     _, group = connected_components(joins, directed=False)
     _, first = np.unique(group, return_index=True)
@@ -157,8 +156,7 @@ def _without_spurs(branches: list[shapely.LineString], width_mm: float) -> list[
     kept = [b for b in branches if b.length >= width_mm or all(forks[e] > 1 for e in _ends(b)) or b.is_ring]
     if not kept:
         return [max(branches, key=lambda b: float(b.length))]
-    merged = shapely.line_merge(shapely.multilinestrings(kept))
-    return list(shapely.get_parts(merged))
+    return list(shapely.get_parts(shapely.line_merge(shapely.multilinestrings(kept))))
 
 
 def _sorted(branches: list[shapely.LineString]) -> list[shapely.LineString]:
@@ -237,17 +235,13 @@ def _side_by_side(
             for (line, begun), offset in zip(before, offsets, strict=True)
         ]
     done += [(line, [begun, True]) for line, begun in growing]
-    lines = [
-        _without_hooks(
-            shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())), bead_width_mm
-        )
-        for line, _ in done
-    ]
+    coarse_mm = STRAIGHTNESS * float(local.mean())
     beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())
-    return [
-        _extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm)
-        for line, (_, at) in zip(lines, done, strict=True)
-    ]
+    found = []
+    for points, at in done:
+        line = _without_hooks(shapely.simplify(shapely.LineString(points), coarse_mm), bead_width_mm)
+        found.append(_extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm))
+    return found
 
 
 def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> shapely.LineString:

@@ -104,16 +104,10 @@ def _boxes(rectangle: Rectangle, side_mm: float, kind: str, across: int, length_
     row, column = (grid.ravel() for grid in np.mgrid[0:rows, 0:across])
     along, up = 2 * column - (across - 1), 2 * row + 1
     steps_mm = 0.5 * length_mm, 0.5 * SQRT3 * side_mm
-    corners = _place(
-        rectangle, steps_mm, along[:, None] + np.array([-1, 1, 1, -1]), up[:, None] + np.array([-1, -1, 1, 1])
-    )
-    return Lattice(
-        kind=kind,
-        side_mm=side_mm,
-        centres=_place(rectangle, steps_mm, along, up),
-        colour=((row + column) % 2).astype(np.int64),
-        cells=np.asarray(shapely.polygons(corners), object),
-    )
+    right, above = np.array([-1, 1, 1, -1]), np.array([-1, -1, 1, 1])
+    corners = _place(rectangle, steps_mm, along[:, None] + right, up[:, None] + above)
+    centres, colour = _place(rectangle, steps_mm, along, up), ((row + column) % 2).astype(np.int64)
+    return Lattice(kind, side_mm, centres, colour, np.asarray(shapely.polygons(corners), object))
 
 
 def _count_over(length_mm: float, cell_mm: float) -> int:
@@ -157,8 +151,7 @@ def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> 
     if perimeter_mm > 0:
         width = min(width, 2.0 * area_mm2 / perimeter_mm)
     fewest, most = BEADS_ACROSS
-    beads = min(max(round(width / spacing_mm), fewest), most)
-    return beads * spacing_mm / SQRT3
+    return min(max(round(width / spacing_mm), fewest), most) * spacing_mm / SQRT3
 
 
 # -- Where the lattice lies on each layer: along the smallest rectangle, then shifted and turned from layer
@@ -240,7 +233,7 @@ class Rectangle:
 def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "exact") -> Rectangle:
     """Find the rectangle of least area around points (N, 2), mm; raises GeometryError for no point, or one that is not finite.
 
-    ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the convex hull, among which the minimum lies.
+    ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the hull, where the minimum lies.
     """
     column = np.asarray(points, np.float64).reshape(-1, 2)
     if not len(column) or not np.isfinite(column).all():

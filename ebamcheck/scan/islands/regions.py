@@ -1,14 +1,9 @@
 """The regions of one layer: what the contour bead takes, what is left to fill, and where walls are thin.
 
-From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead
-unless set):
-
-- the centre line of the **contour bead** is the contour inset by c; the bead covers c - w/2 .. c + w/2;
-- the **fill** is the contour inset by c + s/2: a bead owns half a spacing on either side of its centre
-  line, the contour bead as well as every other. A hatch line along the contour then lies one spacing
-  from the contour bead, and one that ends there ends inside the contour bead, since s/2 <= w/2: no gap;
-- a **bare wall** is narrower than a contour bead can go around (its inset vanishes): one bead along it;
-- a **narrow fill** lies between two contour beads with no room for a partition: beads along the wall.
+From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead unless set): the centre line of the contour
+bead is the contour inset by c. The fill is the contour inset by c + s/2, since a bead owns half a spacing on either side: a hatch line along the
+contour then lies one spacing from the contour bead, and one that ends there ends inside it, since s/2 <= w/2. A bare wall is narrower than a contour
+bead can go around: one bead along it. A narrow fill lies between two contour beads with no room for a partition: beads along the wall.
 """
 
 from __future__ import annotations
@@ -19,14 +14,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.geometry.regions import (
-    ARC_SEGMENTS,
-    JOIN_MM,
-    inset,
-    mean_width_mm,
-    split_thin,
-    valid_polygons,
-)
+from ebamcheck.geometry.regions import ARC_SEGMENTS, JOIN_MM, inset, mean_width_mm, split_thin, valid_polygons
 from ebamcheck.settings.config import Config
 
 # Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them

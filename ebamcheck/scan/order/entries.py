@@ -7,15 +7,17 @@ worked out, and ends are chosen for all islands at once, by dynamic programming 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.heat.field import Field
 from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entries
 from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, island_ends
+from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, gaps_mm, island_ends
 
 NEAREST = -1  # entry option of an island that is entered from its corner nearest to where the last one ended
 HIGH = 12  # exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler
@@ -99,8 +101,8 @@ def in_sequence(
 ) -> tuple[Ints, Bools]:
     """Rows (V,) of the lines of islands in scan order, and whether each is driven from its end to its start.
 
-    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are driven in either sequence and either
-    direction, as its entry option says; those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
+    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are driven in either sequence
+    and direction, as its entry option says; those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
     """
     order = order[np.diff(first)[order] > 0]
     if not len(order):
@@ -108,19 +110,14 @@ def in_sequence(
     options = completed_options(options, order, *island_ends(start, end, first, chained))
     lines, option = np.diff(first)[order], options[order]
     place = np.arange(lines.sum()) - np.repeat(np.cumsum(lines) - lines, lines)
-    rows = np.where(
-        np.repeat(option >= 2, lines),
-        np.repeat(first[order + 1] - 1, lines) - place,
-        np.repeat(first[order], lines) + place,
-    )
+    onward, back = np.repeat(first[order], lines) + place, np.repeat(first[order + 1] - 1, lines) - place
+    rows = np.where(np.repeat(option >= 2, lines), back, onward)
     return rows, np.repeat((option == 1) | (option == 2), lines)
 
 
 def jumps_mm(start: Floats, end: Floats, new_layer: Bools) -> Floats:
     """Jump before each line (V,), mm: 0 for the first of a layer and for lines that go on."""
-    jumps = np.zeros(len(start))
-    if len(start) > 1:
-        jumps[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    jumps = gaps_mm(start, end)
     jumps[new_layer | (jumps <= JOINED_MM)] = 0.0
     return jumps
 
@@ -232,3 +229,63 @@ def options_by_price(
             travel += jump if jump > JOINED_MM else 0.0
             option = by
     return options, travel
+
+
+# -- Simulation of an order: how warm each island is when the beam enters it.
+
+
+def entry_temperatures(
+    heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
+) -> tuple[Floats, Floats]:
+    """Simulate an order with times (I,) by island: the mean temperature rise (I,) of each island when the beam enters it, K, and its excess uniformity
+    (I,): the spread of the temperature over the layer when the beam leaves it, without its own heat, over the mean temperature.
+    """
+    mean, share = heat.modes.mean, area_mm2 / area_mm2.sum()
+    entry_k, excess = np.zeros(len(start_s)), np.zeros(len(start_s))
+    for island, before, after in _steps(heat, order, start_s, end_s):
+        entry_k[island] = before.surface() @ mean[:, island]
+        before.age(end_s[island] - start_s[island])
+        others, average = before.surface() @ mean, share @ (after.surface() @ mean)
+        spread = np.sqrt(share @ (others - share @ others) ** 2)
+        excess[island] = spread / average if average > 0.0 else 0.0
+    return (entry_k if heat.near is None else _entered_k(heat, order, start_s, end_s)), excess
+
+
+def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
+    """Entry temperatures (I,) by island alone, K, and the amplitudes (K, N) at the end."""
+    entry_k, state = np.zeros(len(start_s)), heat.start_k
+    for island, before, after in _steps(heat, order, start_s, end_s):
+        entry_k[island] = before.surface() @ heat.modes.mean[:, island]
+        state = after.state
+    return (entry_k if heat.near is None else _entered_k(heat, order, start_s, end_s)), state
+
+
+def entry_points(
+    heat: IslandHeat, schedule: IslandSchedule, order: Ints, start_s: Floats, end_s: Floats
+) -> tuple[Floats, Floats]:
+    """Mean temperature rise of each island, and that under the beam, when the beam enters it by the nearest end, (I,) K."""
+    options = nearest_options(order, schedule.entry, schedule.leave)
+    old_k = old_at_entries(heat, order, start_s, end_s)
+    columns = heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options
+    means_k, points_k = young_at_entries(*columns, False)
+    return old_k + means_k, old_k + points_k[np.arange(len(options)), options]
+
+
+def _entered_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    options = np.zeros(len(start_s), np.int64)
+    young = young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options, False)
+    return old_at_entries(heat, order, start_s, end_s) + young[0]
+
+
+def _steps(
+    heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats
+) -> Iterator[tuple[int, Field, Field]]:
+    """Go through an order: island, the heat when it is entered, and when it is left."""
+    modes, clock = heat.modes, 0.0
+    field = Field(heat.start_k.copy(), modes.plane_rate, modes.depth_rate, modes.in_layer)
+    for island in order.tolist():
+        field.age(start_s[island] - clock)
+        before = field.copy()
+        field.add(modes.mean[:, [island]], modes.source_k_s[[island]], end_s[[island]] - start_s[[island]])
+        clock = end_s[island]
+        yield island, before, field

@@ -73,9 +73,8 @@ class LayerIslands:
     def cold_heat(self) -> IslandHeat:
         """Set up the heat model of the layer, which begins as on a cold part."""
         schedule = self.known_schedule
-        modes = island_heat(
-            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.config, self.height_mm
-        )
+        times = schedule.beam_s, schedule.time_s
+        modes = island_heat(self.section, self.polygons, *times, self.config, self.height_mm)
         return self.with_fresh_heat(modes)
 
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
@@ -155,12 +154,8 @@ def _by_distance(islands: LayerIslands, rule: int) -> Ints:
 
 nearest_any = partial(_by_distance, rule=ANY)  # next the island nearest to any processed one
 nearest_last = partial(_by_distance, rule=LAST)  # next the island nearest to the one processed last
-nearest_sum = partial(
-    _by_distance, rule=SUM
-)  # next the island with the least sum of distances to all processed ones
-farthest = partial(
-    _by_distance, rule=FARTHEST
-)  # next the island farthest from its nearest processed one (max-min)
+nearest_sum = partial(_by_distance, rule=SUM)  # next that with the least sum of distances to all processed
+farthest = partial(_by_distance, rule=FARTHEST)  # next that farthest from its nearest processed one (max-min)
 
 
 def raster(islands: LayerIslands) -> Ints:
@@ -208,8 +203,7 @@ def thermal(islands: LayerIslands, heat: IslandHeat) -> Ints:
 
 def longest_travel_mm(islands: LayerIslands) -> float:
     """Travel between islands that `thermal` may take: its share of that of `farthest`."""
-    rapid = islands.config.machine.rapid_mm_s
-    *_, travel_mm = clocked(islands.known_schedule, farthest(islands), rapid)
+    *_, travel_mm = clocked(islands.known_schedule, farthest(islands), islands.config.machine.rapid_mm_s)
     return islands.config.scan.travel_share * travel_mm
 
 

@@ -18,8 +18,14 @@ from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.near_field import NearField, entry_rise, young_mean
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule
-from ebamcheck.scan.order.entries import EntryOptions, clocked, entry_options, high_mean, nearest_option
-from ebamcheck.scan.order.simulation import entry_points
+from ebamcheck.scan.order.entries import (
+    EntryOptions,
+    clocked,
+    entry_options,
+    entry_points,
+    high_mean,
+    nearest_option,
+)
 from ebamcheck.threads import run_each
 
 # Prices of travel of the greedy plans: in temperature rises of an island by its own heat, over widths of an island

@@ -150,10 +150,9 @@ class PlannedLayer:
         )
 
     @property
-    def contours(self) -> BaseGeometry:
+    def contours(self) -> Any:
         """Region whose borders are the centre lines of the contour beads."""
-        found: BaseGeometry = self.plan.contours[self.index]
-        return found
+        return self.plan.contours[self.index]
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -172,12 +171,8 @@ class PlannedLayer:
         """Draw the islands on matplotlib axes in the colours of their order, with their lines and the contour beads."""
         from ebamcheck.showing.plotting import Lines, plot_areas
 
-        parts = [
-            (i.rank, part)
-            for i in self
-            for part in shapely.get_parts(i.polygon)
-            if part.geom_type == "Polygon"
-        ]
+        parts = [(island.rank, part) for island in self for part in shapely.get_parts(island.polygon)]
+        parts = [(rank, part) for rank, part in parts if part.geom_type == "Polygon"]
         ends = self.plan.vectors_of(self.index)[["x0", "y0", "x1", "y1"]].to_numpy()
         borders = shapely.get_parts(shapely.boundary(self.contours))
         return plot_areas(
@@ -264,10 +259,8 @@ class ScanPlan(LayerColumns[PlannedLayer]):
 
     def to_parquet(self, path: str | Path) -> None:
         """Write one row a layer; the file appears whole or not at all. Raises SettingsError if it cannot be written."""
-        header = {"format": f"{NAME} {VERSION}", "settings": self.settings}
-        table = pa.table(_columns(self)).replace_schema_metadata(
-            {HEADER_KEY: json.dumps(header, sort_keys=True).encode()}
-        )
+        header = json.dumps({"format": f"{NAME} {VERSION}", "settings": self.settings}, sort_keys=True)
+        table = pa.table(_columns(self)).replace_schema_metadata({HEADER_KEY: header.encode()})
         write_table(table, Path(path), use_dictionary=["island_kind.list.element"])
 
     @classmethod

@@ -16,10 +16,14 @@ from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.plugins import registry
-from ebamcheck.scan.order.entries import modes_at_entries, nearest_options, rises_at_entries
+from ebamcheck.scan.order.entries import (
+    entry_temperatures,
+    modes_at_entries,
+    nearest_options,
+    rises_at_entries,
+)
 from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.order.search import touching, touching_successors
-from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.plan.stacking import simulate_order, stack_plans
@@ -102,10 +106,8 @@ def compare_orders(
     ----------
     polygons, config, layer, height_mm
         As for :func:`ebamcheck.plan_scan`; the height is that over the base plate.
-    orders
-        Names; all of the house if None.
-    seeds
-        Seeds over which `random` is averaged; the other orders take the seed of the settings.
+    orders, seeds
+        Names, all of the house if None, and seeds over which `random` is averaged; others take that of the settings.
 
     Returns
     -------
@@ -114,10 +116,8 @@ def compare_orders(
 
     Raises
     ------
-    SettingsError
-        If an order is unknown, or there is no seed.
-    GeometryError
-        If a coordinate is not finite.
+    SettingsError, GeometryError
+        If an order is unknown, or there is no seed; if a coordinate is not finite.
 
     Examples
     --------
@@ -159,9 +159,8 @@ class OrderComparison:
         heat = None
         if len(islands):
             schedule = islands.known_schedule
-            modes = island_heat(
-                section, laid.islands, schedule.beam_s, schedule.time_s, config, height_mm, fine=True
-            )
+            times = schedule.beam_s, schedule.time_s
+            modes = island_heat(section, laid.islands, *times, config, height_mm, fine=True)
             heat = islands.with_fresh_heat(modes)
         return cls(laid, islands, heat, config)
 
@@ -213,7 +212,6 @@ class OrderComparison:
         schedule = islands.known_schedule
         if (options < 0).any():
             options = nearest_options(order, schedule.entry, schedule.leave)
-        rises_k = rises_at_entries(
-            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, options
-        )
+        modes = modes_at_entries(self.heat, schedule)
+        rises_k = rises_at_entries(self.heat, modes, order, start_s, end_s, options)
         return np.asarray(rises_k[np.arange(len(order)), options], np.float64)

@@ -69,8 +69,7 @@ def lay_islands(
     """Divide one valid section into islands and fill them; `contour` as of :func:`layer_regions`."""
     regions = layer_regions(section, config, contour)
     side = _side_mm(regions, config)
-    found = _partition(regions, side, config, layer)
-    filled = fill_layer(regions, found, config, layer)
+    filled = fill_layer(regions, _partition(regions, side, config, layer), config, layer)
     neighbours, border = shared_borders(filled.islands)
     centroid = cells.centroids(filled.islands)
     return LaidLayer(
@@ -101,9 +100,8 @@ def _partition(regions: Regions, side_mm: float, config: Config, layer: int) -> 
         return cells.undivided(regions.solids)
     place = layer_place(shapely.get_coordinates(regions.section), side_mm, config, layer)
     lattice = LATTICES[config.scan.partition](place, side_mm)
-    return cells.partition(
-        regions.solids, lattice, config.process.bead_width_mm, config.process.hatch_spacing_mm
-    )
+    process = config.process
+    return cells.partition(regions.solids, lattice, process.bead_width_mm, process.hatch_spacing_mm)
 
 
 PIECE_BEADS = 1.0  # length of the pieces in which contours are heated, over the width of a bead: no mode changes within less
@@ -213,9 +211,8 @@ def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) ->
 
 def _to_rings(contours: ContourBeads, entry: Floats) -> Floats:
     """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
-    to_island = [
-        shapely.distance(ring, shapely.Point(entry[0])) for ring in contours.rings[-1:] if len(entry)
-    ]
+    last = contours.rings[-1:] if len(entry) else []
+    to_island = [shapely.distance(ring, shapely.Point(entry[0])) for ring in last]
     none_known = np.zeros(min(1, len(contours.rings) + len(entry)))
     return np.concatenate([none_known, contours.apart_mm, np.array(to_island, np.float64)])
 

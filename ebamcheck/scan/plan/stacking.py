@@ -145,15 +145,11 @@ def plan_scan(
     polygons
         Solid regions of the layer as shapely geometries, mm; overlapping ones unite, invalid ones are
         made valid. No polygon gives a plan without islands.
-    config
-        Settings; the default ones if None.
-    order, seed
-        Name of the order (an entry point of ``ebamcheck.orders``) and seed of its random choices; those of
-        the settings if None.
-    layer
-        Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
-    height_mm
-        Its height over the base plate.
+    config, order, seed
+        Settings, the default ones if None; name of the order (an entry point of ``ebamcheck.orders``) and seed of its
+        random choices, those of the settings if None.
+    layer, height_mm
+        Index of the layer, which turns and shifts hatch and cells, and seeds the start; its height over the base plate.
 
     Returns
     -------
@@ -162,10 +158,8 @@ def plan_scan(
 
     Raises
     ------
-    SettingsError
-        If the order is unknown, or the hexagons are far too small for the layer.
-    GeometryError
-        If a coordinate is not finite.
+    SettingsError, GeometryError
+        If the order is unknown, or the hexagons are far too small for the layer; if a coordinate is not finite.
 
     Examples
     --------
@@ -256,7 +250,7 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0, without contour beads and pauses.
 
     One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`, `travel_mm` (jump before it),
-    `inner_travel_mm` (jumps between its lines), `length_mm` of its lines, `turn_mm` of the turns between them, `starts` of the wire; NaN times without lines.
+    `inner_travel_mm` (jumps between its lines), `length_mm` of them, `turn_mm` of the turns between, `starts` of the wire; NaN times without lines.
     """
     driven = scheduled(plan, config)
     island, jump = driven.island, driven.jump

@@ -27,38 +27,27 @@ from ebamcheck.threads import thread_count, worker_threads
 AHEAD = 8  # layers that are laid out and whose modes are found side by side, while those before them are put in order
 _Prepared = TypeVar("_Prepared")
 
-# Columns of a row of :func:`scan_part` and what they are
-WHOLE_PART = {
-    "layer": "index of the layer",
-    "height_mm": "its height over the base plate",
-    "islands": "islands",
-    "body_mean_k": "mean temperature rise of the body under it when it begins",
-    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
-    "entry_sd_k": "standard deviation of it over the islands",
-    "travel_mm": "jumps between islands",
-    "time_s": "time of the layer, with contours, moves and the waits within it",
-    "wait_s": "wait before the layer",
-    "power_share": "share of the beam's power",
-    "enter_k": "temperature of the surface when it begins, absolute",
-    "leave_k": "the same when it is done",
-    "stored_j": "heat in the body at its end",
-}
+# Columns of a row of :func:`scan_part`: index of the layer, its height over the base plate, its islands, and figures of :class:`LayerHeat`
+WHOLE_PART = (
+    "layer", "height_mm", "islands", "body_mean_k", "entry_max_k", "entry_sd_k", "travel_mm", "time_s", "wait_s",
+    "power_share", "enter_k", "leave_k", "stored_j",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LayerHeat:
-    """A layer simulated on the heat model; figures as in :data:`WHOLE_PART`."""
+    """A layer simulated on the heat model."""
 
-    body_mean_k: float
-    entry_max_k: float
-    entry_sd_k: float
-    travel_mm: float
-    time_s: float
-    wait_s: float
-    power_share: float
-    enter_k: float
-    leave_k: float
-    stored_j: float
+    body_mean_k: float  # mean temperature rise of the body under it when it begins
+    entry_max_k: float  # greatest mean temperature rise of an island when the beam enters it
+    entry_sd_k: float  # standard deviation of it over the islands
+    travel_mm: float  # jumps between islands
+    time_s: float  # time of the layer, with contours, moves and the waits within it
+    wait_s: float  # wait before the layer
+    power_share: float  # share of the beam's power
+    enter_k: float  # temperature of the surface when it begins, absolute
+    leave_k: float  # the same when it is done
+    stored_j: float  # heat in the body at its end
     ring_wait_s: float
     island_wait_s: Floats  # (I,) wait before each island
     inner_wait_s: Floats  # (I,) wait before each further bead of an island

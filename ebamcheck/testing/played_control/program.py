@@ -237,10 +237,8 @@ class PlayedProgram:
             self._operator = float(layer)
             raise Reset
         time.sleep(seconds)
-        grown_mm = self._growth.grown_mm(layer - 1, planned_mm)
-        row = PlayedLayer(
-            layer, name, hashlib.sha256(content).hexdigest(), self.bed_mm, planned_mm, grown_mm, wait_s
-        )
+        grown_mm, sha256 = self._growth.grown_mm(layer - 1, planned_mm), hashlib.sha256(content).hexdigest()
+        row = PlayedLayer(layer, name, sha256, self.bed_mm, planned_mm, grown_mm, wait_s)
         self.bed_mm += grown_mm
         self.laid.append(row)
         self._told(row)
@@ -319,12 +317,8 @@ def top_of(text: str) -> float:
     >>> top_of("%_N_A_SPF\\n; Z 1.0\\nN10 G0 Z21.5\\nN20 G0 Z1.5\\nN30 G1 X1 F600\\n")
     1.5
     """
-    return min(
-        float(z)
-        for line in text.split("\n")
-        if line[:1] == "N"
-        for z in re.findall(r" Z(-?\d+\.?\d*)", line.partition(";")[0])
-    )
+    blocks = (line.partition(";")[0] for line in text.split("\n") if line[:1] == "N")
+    return min(float(z) for block in blocks for z in re.findall(r" Z(-?\d+\.?\d*)", block))
 
 
 def planned_s(text: str, rapid_mm_s: float) -> float:

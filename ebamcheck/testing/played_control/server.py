@@ -94,9 +94,8 @@ class PlayedServer:
             node = await server.nodes.objects.add_variable(node_id, role, self.panel.texts.get(role, ""))
             await node.set_writable()
             server.set_attribute_value_setter(node_id, self._text_setter(role))
-        methods = await server.nodes.objects.add_object(
-            ua.NodeId.from_string(self._opcua.methods_node), "Methods"
-        )
+        node_id = ua.NodeId.from_string(self._opcua.methods_node)
+        methods = await server.nodes.objects.add_object(node_id, "Methods")
         text, data, flag = ua.VariantType.String, ua.VariantType.ByteString, ua.VariantType.Boolean
         upload, download = map(ua.NodeId.from_string, (self._opcua.upload_node, self._opcua.download_node))
         await methods.add_method(upload, "CopyFileToServer", self._upload, [text, data, flag], [])
@@ -144,9 +143,8 @@ class PlayedServer:
             return
         InternalSession.max_connections = 0 if full_s else self._sessions
         url = urlsplit(self._opcua.url)
-        server.bserver = BinaryServer(
-            server.iserver, url.hostname or "127.0.0.1", url.port or 4840, server.limits
-        )
+        host, port = url.hostname or "127.0.0.1", url.port or 4840
+        server.bserver = BinaryServer(server.iserver, host, port, server.limits)
         server.bserver.set_policies(server._policies)
         await server.bserver.start()
         if full_s:
