@@ -26,7 +26,7 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.pipeline.fit import REMEDY, WHY, FitVerdict
+from ebamcheck.pipeline.fit import TOLD, FitVerdict
 from ebamcheck.preflight.report import Ready
 from ebamcheck.preflight.room import of_bodies, suspicions
 from ebamcheck.result import Check, Place, Severity
@@ -242,16 +242,16 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
         if not number or not rings.size:
             continue
         worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
-        distance = cause in ("sagitta", "plane")
-        yield _told(
-            "curve-fell-back",
-            f"{rings.size} of {found.cause.size} rings fell back to the contour itself, because {WHY[cause]}",
-            verdict.place_of(worst),
-            float(found.value_mm[worst]) if distance else None,
-            float(found.limit_mm[worst]) if distance else None,
-            unit="mm" if distance else "",
-            remedy=REMEDY[cause],
-        )
+        why, remedy = TOLD[cause]
+        text = f"{rings.size} of {found.cause.size} rings fell back to the contour itself, because {why}"
+        figures: dict[str, Any] = {}
+        if cause in ("sagitta", "plane"):
+            figures = {
+                "figure": float(found.value_mm[worst]),
+                "limit": float(found.limit_mm[worst]),
+                "unit": "mm",
+            }
+        yield _told("curve-fell-back", text, verdict.place_of(worst), remedy=remedy, **figures)
 
 
 # -- plan and program --------------------------------------------------------------------------------

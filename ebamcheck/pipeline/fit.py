@@ -33,22 +33,15 @@ from ebamcheck.result import Place
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
-# Causes of `ebamcheck.curves.gate.CAUSES` in words
-WHY: Mapping[str, str] = {
-    "sagitta": "the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
-    "plane": "a planar facet would have moved",
-    "crossing": "it crosses itself or another ring",
-    "turned": "it encloses nothing, or runs the other way",
-    "nesting": "it lies in another ring than its contour",
-}
-
-REMEDY: Mapping[str, str] = {
-    "sagitta": "give a finer mesh, or set curves.method = 'chord'",
-    "plane": "lower curves.crease_angle_deg, or set curves.method = 'chord'",
-    "crossing": "give a finer mesh, or lower curves.tolerance_mm",
-    "turned": "give a finer mesh",
-    "nesting": "give a finer mesh",
-}
+# Causes of `ebamcheck.curves.gate.CAUSES` in words, and what to do
+TOLD: Mapping[str, tuple[str, str]] = {
+    "sagitta": ("the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
+                "give a finer mesh, or set curves.method = 'chord'"),
+    "plane": ("a planar facet would have moved", "lower curves.crease_angle_deg, or set curves.method = 'chord'"),
+    "crossing": ("it crosses itself or another ring", "give a finer mesh, or lower curves.tolerance_mm"),
+    "turned": ("it encloses nothing, or runs the other way", "give a finer mesh"),
+    "nesting": ("it lies in another ring than its contour", "give a finer mesh"),
+}  # fmt: skip
 
 REFERENCE_FIGURES = ("normal_rms_mm", "normal_max_abs_mm")  # must not be greater than the contour's
 
@@ -154,7 +147,7 @@ def gate_text(verdict: FitVerdict) -> str:
     if verdict.open_rings:
         ring = int(np.flatnonzero(~found.accepted)[0])
         cause = CAUSES[int(found.cause[ring])]
-        text += f"; there is no evidence for {verdict.open_rings}: first at {verdict.place_of(ring)}: {WHY[cause]}: {REMEDY[cause]}"
+        text += f"; there is no evidence for {verdict.open_rings}: first at {verdict.place_of(ring)}: {': '.join(TOLD[cause])}"
     stack = verdict.stack
     if stack is not None and not stack.accepted:
         k = int(np.argmax(np.maximum(stack.jump_excess_mm, stack.volume_excess_mm3)))

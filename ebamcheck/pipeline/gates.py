@@ -202,10 +202,9 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
     laid = metrics[["contour_length_mm", "hatch_length_mm"]].sum(axis=1) > 0.0
     unknown = np.flatnonzero(laid & planned.isna()) if planned.notna().any() else np.zeros(0, np.int64)
     passed = text.passed and planned_k <= limit_k and melting.passed and not unknown.size
-    if again is not None and not again.passed:
-        passed, said = False, f"{again.text}; {said}"
-    if cold is not None and not cold.passed:
-        passed, said = False, f"{cold.text}; {said}"
+    for check in (again, cold):
+        if check is not None and not check.passed:
+            passed, said = False, f"{check.text}; {said}"
     if unknown.size:
         said = f"the plan has no temperature for layer {int(unknown[0]) + 1}, which has beads; {said}"
     if not melting.passed:

@@ -96,9 +96,12 @@ class FindingForm(Form):
     remedy: str = ""
 
 
-class ProgramFile(Form):
+class CertifiedProgram(Form):
     name: FileName
     sha256: Sha256
+
+
+class ProgramFile(CertifiedProgram):
     blocks: Count = 0
 
 
@@ -109,9 +112,7 @@ class EntryForm(Form):
     check: CheckForm
 
 
-class LiveForm(Form):
-    name: FileName
-    sha256: Sha256
+class LiveForm(CertifiedProgram):
     validated: bool
     check: CheckForm
 
@@ -172,15 +173,18 @@ class ProgramForm(Form):
     live: LiveForm | None = None
 
 
-class BackendForm(Form):
+class DeviceForm(Form):
+    device: str
+    versions: dict[str, str]
+
+
+class BackendForm(DeviceForm):
     status: str
     why: str
     summary: str
     exact: bool
     coplanar_rule: str
     inside_rule: str
-    device: str
-    versions: dict[str, str]
     error_bound_mm: Number
     height_bound_mm: Number
     settings: dict[str, JsonValue]
@@ -355,11 +359,6 @@ class ReleaseForm(Form):
     deviations: list[str]
 
 
-class CertifiedProgram(Form):
-    name: FileName
-    sha256: Sha256
-
-
 class SmoothingForm(Form):
     words: list[str]
     tolerance_mm: float
@@ -369,11 +368,6 @@ class SourceForm(Form):
     commit: str
     dirty: str
     sha256: Sha256
-
-
-class DeviceForm(Form):
-    device: str
-    versions: dict[str, str]
 
 
 class SoftwareForm(Form):

@@ -168,19 +168,17 @@ def region_path(region: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
 
 def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[Markup]:
     """Colours from 0 to the greatest rise, in their last one on to the boiling point, with the marks over it."""
-    per_k = LONG_BAR_PX / max(scale.greatest, *(rise for _, rise in scale.marks))
+    marks = {"solidus": scale.solidus, "boiling": scale.boiling}
+    per_k = LONG_BAR_PX / max(scale.greatest, *marks.values())
     hottest = scale.greatest * per_k
     box = {"x": MARGIN_PX, "y": f"{top_px:.1f}", "width": LONG_BAR_PX, "height": 10}
     bar = [element("rect", **box, fill=ramp(1.0), fill_opacity=0.35), *_gradient(hottest, top_px)]
     low, high = f"0{unit}", f"{scale.greatest:.0f}{unit} and more"
-    if hottest > 3 * LABEL_PX:
-        bar += [
-            _scale_text(0.0, "start", low, top_px + 24.0),
-            _scale_text(hottest, "end", high, top_px + 24.0),
-        ]
-    else:  # no room under the colours
-        bar.append(_scale_text(0.0, "start", f"0 to {high}", top_px + 24.0))
-    for name, rise in scale.marks:
+    ends = [(0.0, "start", low), (hottest, "end", high)]
+    if hottest <= 3 * LABEL_PX:  # no room under the colours
+        ends = [(0.0, "start", f"0 to {high}")]
+    bar += [_scale_text(*end, top_px + 24.0) for end in ends]
+    for name, rise in marks.items():
         x = MARGIN_PX + rise * per_k
         bar += [
             element("path", class_="mark", d=f"M{x:.1f},{top_px - 3:.1f}v16", stroke="#222", stroke_width=1),
@@ -235,11 +233,6 @@ class TemperatureScale:
     def of(cls, hottest: float, solidus: float, boiling: float) -> TemperatureScale:
         """Scale up to the hottest rise, or to the boiling point where that is less."""
         return cls(min(max(hottest, 1.0), boiling), solidus, boiling)
-
-    @property
-    def marks(self) -> tuple[tuple[str, float], ...]:
-        """Names and rises of the marks."""
-        return (("solidus", self.solidus), ("boiling", self.boiling))
 
     def told(self, rise_k: float) -> str:
         """Return a rise as it is printed: whole kelvins, none under 0, none over the boiling point."""
@@ -305,11 +298,9 @@ def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
 def frontier(figures: Mapping[str, tuple[float, float]]) -> list[str]:
     """Orders that no other one beats in both figures, by rising travel."""
     found: list[str] = []
-    coolest = float("inf")
     for name, (_, y) in sorted(figures.items(), key=lambda item: item[1]):
-        if y < coolest:
+        if not found or y < figures[found[-1]][1]:
             found.append(name)
-            coolest = y
     return found
 
 

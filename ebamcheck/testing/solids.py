@@ -210,14 +210,12 @@ def _framed(pieces: Iterable[BaseGeometry]) -> BaseGeometry:
 
 def _strips(bound_mm: float) -> list[BaseGeometry]:
     """Strips of all widths that lie at places that never repeat modulo a sample."""
-    pitch = (FRAME_MM - 6.0) / (len(WIDTHS) * REPEATS)
-    strips: list[BaseGeometry] = []
-    for k in range(len(WIDTHS) * REPEATS):
-        width = WIDTHS[k % len(WIDTHS)] * bound_mm
-        x = 2.0 + k * pitch + (k * GOLDEN % 1.0) * min(2.0 * bound_mm, 0.2 * pitch)
-        y = 10.0 + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
-        strips.append(shapely.box(x, y, x + min(width, 0.7 * pitch), y + 2.0))
-    return strips
+    k = np.arange(len(WIDTHS) * REPEATS)
+    pitch = (FRAME_MM - 6.0) / k.size
+    x = 2.0 + k * pitch + (k * GOLDEN % 1.0) * min(2.0 * bound_mm, 0.2 * pitch)
+    y = 10.0 + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
+    width = np.minimum(np.resize(WIDTHS, k.size) * bound_mm, 0.7 * pitch)
+    return list(shapely.box(x, y, x + width, y + 2.0))
 
 
 def _turned(pieces: Sequence[BaseGeometry], degrees: float) -> list[BaseGeometry]:
@@ -230,13 +228,11 @@ def _turned(pieces: Sequence[BaseGeometry], degrees: float) -> list[BaseGeometry
 
 def _posts(bound_mm: float) -> list[BaseGeometry]:
     """Small posts, three- to eight-sided, of all widths and at all places."""
-    posts: list[BaseGeometry] = []
-    for k in range(len(WIDTHS) * REPEATS):
-        row, column = divmod(k, 11)
-        x = 3.0 + 3.2 * column + (k * GOLDEN % 1.0) * 2.0 * bound_mm
-        y = 3.0 + 3.2 * row + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
-        posts.append(regular(3 + k % 6, min(0.6 * WIDTHS[k % len(WIDTHS)] * bound_mm, 1.2), x, y))
-    return posts
+    k = np.arange(len(WIDTHS) * REPEATS)
+    x = 3.0 + 3.2 * (k % 11) + (k * GOLDEN % 1.0) * 2.0 * bound_mm
+    y = 3.0 + 3.2 * (k // 11) + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
+    radius = np.minimum(0.6 * np.resize(WIDTHS, k.size) * bound_mm, 1.2)
+    return [regular(3 + n % 6, *place) for n, place in enumerate(np.stack([radius, x, y], 1).tolist())]
 
 
 def _wedges() -> list[BaseGeometry]:
@@ -286,15 +282,8 @@ def winding_rule(text: str) -> WindingRule | None:
     >>> [w for w in range(-1, 4) if winding_rule("1..2")(w)]
     [1, 2]
     """
-    if text == HOUSE_RULE:
-        return house_rule
-    if text == "winding != 0":
-        return lambda count: count != 0
-    if text == "odd":
-        return lambda count: count % 2 == 1
-    span = re.fullmatch(r"(-?\d+)\.\.(-?\d+)", text)
-    if span is None:
-        return None
+    if text in RULES or not (span := re.fullmatch(r"(-?\d+)\.\.(-?\d+)", text)):
+        return RULES.get(text)
     low, high = int(span[1]), int(span[2])
     return lambda count: low <= count <= high
 
@@ -302,6 +291,13 @@ def winding_rule(text: str) -> WindingRule | None:
 def house_rule(winding: int) -> bool:
     """Overlapping shells unite; what is inside out is empty."""
     return winding > 0
+
+
+RULES: dict[str, WindingRule] = {
+    HOUSE_RULE: house_rule,
+    "winding != 0": lambda count: count != 0,
+    "odd": lambda count: count % 2 == 1,
+}
 
 
 def segments(part: Part, height: float) -> NDArray[np.float64]:

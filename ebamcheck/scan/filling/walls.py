@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 
 import numpy as np
 import shapely
@@ -140,12 +141,8 @@ def _ends(branch: shapely.LineString) -> tuple[tuple[float, ...], tuple[float, .
     return tuple(points[0]), tuple(points[-1])
 
 
-def _fork_counts(branches: list[shapely.LineString]) -> dict[tuple[float, ...], int]:
-    counts: dict[tuple[float, ...], int] = {}
-    for branch in branches:
-        for end in _ends(branch):
-            counts[end] = counts.get(end, 0) + 1
-    return counts
+def _fork_counts(branches: list[shapely.LineString]) -> Counter[tuple[float, ...]]:
+    return Counter(end for branch in branches for end in _ends(branch))
 
 
 def _without_spurs(branches: list[shapely.LineString], width_mm: float) -> list[shapely.LineString]:
@@ -188,9 +185,7 @@ def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]
         first = path[i] if side == 1 else path[i][::-1]
         second = path[j] if other == 0 else path[j][::-1]
         path[i], path[j] = np.vstack([first, second[1:]]), np.zeros((0, 2))
-        place |= {key: (i, 0) for key, (n, _) in place.items() if n == i} | {
-            key: (i, 1) for key, (n, _) in place.items() if n == j
-        }
+        place = {key: (i, int(n == j)) if n in (i, j) else (n, at) for key, (n, at) in place.items()}
     return [shapely.LineString(points) for points in path if len(points)]
 
 
@@ -230,10 +225,8 @@ def _side_by_side(
         done += [(line, [begun, False]) for k, (line, begun) in enumerate(growing) if k not in going_on]
         before = [growing[k] if k >= 0 else (points[:0], bool(run[0] == 0)) for k in going_on]
         offsets = [((n + 0.5) / count - 0.5) * local[run, None] * normal[run] for n in range(count)]
-        growing = [
-            (np.vstack([line, points[run] + offset]), begun)
-            for (line, begun), offset in zip(before, offsets, strict=True)
-        ]
+        grown = zip(before, offsets, strict=True)
+        growing = [(np.vstack([line, points[run] + offset]), begun) for (line, begun), offset in grown]
     done += [(line, [begun, True]) for line, begun in growing]
     coarse_mm = STRAIGHTNESS * float(local.mean())
     beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())

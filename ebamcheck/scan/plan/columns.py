@@ -141,12 +141,12 @@ class PlannedLayer:
         """Islands in scan order."""
         plan = self.plan
         waits_s = plan.island_wait_s if len(plan.island_wait_s) else np.zeros(len(plan.islands))
+        columns = (plan.island_kind, plan.island_area_mm2, plan.island_centroid, plan.islands, waits_s)
+        order = plan.islands_of(self.index)
+        rows = zip(order.tolist(), *(column[order].tolist() for column in columns), strict=True)
         return tuple(
-            Island(
-                *(plan, k, rank, self.index, str(plan.island_kind[k]), float(plan.island_area_mm2[k])),
-                *(tuple(plan.island_centroid[k].tolist()), plan.islands[k], float(waits_s[k])),
-            )
-            for rank, k in enumerate(plan.islands_of(self.index).tolist())
+            Island(plan, k, rank, self.index, kind, area_mm2, (x, y), polygon, wait_s)
+            for rank, (k, kind, area_mm2, (x, y), polygon, wait_s) in enumerate(rows)
         )
 
     @property

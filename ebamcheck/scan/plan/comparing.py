@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -68,20 +69,14 @@ class OrderResult:
     def figures(self) -> dict[str, float]:
         """Figures as :data:`FIGURES` names them."""
         row = self.plan.metrics.iloc[0]
-        some = len(self.entry_k) > 0
-        return {
-            "islands": float(row["islands"]),
-            "entry_max_k": float(self.entry_k.max()) if some else np.nan,
-            "entry_sd_k": float(self.entry_k.std()) if some else np.nan,
-            "entry_point_max_k": float(self.point_k.max()) if some else np.nan,
-            "touching": float(self.touching.mean()) if some else np.nan,
-            "excess_uniformity": float(self.excess.mean()) if some else np.nan,
-            "interval_p10_s": float(row["interval_p10_s"]),
-            "interval_min_s": float(row["interval_min_s"]),
-            "travel_mm": self.travel_mm,
-            "starts": float(row["starts"]),
-            "time_s": float(row["time_s"]),
-        }
+        of_plan = ("islands", "interval_p10_s", "interval_min_s", "starts", "time_s")
+        found = dict.fromkeys(FIGURES, math.nan) | {name: float(row[name]) for name in of_plan}
+        found["travel_mm"] = self.travel_mm
+        if len(self.entry_k):
+            found |= {"entry_max_k": float(self.entry_k.max()), "entry_sd_k": float(self.entry_k.std())}
+            found |= {"entry_point_max_k": float(self.point_k.max()), "touching": float(self.touching.mean())}
+            found["excess_uniformity"] = float(self.excess.mean())
+        return {name: found[name] for name in FIGURES if name not in ("order", "seeds")}
 
 
 def compared_orders() -> tuple[str, ...]:

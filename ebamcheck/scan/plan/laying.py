@@ -145,29 +145,29 @@ def bead_sequence(
     """
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)
-    path = _island_path(laid, order, options, config)
+    island, start, end, bead_mm = _island_path(laid, order, options, config)
     columns, times = [contours.pieces], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
     shares = [np.repeat(mean_power(ring_mm, config.process), count)]
     if heat is not None and len(order):
-        columns.append(uneven(heat.modes.mean[:, path.island], heat.model))
-        times.append(path.bead_mm / speed)
-        shares.append(mean_power(path.bead_mm, config.process))
-    move_mm = np.concatenate([_to_rings(contours, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
+        columns.append(uneven(heat.modes.mean[:, island], heat.model))
+        times.append(bead_mm / speed)
+        shares.append(mean_power(bead_mm, config.process))
+    move_mm = np.concatenate([_to_rings(contours, start), np.hypot(*(start[1:] - end[:-1]).T)])
     up_and_down_mm = 2.0 * config.machine.safe_height_mm
     far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
     far[:1] = True
     rises = np.where(far, up_and_down_mm, 0.0)
     inner = np.zeros(len(move_mm), np.bool_)
-    inner[rings:] = np.diff(path.island, prepend=-1) == 0
+    inner[rings:] = np.diff(island, prepend=-1) == 0
     beads = Beads(
         pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
-        first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(path.island)]))]),
+        first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(island)]))]),
         move_s=(move_mm + rises) / rapid,
         rise_s=(up_and_down_mm - rises) / rapid,
         time_s=np.concatenate(times),
         on=np.concatenate(shares),
         rings=rings,
-        islands=path.island,
+        islands=island,
         inner=inner,
     )
     between = np.flatnonzero(~inner[rings:])[1:] + rings
@@ -187,26 +187,19 @@ def mean_power(bead_mm: Floats, process: ProcessSettings) -> Floats:
     return np.asarray(1.0 - 0.5 * (1.0 - process.ramp_power) * ramped, np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class _IslandPath:
+def _island_path(
+    laid: LaidLayer, order: Ints, options: Ints, config: Config
+) -> tuple[Ints, Floats, Floats, Floats]:
     """Beads of islands in sequence (n,): island, where each starts and ends, and its length with the turns in it, mm."""
-
-    island: Ints
-    start: Floats
-    end: Floats
-    bead_mm: Floats
-
-
-def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) -> _IslandPath:
     if not len(order):
-        return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+        return np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
     lines, spacing = laid.driven(order, options), config.process.hatch_spacing_mm
     island, a, b = lines.island, lines.start, lines.end
     turn, _ = turns_and_jumps_mm(island, a, b, spacing)
     begins = np.flatnonzero(~follows(island, a, b, spacing))
     ends = np.append(begins[1:], len(island)) - 1
     bead_mm = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins)
-    return _IslandPath(island[begins], a[begins], b[ends], bead_mm)
+    return island[begins], a[begins], b[ends], bead_mm
 
 
 def _to_rings(contours: ContourBeads, entry: Floats) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.scan.islands import clipping as cells
@@ -212,23 +212,10 @@ def plan_stack(
 EARLY = 0.1
 
 
-@dataclass(frozen=True, eq=False)
-class Schedule:
-    """Lines of a plan as they are driven, (V,) each: `turn` and `jump` before a line with the beam on and off, mm."""
-
-    island: Ints
-    start: Floats
-    end: Floats
-    length: Floats
-    turn: Floats
-    jump: Floats
-    new_layer: Bools
-    begin_s: Floats
-    end_s: Floats
-
-
-def scheduled(plan: ScanPlan, config: Config) -> Schedule:
-    """Lines of a plan with the times at which they are driven, every layer from time 0."""
+def scheduled(plan: ScanPlan, config: Config) -> pd.DataFrame:
+    """Lines of a plan with their `length_mm`, turn and jump before each with the beam on and off, `turn_mm` and `jump_mm`, whether each begins a
+    `new_layer`, and when it is driven, `begin_s` and `end_s`, every layer from time 0.
+    """
     table = plan.vectors
     island = table["island"].to_numpy()
     start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
@@ -242,8 +229,8 @@ def scheduled(plan: ScanPlan, config: Config) -> Schedule:
     total = np.cumsum(laying + to_it)
     group = np.cumsum(new_layer) - 1
     offset = (total - laying)[new_layer][group] if len(length) else total
-    ends = total - offset
-    return Schedule(island, start, end, length, turn, jump, new_layer, ends - laying, ends)
+    driven = {"length_mm": length, "turn_mm": turn, "jump_mm": jump, "new_layer": new_layer}
+    return table.assign(**driven, begin_s=total - offset - laying, end_s=total - offset)
 
 
 def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
@@ -252,23 +239,21 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`, `travel_mm` (jump before it),
     `inner_travel_mm` (jumps between its lines), `length_mm` of them, `turn_mm` of the turns between, `starts` of the wire; NaN times without lines.
     """
-    driven = scheduled(plan, config)
-    island, jump = driven.island, driven.jump
+    driven = {str(name): values.to_numpy() for name, values in scheduled(plan, config).items()}
+    island, jump = driven["island"], driven["jump_mm"]
     new_island = np.diff(island, prepend=-1) != 0
 
-    count = len(plan.order)
+    count, order = len(plan.order), plan.order
     first = np.flatnonzero(new_island)
     last = np.flatnonzero(np.diff(island, append=-1) != 0)
     start_s, end_s, before = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
-    start_s[island[first]], end_s[island[first]] = driven.begin_s[first], driven.end_s[last]
+    start_s[island[first]], end_s[island[first]] = driven["begin_s"][first], driven["end_s"][last]
     before[island[first]] = jump[first]
-    by_island = {
+    by_island = {name: driven[name] for name in ("length_mm", "turn_mm")}
+    by_island |= {
         "inner_travel_mm": np.where(new_island, 0.0, jump),
-        "length_mm": driven.length,
-        "turn_mm": driven.turn,
-        "starts": (jump > 0) | driven.new_layer,
+        "starts": (jump > 0) | driven["new_layer"],
     }
-    order = plan.order
     totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
     return pd.DataFrame(
         {
@@ -278,7 +263,7 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
             "start_s": start_s[order],
             "end_s": end_s[order],
             "travel_mm": before[order],
-            **totals,
+            **{name: totals[name] for name in ("inner_travel_mm", "length_mm", "turn_mm")},
             "starts": totals["starts"].astype(np.int64),
         }
     )

@@ -150,16 +150,15 @@ class PlayedProgram:
     ) -> None:
         own = control(config.machine.control)
         if not own.waiting:
-            raise SettingsError(
-                f"machine.control {config.machine.control!r}: no main program is written that waits between layers"
-            )
+            why = "no main program is written that waits between layers"
+            raise SettingsError(f"machine.control {config.machine.control!r}: {why}")
         self._text = str(own.load("waiting")(config, top_mm, {})[1])
         self.panel, self.config, self.opcua = Panel(), config, opcua
         self._growth, self._speed, self._told = growth, speed, told
         self._faults = {layer: list(names) for layer, names in faults.items()}
         self._first = config.machine.live_r
+        # Called for what the server is to do: be away for a time, and be full for another
         self.act: Callable[[float, float], object] = lambda away_s, full_s: None
-        """Called for what the server is to do: be away for a time, and be full for another."""
         self.bed_mm, self.laid = 0.0, list[PlayedLayer]()
         self._known: dict[int, float] = {}
         self._calls, self._time_s = 0, 0.0
@@ -167,8 +166,7 @@ class PlayedProgram:
         self._operator: float | None = None
         self._since = time.monotonic()
         self.stopped = False
-        self.ended = False
-        """Whether the program came to its end: the part is built."""
+        self.ended = False  # whether the program came to its end: the part is built
 
     def run(self) -> None:
         """Play until the part is built, or the program stops for good."""
@@ -215,10 +213,8 @@ class PlayedProgram:
 
     def _command(self) -> None:
         """The operator, once the program waits again."""
-        if (
-            self._operator is not None
-            and self.panel.get(self._r("waited")) > 2.0 * self.config.machine.live_poll_s
-        ):
+        waited_s = self.panel.get(self._r("waited"))
+        if self._operator is not None and waited_s > 2.0 * self.config.machine.live_poll_s:
             self.panel.set(self._r("begin_at"), self._operator)
             self._operator = None
 
@@ -279,10 +275,8 @@ class PlayedProgram:
         if self._has(layer, "sessions"):
             self.act(0.5, FAULT_S)
         self._before(layer + 1)
-        if self._has(layer, "count"):
-            self.panel.set(self._r("done"), layer + 7.0)
-            time.sleep(SHOWN_S)
-            self.panel.set(self._r("done"), float(layer))
+        for shown in (layer + 7.0, float(layer)) if self._has(layer, "count") else ():
+            self.panel.set(self._r("done"), shown)
             time.sleep(SHOWN_S)
         if self._has(layer, "stray"):
             self.panel.set(self._r("released"), layer + 1.0)
