@@ -117,10 +117,8 @@ class Surface:
             inside = target.share >= HALF
             metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
-            share, excess = (
-                gathered(field, target.share, metal)
-                for field in (target.share, laid_mm - thickness_mm * target.share)
-            )
+            fields = target.share, laid_mm - thickness_mm * target.share
+            share, excess = (gathered(field, target.share, metal) for field in fields)
             raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
             over[at] = levelled(raised, share, self._bead)

@@ -246,11 +246,8 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
         text = f"{rings.size} of {found.cause.size} rings fell back to the contour itself, because {why}"
         figures: dict[str, Any] = {}
         if cause in ("sagitta", "plane"):
-            figures = {
-                "figure": float(found.value_mm[worst]),
-                "limit": float(found.limit_mm[worst]),
-                "unit": "mm",
-            }
+            value_mm, limit_mm = float(found.value_mm[worst]), float(found.limit_mm[worst])
+            figures = {"figure": value_mm, "limit": limit_mm, "unit": "mm"}
         yield _told("curve-fell-back", text, verdict.place_of(worst), remedy=remedy, **figures)
 
 

@@ -227,10 +227,9 @@ def _evidence(curves: Curves) -> Evidence:
 
 
 def _figures(curves: Curves) -> dict[str, float]:
-    most = {
-        f"max_{n}": float(getattr(_evidence(curves), n).max(initial=0.0)) for n in ("points_mm", "bulge_mm")
-    }
-    return {"blocks": int(curves.block_count()), **most}
+    found = _evidence(curves)
+    points_mm, bulge_mm = float(found.points_mm.max(initial=0.0)), float(found.bulge_mm.max(initial=0.0))
+    return {"blocks": int(curves.block_count()), "max_points_mm": points_mm, "max_bulge_mm": bulge_mm}
 
 
 def _against_reference(
@@ -245,10 +244,8 @@ def _against_reference(
         go_on()
         of_curves[name] = contour_error(curves, truth)
     after = next(iter(of_curves.values()))
-    tables: dict[str, Table] = {
-        "reference.parquet": truth,
-        "reference.csv": pd.concat([before.assign(of="contour"), after.assign(of="curve")]),
-    }
+    both = pd.concat([before.assign(of="contour"), after.assign(of="curve")])
+    tables: dict[str, Table] = {"reference.parquet": truth, "reference.csv": both}
     figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm", "normal_max_abs_mm")
     return {
         "part": {"source": Path(fine.source).name, "sha256": fine.source_sha256, "facets": len(fine.faces)},

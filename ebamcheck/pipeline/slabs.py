@@ -163,10 +163,8 @@ def cut_slabs(
             cut = _Cut(slab, heights, first, borders, job.folder.layers_folder / f"slab-{k}")
             cut.folder.mkdir()
             with tally.timed("slice"):
-                asked = tally.alive(backends)
-                outcomes = slice_all(
-                    slab.part, heights, asked, cut.folder, limits, borders=borders, pool=pool
-                )
+                asked = slab.part, heights, tally.alive(backends), cut.folder, limits
+                outcomes = slice_all(*asked, borders=borders, pool=pool)
             workers.close()
             _take(job, tally, outcomes, f"slab {k + 1} of {len(division)}")
             with tally.timed("wait"):
@@ -210,11 +208,9 @@ def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) 
 def _added(before: Outcome, after: Outcome) -> Outcome:
     sums = ("rings", "open_paths", "points", "prepare_s", "slice_s")
     greatest = ("error_bound_mm", "height_bound_mm", "peak_mb")
-    return replace(
-        after,
-        **{name: getattr(before, name) + getattr(after, name) for name in sums},
-        **{name: max(getattr(before, name), getattr(after, name)) for name in greatest},
-    )
+    figures = {name: getattr(before, name) + getattr(after, name) for name in sums}
+    figures |= {name: max(getattr(before, name), getattr(after, name)) for name in greatest}
+    return replace(after, **figures)
 
 
 def _compared(job: Job, tally: _Tally, cut: _Cut, outcomes: Mapping[str, Outcome]) -> Comparison:

@@ -267,9 +267,8 @@ def _solids(names: Iterable[str] = tuple(SIMPLE), layers: int = 3) -> Iterator[t
 
 
 def _attackers(subject: Subject) -> dict[str, Part]:
-    return solids.attackers(
-        min(max(subject.bound_mm(solids.frame()), FINE_FEATURES_MM), 0.02 * solids.FRAME_MM)
-    )
+    bound_mm = max(subject.bound_mm(solids.frame()), FINE_FEATURES_MM)
+    return solids.attackers(min(bound_mm, 0.02 * solids.FRAME_MM))
 
 
 def _depths(check: str, subject: Subject, part: Part, heights: Floats) -> list[Figure]:

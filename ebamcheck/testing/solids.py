@@ -110,10 +110,8 @@ def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) 
         k = np.arange(around)
         after = (k + 1) % around
         top = (len(rows) - 1) * around
-        faces += [
-            np.column_stack([np.full(around, south), after, k]),
-            np.column_stack([np.full(around, north), top + k, top + after]),
-        ]
+        faces.append(np.column_stack([np.full(around, south), after, k]))
+        faces.append(np.column_stack([np.full(around, north), top + k, top + after]))
     return from_arrays(vertices, np.concatenate(faces), "revolved")
 
 
@@ -163,9 +161,8 @@ def _comb() -> BaseGeometry:
 
 
 # Posts from 0.01 to 3 mm across, each far from the next
-_PILLARS = [
-    regular(7, 0.5 * w, 4.3 * k, 2.1 * (k % 3)) for k, w in enumerate((0.01, 0.03, 0.1, 0.3, 1.0, 3.0))
-]
+_ACROSS_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+_PILLARS = [regular(7, 0.5 * mm, 4.3 * k, 2.1 * (k % 3)) for k, mm in enumerate(_ACROSS_MM)]
 
 # Closed meshes of one winding number
 SIMPLE: dict[str, Callable[[], Part]] = {

@@ -220,12 +220,11 @@ def gap_beads(
         near |= {len(islands) + int(k): new[k] for k in met}
         free = shapely.difference(region, shapely.union_all(list(near.values())))
         over = _beads_over(spot, region, free, bead_width_mm, spacing_mm)
-        found = [
-            (k, p) for line in over for k, island in near.items() for p in _pieces(line, island, shortest_mm)
-        ]
+        held = [(k, _pieces(line, island, shortest_mm)) for line in over for k, island in near.items()]
+        found = [(k, piece) for k, pieces in held for piece in pieces]
         beside = [part for line in over for part in _pieces(line, free, shortest_mm)]
-        for place, held in _places(beside, free, PLACE * bead_width_mm):
-            found += [(len(islands) + len(new), part) for part in held]
+        for place, lying in _places(beside, free, PLACE * bead_width_mm):
+            found += [(len(islands) + len(new), part) for part in lying]
             new.append(place)
         owner += [k for k, _ in found]
         lines += [part for _, part in found]

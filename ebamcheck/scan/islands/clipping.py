@@ -66,10 +66,8 @@ def partition(
 
 def least_island_mm(lattice: Lattice, bead_width_mm: float, spacing_mm: float) -> tuple[float, float]:
     """Least area (mm2) and least width (mm) of an island."""
-    return (
-        min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * hexagon_area_mm2(lattice.side_mm)),
-        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm),
-    )
+    area_mm2 = min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * hexagon_area_mm2(lattice.side_mm))
+    return area_mm2, min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm)
 
 
 def undivided(solids: Sequence[shapely.Polygon]) -> Cells:

@@ -249,9 +249,8 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
         lengths = np.hypot(edges[:, 0], edges[:, 1])
         directions = edges[lengths > 0] / lengths[lengths > 0, None]
         parts = np.array_split(directions, max(1, len(hull) * len(directions) // AT_ONCE))
-        boxes = np.concatenate(
-            [_envelopes(hull, part if len(part) else np.array([[1.0, 0.0]])) for part in parts]
-        )
+        any_way = np.array([[1.0, 0.0]])
+        boxes = np.concatenate([_envelopes(hull, part if len(part) else any_way) for part in parts])
     return _smallest(boxes)
 
 

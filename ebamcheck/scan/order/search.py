@@ -67,9 +67,12 @@ def thermal_order(
     starts = [0] if moves else sorted({count * n // STARTS for n in range(STARTS)})
     affordable = max(1, int(MOST_WORK / (count**2 * len(heat.modes.plane_rate))))
     tries = [(price * price_k_mm, first) for price in PRICES for first in starts][:affordable]
-    plans = run_each(
-        lambda t: greedy_order(heat, schedule, beside, rapid_mm_s, t[1], t[0], t[0] * start_travel_mm), tries
-    )
+
+    def greedy(price: tuple[float, int]) -> Ints:
+        k_mm, first = price
+        return greedy_order(heat, schedule, beside, rapid_mm_s, first, k_mm, k_mm * start_travel_mm)
+
+    plans = run_each(greedy, tries)
 
     def rank(order: Ints) -> tuple[int, float, float]:
         return ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)
@@ -175,9 +178,8 @@ def greedy_order(
 ) -> Ints:
     """Order islands by heat from a first one on, for one price of travel (K/mm) and of a wire start (K)."""
     count, columns = len(schedule), (schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
-    layer = _Heated(
-        heat.modes, heat.modes.late(heat.fresh.horizon_s), heat.fresh, beside, *columns, price_k_mm, start_k
-    )
+    late = heat.modes.late(heat.fresh.horizon_s)
+    layer = _Heated(heat.modes, late, heat.fresh, beside, *columns, price_k_mm, start_k)
     plan = _Greedy(
         np.empty(count, np.int64), np.empty(count), np.empty(count), np.zeros(count, np.int64),
         np.zeros(count, np.bool_), np.empty(count), np.empty(count), np.empty(count),
@@ -364,11 +366,8 @@ def improved(
             tried[b] = kept[a]
         for n in range(low):
             other.start_s[n], other.option[n] = log.start_s[n], log.option[n]
-            other.travel_mm[n], other.touches[n], other.entry_k[n] = (
-                log.travel_mm[n],
-                log.touches[n],
-                log.entry_k[n],
-            )
+            other.travel_mm[n], other.touches[n] = log.travel_mm[n], log.touches[n]
+            other.entry_k[n] = log.entry_k[n]
         time_from(low, tried, layer, other)
         rest = price * max(0.0, other.travel_mm[-1] - longest) + touch_price * other.touches[-1]
         if rest >= allowed:

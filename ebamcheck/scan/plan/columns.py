@@ -337,11 +337,8 @@ def _columns(plan: ScanPlan) -> dict[str, pa.Array]:
         "lines": lines,
     }
     metrics = {name: pa.array(plan.metrics[name].to_numpy()) for name in plan.metrics.columns}
-    columns = {
-        "height_mm": pa.array(plan.heights),
-        "contour": _well_known(plan.contours),
-        "metrics": pa.StructArray.from_arrays(list(metrics.values()), list(metrics)),
-    }
+    columns = {"height_mm": pa.array(plan.heights), "contour": _well_known(plan.contours)}
+    columns["metrics"] = pa.StructArray.from_arrays(list(metrics.values()), list(metrics))
     if plan.sections is not None:
         columns["section"] = _well_known(plan.sections)
     lists: dict[str, Column] = {f"island_{name}": (values, starts) for name, values in of_island.items()}

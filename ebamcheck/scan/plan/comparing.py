@@ -183,10 +183,8 @@ class OrderComparison:
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count)
         if self.heat is None:
-            nothing = np.zeros(0)
-            return OrderResult(
-                plan, rank, nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.bool_), 0.0
-            )
+            nothing, none = np.zeros(0), np.zeros(0, np.bool_)
+            return OrderResult(plan, rank, nothing, nothing, nothing, nothing, nothing, none, 0.0)
         # An island without lines is passed in no time.
         end_s = simulated["end_s"].ffill().fillna(0.0)
         start_s = simulated["start_s"].fillna(end_s)

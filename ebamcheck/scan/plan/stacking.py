@@ -250,10 +250,8 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
     start_s[island[first]], end_s[island[first]] = driven["begin_s"][first], driven["end_s"][last]
     before[island[first]] = jump[first]
     by_island = {name: driven[name] for name in ("length_mm", "turn_mm")}
-    by_island |= {
-        "inner_travel_mm": np.where(new_island, 0.0, jump),
-        "starts": (jump > 0) | driven["new_layer"],
-    }
+    by_island["inner_travel_mm"] = np.where(new_island, 0.0, jump)
+    by_island["starts"] = (jump > 0) | driven["new_layer"]
     totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
     return pd.DataFrame(
         {
