@@ -144,8 +144,7 @@ def _profile(path: DrivenPath, config: Config, places: tuple[str, ...]) -> FeedP
     return FeedProfile(path, cells, *speeds_and_time, config.kinematics.dip_share, bead_mm2, places)
 
 
-# Sorts of slow stretches: from the start of a run, within it, and to its end. A run that is slow throughout is counted as a dip: its start
-# and end alone do not explain it.
+# Sorts of slow stretches: from the start of a run, within it, to its end; a run that is slow throughout is a dip
 START, DIP, END = range(3)
 
 

@@ -126,8 +126,7 @@ def pooled(
     return np.asarray(laid, np.float64)
 
 
-# Factors by which all widths of a layer are changed at most so that the sum of the metal is right. Walls that are a little wider than a bead get less
-# than three quarters of their metal by their middle, where pools overlap, and which counts most.
+# Factors by which all widths of a layer are changed at most; walls a little wider than a bead get under three quarters of their metal else
 LEAST_RIM, MOST_RIM = 1.0 / 1.15, 1.4
 ITERATIONS = 10  # steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after so many
 

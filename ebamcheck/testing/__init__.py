@@ -16,9 +16,10 @@ A :class:`BackendFailed` is an answer where the part is open or its shells overl
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ebamcheck.errors import BackendFailed
+from ebamcheck.names_on_demand import on_demand
 from ebamcheck.testing.conformance import CHECKS, Check, Conformance, conform, examine, markdown_table
 from ebamcheck.testing.subject import Figure, Subject, violations
 
@@ -41,10 +42,5 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    """Load the pytest class when it is asked for, so that the command line needs no pytest."""
-    if name in ("ControlSuite", "SlicerSuite"):
-        from ebamcheck.testing import suite
-
-        return getattr(suite, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+# They load when they are asked for, so that the command line needs no pytest.
+__getattr__ = on_demand(__name__, {"ControlSuite": "suite", "SlicerSuite": "suite"})

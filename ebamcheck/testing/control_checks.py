@@ -174,7 +174,7 @@ def _faults(config: Config, name: str) -> dict[str, Callable[[str], str]]:
 
     def without(template: str) -> Callable[[str], str]:
         last = values.fill(template, templates[template])[-1].split(";")[0].strip()
-        return lambda text: _line(text, re.escape(last), "", 1)
+        return lambda text: _without_second(text, last)
 
     move = r"X(-?[\d.]+) Y(-?[\d.]+)"
     return {
@@ -191,14 +191,11 @@ def _faults(config: Config, name: str) -> dict[str, Callable[[str], str]]:
     }
 
 
-def _line(text: str, pattern: str, replacement: str, nth: int) -> str:
-    """Replace what matches in the nth line that holds the pattern; an emptied line goes."""
+def _without_second(text: str, words: str) -> str:
+    """Leave out the second line that holds some words."""
     lines = text.split("\n")
-    at = [i for i, line in enumerate(lines) if re.search(pattern, line)]
-    if len(at) <= nth:
-        return text
-    lines[at[nth]] = replacement
-    return "\n".join(line for i, line in enumerate(lines) if line or i != at[nth])
+    at = [i for i, line in enumerate(lines) if words in line]
+    return "\n".join(line for i, line in enumerate(lines) if i not in at[1:2])
 
 
 def _corner_left_out(text: str) -> str:

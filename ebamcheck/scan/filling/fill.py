@@ -22,9 +22,7 @@ from ebamcheck.scan.islands.clipping import hatch_directions
 from ebamcheck.scan.islands.regions import Regions
 from ebamcheck.settings.config import Config
 
-# Share of the bead spacing by which a hatch line stops before the border of its island. There the turn to the next line lies, or the round end of the
-# bead: lines that reach the border lay a seventh more than the part has. On a square of 100 mm 0.2 to 0.4 leave the surface as flat; 0.3 needs the
-# least spread of wire speeds.
+# Share of the spacing by which a hatch line stops before the border of its island: the turn, or the round end of the bead, fills the rest
 TRIM = 0.3
 SHORTEST_TRIMMED = 0.5  # lines are not trimmed to under this times the bead width, and not lengthened either
 
@@ -120,8 +118,7 @@ def _beads(regions: Regions, lines: Vectors) -> Floats:
 LEAST_SPOT = 0.02
 # So are, in sections of small parts, spots under this share of a part of mean area: a tenth of what the gate of the coverage leaves bare
 LEAST_SHARE = 0.002
-# Share of half a bead width within which a gap bead must reach all of its spot: what is left is the sagitta of the arcs (0.5 % with
-# :data:`ARC_SEGMENTS`) and the tolerance of the machine
+# Share of half a bead width within which a gap bead must reach all of its spot: the rest is sagitta of the arcs and tolerance of the machine
 REACH = 0.97
 ARC_SEGMENTS = 8  # chords in a quarter of a bead's round end
 # Share of a spot that a straight bead may leave; else the bead follows the spot's centre line

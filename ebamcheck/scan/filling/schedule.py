@@ -62,11 +62,9 @@ def island_ends(start: Floats, end: Floats, first: Ints, chained: Bools) -> tupl
     return entry, leave
 
 
-# Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its track again. Turns
-# between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them.
+# Cosine of the angle between a turn and a line beside it from which on the beam would melt its track again; parallel lines reach -cos(26 degrees)
 SHARPEST_TURN = -math.cos(math.radians(20.0))
-# The middle of a turn is at least this many spacings away from every line of its island, if the turn is longer than the second of them: nearer it
-# would lay metal on metal. Between parallel lines, two thirds of a spacing apart, it is a third of one away.
+# A turn longer than the second keeps its middle the first away from every line of its island, in spacings: nearer it lays metal on metal
 BESIDE_SPACINGS, SHORT_SPACINGS = 0.25, 0.6
 SHORTEST_MM = 0.01  # a line or turn that is shorter has no direction that counts
 TINY = 1e-300  # least divisor

@@ -21,15 +21,12 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.regions import NO_WIDTH_MM, mean_width_mm
 from ebamcheck.kernels import Bools, Floats, Ints
 
-# Border points per wall width. Where those of its two sides are out of step the centre line goes to and fro by a fraction of a percent of the width;
-# with three of them that was more than it is simplified by, and two of five blocks of a wall were zigzag.
+# Border points per wall width: with three of them, out of step on its two sides, two of five blocks of a wall were zigzag
 SAMPLES_ACROSS = 9.0
 MOST_SAMPLES = 20_000  # border points of one wall; a wall that would need more is sampled more coarsely
-# Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6 around a rounded end, 2 where a wall is as long
-# as half its width
+# Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6 around a rounded end
 ARC_OVER_CHORD = 2.0
-# A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's own greatest width, where that is
-# less: its round end covers half a bead more, no spot that stays is wide enough for a gap bead, and no more than a hundredth of a wedge stays
+# A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's greatest width, if less
 TAPER, TAPER_SHARE = 0.2, 0.1
 LEFT_SHARE = 0.02  # share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper
 ALONE = 1.01  # greatest width, over the bead's, of a wall that one bead fills: it reaches both sides
@@ -37,9 +34,7 @@ LEAST_APART = 0.5  # no bead of a wall lies nearer to another one of it than thi
 LEAST_BEAD = 0.5  # no bead reaches less far than this times the bead width, unless the wall has no longer one
 # Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions are wider than their walls
 LEAST_RUN = 1.0
-# Length, over the wall's width, by which a bead goes on beyond the end of the centre line, which lies half a width before that of the wall: to the
-# end and beyond, where the wall is cut from other metal; else half-way, so that the round end of the bead covers the corners of the wall and hardly
-# reaches over it
+# Length, over the wall's width, by which a bead goes on beyond the centre line: beyond the end of a wall cut from other metal, else half-way to it
 WHOLE_END, ROUND_END = 2.0, 0.25
 STEP = 0.25  # distance, over the bead width, of the points where the width of a wall is measured
 STRAIGHT_ON_DEG = 60.0  # turn at a fork up to which one bead goes on through it
@@ -47,8 +42,7 @@ STRAIGHT_ON_DEG = 60.0  # turn at a fork up to which one bead goes on through it
 HOOK, HOOK_COS = 0.25, -0.5
 # Deviation of the centre line from its samples, over the wall's width, by which it is simplified
 STRAIGHTNESS = 0.02
-# The border points are joggled by some 1e-11 of their extent before their diagram is drawn: without it, its time grows with the square of the points
-# on a straight side, to 10 s for those of a hair of metal
+# Border points are joggled by some 1e-11 of their extent: without it, time grows with the square of the points on a straight side
 QHULL_OPTIONS = "Qbb Qc QJ"
 ARC_SEGMENTS = 16
 # Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius

@@ -22,8 +22,7 @@ WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
 SLIVER_AREA = 1.0
 # Islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours
 SLIVER_WIDTH = 0.5
-# No island is a sliver that has more than this share of a hexagon's area, or of its width: hexagons that are set small against the bead are what was
-# asked for
+# No island is a sliver with more than this share of a hexagon's area, or of its width: hexagons set small against the bead are wanted
 SLIVER_SHARE = 0.2
 ON_BORDER_MM = 1e-9  # faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it
 DEPTH_SHARE = 0.01  # depth of a point in a face, over the root of its area, that is enough, and the precision of that of the deepest one

@@ -24,8 +24,7 @@ SQRT3 = math.sqrt(3.0)
 LEAST_ACROSS = 3
 # Islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts
 ZONES = 60
-# Fewest and most beads between two opposite sides of a hexagon: under 4 the ends of the beads rule the island, over 12 the scan lines grow as long as
-# those that the partition is there to avoid
+# Fewest and most beads across a hexagon: under 4 the ends of beads rule the island, over 12 its lines grow as long as those to be avoided
 BEADS_ACROSS = (4, 12)
 ROUNDING = 1e-12  # relative rounding of a length that must not cost a row of hexagons
 HEXAGON, SQUARE, STRIPE = "hexagon", "square", "stripe"  # kinds of cells
@@ -155,19 +154,14 @@ def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> 
 
 
 # -- Where the lattice lies on each layer: along the smallest rectangle, then shifted and turned from layer
-# to layer.
-#
-# Borders of islands are where beads start, stop and meet at an angle. Were they to lie over each other from
-# layer to layer, they would grow into walls of lack of fusion through the part. So each layer turns the
-# lattice on, which leaves borders of two layers at most points in common, not lines; and it shifts it, so
-# that layers whose turns are alike again do not repeat it. The lowest layer has the lattice of the paper.
+# to layer. Borders of islands that lay over each other would grow into walls of lack of fusion through the part. So each layer turns the lattice on,
+# which leaves borders of two layers at most points in common, and shifts it, so that layers whose turns are alike again do not repeat it. The lowest
+# layer has the lattice of the paper.
 
 
-# Real root of x^3 = x + 1. Multiples of its inverse and of its inverse squared spread pairs of fractions as evenly as can be, however many layers
-# there are (M. Roberts, 2018: the sequence R2).
+# Real root of x^3 = x + 1, whose inverse and its square spread pairs of fractions evenly (M. Roberts, 2018: the sequence R2)
 PLASTIC = 1.324717957244746
-# Rows of hexagons repeat along L2 after so many sides d; along L1 hexagons repeat after sqrt(3) d. Squares and stripes repeat after less, sqrt(3) d,
-# so that they are shifted over their whole period, too.
+# Rows of hexagons repeat along L2 after so many sides d; squares and stripes after less, so that they are shifted over their whole period, too
 ROWS_REPEAT = 3.0
 
 

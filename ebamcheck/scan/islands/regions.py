@@ -21,8 +21,7 @@ from ebamcheck.settings.config import Config
 THIN_WALL_BEADS = 3.0
 CRUMB = 0.25  # bare pieces under this times the squared bead width are corners that a round bead never fills
 CORNER = 0.5  # narrow pieces of the fill under this times the squared opening width are corners of a solid (down to about 35 degrees), not walls
-# Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for the sake of its surface, which the fill does
-# not reach
+# Deviation, over the bead width, by which the border of the fill is simplified: its points serve a surface that the fill does not reach
 FILL_TOLERANCE = 0.002
 
 

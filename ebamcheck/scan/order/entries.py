@@ -22,8 +22,7 @@ from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, gaps_mm, 
 NEAREST = -1  # entry option of an island that is entered from its corner nearest to where the last one ended
 HIGH = 12  # exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler
 ROUNDS = 3  # rounds of choosing ends, each with the heat of islands as driven by those of the round before
-# Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest rise: by the dearest only the
-# travel counts, by the cheapest only the heat
+# Prices of a millimetre, in powers of the greatest rise, that the search begins with: by the dearest travel alone counts, by the cheapest heat
 DEAREST, CHEAPEST = 1e15, 1e-15
 HALVINGS = 50  # halvings of the range of prices, on a scale of decades: to 4 %
 TIE = 1e-12  # sums closer than this share are equal: rounding must not decide between ends that mirror each other

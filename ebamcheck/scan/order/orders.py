@@ -84,10 +84,8 @@ class LayerIslands:
         return with_fresh_heat(modes, entry, columns, self.section, self.polygons, self.config)
 
 
-# An order: from the islands of a layer, :class:`LayerIslands`, a permutation (I,) of their indices. One with an attribute `needs_heat` that is true
-# is called with a second value, the :class:`IslandHeat` with which the layer begins: that left by the layers below, where it is carried. The layers
-# of others are planned without it. The islands of one with an attribute `cool_entries` that is true are entered at their coolest ends that are near
-# enough, in place of the nearest.
+# From the islands of a layer, :class:`LayerIslands`, a permutation (I,) of their indices. One whose attribute `needs_heat` is true is called with the
+# :class:`IslandHeat` with which the layer begins, too; the islands of one whose `cool_entries` is true are entered at their coolest ends near enough.
 Order = Callable[..., Ints]
 
 

@@ -35,8 +35,7 @@ STARTS = 2  # first islands of the greedy plans for each price, where no moves f
 MOST_WORK = 4e9  # multiplications in the greedy plans of a layer, which limits their number on a layer of thousands of islands
 # Moves that improve a plan, over its islands; and moves times islands, so that a layer of 300 gets 3300
 MOVES_AN_ISLAND, MOST_MOVES = 800, 1e6
-# Worsening taken at first by a move, as a share of the first cost: over the islands, since a move of one of many changes little; at most. Moves that
-# must improve leave the hottest entry 4 % warmer.
+# Worsening taken at first by a move, as a share of the first cost: over the islands, and at most; without it the hottest entry is 4 % warmer
 WARMTH, MOST_WARMTH = 0.2, 0.005
 HOTTEST_EVERY = 10  # one move in so many starts at the hottest island; the others anywhere
 TOUCH_SHARE = 100.0  # price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it

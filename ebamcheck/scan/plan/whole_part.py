@@ -87,8 +87,7 @@ class OrderedLayer:
         return found
 
 
-# What gives the power along the beads of a layer, in their sequence, by the layer in order and its height, mm; asked for each layer once, from below,
-# since the wire that beads get depends on the layers under them
+# Gives the power along the beads of a layer by the layer in order and its height, mm; asked for each layer once, from below
 PowerOf = Callable[[OrderedLayer, float], BeadPower]
 
 
