@@ -23,8 +23,24 @@ from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.comparing import OrderResult
 from ebamcheck.scan.plan.laying import LaidLayer
-from ebamcheck.scan.plan.stacking import beam_lines, simulate_order
+from ebamcheck.scan.plan.stacking import scheduled, simulate_order
 from ebamcheck.settings.config import Config
+
+
+def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
+    """Lines, and turns before those that they lead to, as the beam heats them: (n, 4) x0, y0, x1, y1, mm; begin and end (n,), s from 0 in every layer."""
+    driven = scheduled(plan, config)
+    lines, turn_mm = driven[["x0", "y0", "x1", "y1"]].to_numpy(), driven["turn_mm"].to_numpy()
+    begin_s, end_s = driven["begin_s"].to_numpy(), driven["end_s"].to_numpy()
+    turn = np.flatnonzero(turn_mm > 0.0)
+    turn_s = turn_mm[turn] / config.process.travel_speed_mm_s
+    ends = np.vstack([lines, np.hstack([lines[turn - 1, 2:], lines[turn, :2]])])
+    begin = np.concatenate([begin_s, begin_s[turn] - turn_s])
+    end = np.concatenate([end_s, begin_s[turn]])
+    # A turn is driven before the line that it leads to.
+    order = np.argsort(np.concatenate([np.arange(len(lines)), turn - 0.5]), kind="stable")
+    return ends[order], begin[order], end[order]
+
 
 SPREAD = 3.0
 """Radius of the beam in standard deviations; heat beyond it is neglected."""

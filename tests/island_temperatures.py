@@ -22,9 +22,8 @@ from ebamcheck.heat import depth_modes
 from ebamcheck.heat.field import Modes, Timetable, surfaces_at_entries
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.scan.order.entries import clocked
+from ebamcheck.scan.order.entries import clocked, entered
 from ebamcheck.scan.order.orders import LayerIslands, scan_order
-from ebamcheck.scan.order.simulation import entered
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.config import Config
 

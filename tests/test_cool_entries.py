@@ -16,6 +16,7 @@ from ebamcheck.scan.order.entries import (
     affordable,
     clocked,
     cool_options,
+    entry_points,
     high_mean,
     in_sequence,
     modes_at_entries,
@@ -24,7 +25,6 @@ from ebamcheck.scan.order.entries import (
     rises_at_entries,
 )
 from ebamcheck.scan.order.orders import chosen_options, longest_travel_mm, scan_order
-from ebamcheck.scan.order.simulation import entry_points
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.scan.plan.stacking import plan_scan

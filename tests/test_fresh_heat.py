@@ -28,7 +28,7 @@ from ebamcheck.heat.near_field import (
     of_layer,
 )
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.order.simulation import entry_points
+from ebamcheck.scan.order.entries import entry_points
 
 
 @pytest.fixture(scope="module")

@@ -13,10 +13,9 @@ from fresh_layers import PLATE, RAPID, islands_of, times_of
 from shapely import affinity
 
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.order.entries import high_mean, nearest_options
+from ebamcheck.scan.order.entries import entered, entry_points, high_mean, nearest_options
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import own_rise, ranked, thermal_order, touching, touching_successors
-from ebamcheck.scan.order.simulation import entered, entry_points
 
 
 @pytest.fixture(scope="module")

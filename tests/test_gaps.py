@@ -163,14 +163,14 @@ def test_wide_spots_are_closed_and_narrow_ones_only_while_coverage_is_missing():
 def test_a_gap_bead_covers_its_spot_within_the_section_and_beside_the_islands(spot):
     section = shapely.box(0, 0, 60, 60)
     islands = np.array([shapely.box(5, 25, 55, 35)], object)
-    found = gap_beads([spot], section, islands, WIDTH, SPACING)
-    lines = shapely.union_all(found.lines)
+    beads, island, polygons = gap_beads([spot], section, islands, WIDTH, SPACING)
+    lines = shapely.union_all(beads)
     assert spot.difference(lines.buffer(WIDTH / 2)).area <= 0.02 * spot.area
     assert section.covers(lines)
-    homes = np.concatenate([islands, found.polygons])[found.island]
-    assert shapely.covers(shapely.buffer(homes, 1e-9), found.lines).all()
-    together = shapely.union_all([*islands, *found.polygons])
-    assert together.area == pytest.approx(shapely.area([*islands, *found.polygons]).sum(), rel=1e-9)
+    homes = np.concatenate([islands, polygons])[island]
+    assert shapely.covers(shapely.buffer(homes, 1e-9), beads).all()
+    together = shapely.union_all([*islands, *polygons])
+    assert together.area == pytest.approx(shapely.area([*islands, *polygons]).sum(), rel=1e-9)
 
 
 def test_gaps_are_left_where_the_settings_say_so():

@@ -15,8 +15,8 @@ from ebamcheck.comparison import compare_all
 from ebamcheck.layers.stack import from_rings
 from ebamcheck.live.relaying import finished_run
 from ebamcheck.pipeline.findings import _at
+from ebamcheck.pipeline.finishing import _comparison_record
 from ebamcheck.pipeline.gates import agreement_gate
-from ebamcheck.pipeline.manifest import _disagreements
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Outcome
@@ -41,7 +41,7 @@ def test_a_disagreement_names_the_height_over_the_plate():
     assert not gate.passed
     # Three layers of 0.6 mm on what stands.
     assert f"of layer 3, cut at z = 1.700 mm, Z {BASE_MM + 1.8:.3f} mm" in gate.text
-    recorded = _disagreements(found, CONFIG)
+    recorded = _comparison_record(found, CONFIG)["findings"]
     assert [entry["program_z_mm"] for entry in recorded] == pytest.approx([BASE_MM + 1.8] * len(recorded))
 
 

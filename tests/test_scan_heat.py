@@ -22,10 +22,9 @@ from ebamcheck.heat.modes import one_blas_thread
 from ebamcheck.plugins import registry
 from ebamcheck.scan import LayerIslands, plan_scan
 from ebamcheck.scan.filling.schedule import turns_and_jumps_mm
-from ebamcheck.scan.order.entries import clocked
+from ebamcheck.scan.order.entries import clocked, entered, entry_points, entry_temperatures
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import greedy_order, own_rise
-from ebamcheck.scan.order.simulation import entered, entry_points, entry_temperatures
 from ebamcheck.scan.plan.comparing import FIGURES, compared_orders
 from ebamcheck.scan.plan.laying import lay_islands
 from ebamcheck.settings.stages import order_names

@@ -19,7 +19,7 @@ from ebamcheck.heat.influence import (
     work_out,
 )
 from ebamcheck.heat.near_field import entry_rise, young_mean
-from ebamcheck.scan.order.entries import clocked, entry_options, high_mean
+from ebamcheck.scan.order.entries import clocked, entered, entry_options, entry_points, high_mean
 from ebamcheck.scan.order.orders import scan_order
 from ebamcheck.scan.order.search import (
     HOTTEST_EVERY,
@@ -33,7 +33,6 @@ from ebamcheck.scan.order.search import (
     touching,
     touching_successors,
 )
-from ebamcheck.scan.order.simulation import entered, entry_points
 from ebamcheck.scan.plan.comparing import OrderComparison
 from ebamcheck.scan.plan.laying import lay_islands
 

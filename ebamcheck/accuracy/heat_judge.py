@@ -31,7 +31,7 @@ from ebamcheck.heat.island_heat import island_heat
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import CurveColumns, deposition_heights
-from ebamcheck.scan.order.simulation import entry_temperatures
+from ebamcheck.scan.order.entries import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.config import Config

@@ -32,7 +32,7 @@ from ebamcheck.mesh.part import Part
 from ebamcheck.nc.control import simulators
 from ebamcheck.pipeline.stages import bead_paths
 from ebamcheck.program import write_program
-from ebamcheck.scan.order.simulation import entered
+from ebamcheck.scan.order.entries import entered
 from ebamcheck.scan.plan.comparing import (
     RANDOM,
     SEEDS,

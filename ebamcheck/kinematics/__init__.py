@@ -7,13 +7,3 @@ from ebamcheck.kinematics.profile import FeedProfile as FeedProfile
 from ebamcheck.kinematics.profile import feed_profile as feed_profile
 from ebamcheck.kinematics.profile import polyline_profile as polyline_profile
 from ebamcheck.kinematics.profile import side_by_side as side_by_side
-
-__all__ = [
-    "DrivenPath",
-    "FeedProfile",
-    "feed_profile",
-    "polyline_path",
-    "polyline_profile",
-    "program_path",
-    "side_by_side",
-]

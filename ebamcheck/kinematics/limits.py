@@ -35,7 +35,6 @@ class DrivenPath:
     start: Floats  # (B, 3) mm
     end: Floats  # (B, 3) mm
     coefficients: Floats  # (B, 2, 4) powers of t in X and Y over 0 <= t <= 1
-    radius_mm: Floats  # of an arc; infinite for others
     centre: Floats  # (B, 2) of an arc; NaN for others
     sweep_rad: Floats  # signed, of an arc; NaN for others
     feed_mm_s: Floats  # speed programmed
@@ -99,8 +98,7 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
     bad = np.flatnonzero(~(feed > 0.0))
     if bad.size:
         raise SettingsError(f"{nc.where(int(rows[bad[0]]))}: a motion without a feed: it would never end")
-    arc = nc.kind[rows] == ARC
-    coefficients = np.where(np.isnan(nc.coefficients[rows]), 0.0, nc.coefficients[rows])
+    arc, coefficients = nc.kind[rows] == ARC, np.nan_to_num(nc.coefficients[rows], nan=0.0)
     straight = (nc.kind[rows] == STRAIGHT) | rapid[rows]
     coefficients[straight] = _line_coefficients(nc.start[rows[straight], :2], nc.end[rows[straight], :2])
     centre = np.where(arc[:, None], nc.arc[rows, :2], np.nan)
@@ -113,7 +111,6 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
         start=nc.start[rows],
         end=nc.end[rows],
         coefficients=coefficients,
-        radius_mm=np.where(arc, np.linalg.norm(nc.start[rows, :2] - centre, axis=1), np.inf),
         centre=centre,
         sweep_rad=np.where(arc, nc.arc[rows, 2], np.nan),
         feed_mm_s=feed,
@@ -123,13 +120,11 @@ def program_path(nc: NCProgram, config: Config) -> DrivenPath:
 
 def polyline_path(layers: Layers, feed_mm_s: float) -> DrivenPath:
     """Path of one straight block for each point of a contour, every ring a run of its own."""
-    points = layers.points
-    after = np.arange(1, len(points) + 1)
-    filled = np.diff(layers.ring_starts) > 0
-    after[layers.ring_starts[1:][filled] - 1] = layers.ring_starts[:-1][filled]
-    ring = np.repeat(np.arange(layers.closed.size), np.diff(layers.ring_starts))
-    last = np.zeros(len(points), np.bool_)
-    last[layers.ring_starts[1:][filled] - 1] = True
+    points, size = layers.points, np.diff(layers.ring_starts)
+    ends = layers.ring_starts[1:][size > 0] - 1
+    after, last = np.arange(1, len(points) + 1), np.zeros(len(points), np.bool_)
+    after[ends], last[ends] = layers.ring_starts[:-1][size > 0], True
+    ring = np.repeat(np.arange(layers.closed.size), size)
     start, end = points, points[after] if len(points) else points
     length = np.hypot(*(end - start).T)
     keep = np.flatnonzero((length > 0.0) & ~(last & ~layers.closed[ring]))
@@ -144,7 +139,6 @@ def polyline_path(layers: Layers, feed_mm_s: float) -> DrivenPath:
         start=np.hstack([start[keep], z]),
         end=np.hstack([end[keep], z]),
         coefficients=_line_coefficients(start[keep], end[keep]),
-        radius_mm=np.full(keep.size, np.inf),
         centre=np.full((keep.size, 2), np.nan),
         sweep_rad=np.full(keep.size, np.nan),
         feed_mm_s=np.full(keep.size, feed_mm_s),
@@ -164,23 +158,15 @@ PLACES = 5  # Places of a cell, its ends included, at which its curvature is tak
 MOST_CELLS = 64  # Cells of one motion
 AT_ONCE = 8192  # Cells that are looked at together: their columns stay in the cache of a processor
 CRAWL_SHARE = 1e-3  # Least speed along a curve over its feed: a cusp has no curvature, and the axes go through it somehow
-
 # Words by which the control rounds corners (SINUMERIK, continuous-path mode).
 SMOOTHING_WORDS = ("G641", "G642", "G643", "G644", "G645")
-
 EXACT_STOP_WORDS = ("G60", "G9")  # Words by which it stops in every corner
-
-
 STRAIGHT_RADIUS_MM = 1e9  # A corner that may be rounded with a larger radius is none
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Stretches of the path along each of which the greatest speed is held constant.
-
-    A curve is divided into cells about as long as a ramp from rest to the feed: speeds that vary over less
-    could not be followed.
-    """
+    """Stretches of the path, about as long as a ramp from rest to the feed, along each of which the greatest speed is held constant."""
 
     motion: Ints  # (C,) motion of the path
     length_mm: Floats  # (C,)
@@ -205,9 +191,8 @@ def cells_of(path: DrivenPath, config: Config) -> Cells:
     edges = block_edges(bent.size, largest=AT_ONCE)
     rows, begin, end = motion[bent], t0[bent], t1[bent]
     bends = run_in_order(lambda a, b: _bends(path, rows[a:b], begin[a:b], end[a:b]), edges)
-    curvature[bent], direction[bent, 0], direction[bent, 1], direction[bent, 2], length[bent] = np.hstack(
-        list(bends)
-    )
+    curvature[bent], *axes_of, length[bent] = np.hstack(list(bends))
+    direction[bent] = np.stack(axes_of, axis=1)
     # Those of one motion add up to its length.
     whole = np.bincount(motion, length, minlength=len(path))
     length *= (path.length_mm / np.where(whole > 0.0, whole, 1.0))[motion]
@@ -279,12 +264,10 @@ def _bends(path: DrivenPath, rows: Ints, t0: Floats, t1: Floats) -> Floats:
 
 
 def corner_speeds(path: DrivenPath, config: Config) -> Floats:
-    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there.
-
-    The control goes through a corner at the speed whose jump the axes take, or rounds it within the
-    smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e cos(p/2) / (1 - cos(p/2))
-    that takes at most half of either motion; a jump of curvature k by a clothoid of length sqrt(24 e / k), whose
-    shift is e. The acceleration of either must stay within its share, its rise within the jerk.
+    """Greatest speed (B,) at the start of each motion, from the tangents and curvatures that meet there: the one whose jump the axes take, or that of a
+    rounding within the smoothing tolerance e. A break of direction p is rounded by an arc of radius r = e cos(p/2) / (1 - cos(p/2)) that takes at most half
+    of either motion; a jump of curvature k by a clothoid of length sqrt(24 e / k), whose shift is e. The acceleration must stay within its share, its rise
+    within the jerk.
     """
     axes, machine = config.kinematics, config.machine
     result = np.full(len(path), np.inf)
@@ -301,10 +284,8 @@ def corner_speeds(path: DrivenPath, config: Config) -> Floats:
         result[1:] = np.where(half > SMOOTH_RAD, 0.0, np.inf)
         return result
     rounded = _rounded_corner(path, half, machine, axes)
-    bends = [
-        np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0)
-        for at, t in ((before, np.ones(before.size)), (after, np.zeros(after.size)))
-    ]
+    sides = (before, np.ones(before.size)), (after, np.zeros(after.size))
+    bends = [np.where(path.is_curved[at], _curvature(*path.derivatives(at, t)), 0.0) for at, t in sides]
     # A cusp slows its own cell down.
     known = np.isfinite(bends[0]) & np.isfinite(bends[1])
     bend = np.abs(np.where(known, bends[1], 0.0) - np.where(known, bends[0], 0.0))

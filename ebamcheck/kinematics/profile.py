@@ -40,21 +40,14 @@ class FeedProfile:
     def slow(self) -> pd.DataFrame:
         """Stretches of deposits under `dip_share` of the feed programmed, in the order of the path.
 
-        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`,
-        `length_mm`, `least_mm_s`, `feed_mm_s`, `excess_mm3` and `metal_per_mm`: the metal of a millimetre over
-        that at the feed programmed, at its worst; infinite where the axes stop.
+        Columns `sort` (``start`` and ``end`` of a track, or ``dip``), `layer`, `ring`, `where`, `time_s`, `length_mm`, `least_mm_s`, `feed_mm_s`,
+        `excess_mm3` and `metal_per_mm`: the metal of a millimetre over that at the feed programmed, at its worst; infinite where the axes stop.
         """
         cells, path = self.cells, self.path
         feed = path.feed_mm_s[cells.motion]
-        columns = [
-            cells.length_mm,
-            self.entry,
-            self.top,
-            self.exit,
-            cells.acceleration_mm_s2,
-            cells.jerk_mm_s3,
-        ]
-        found = slow_stretches(np.column_stack(columns), self.dip_share * feed, cells.first)
+        speeds, limits = (self.entry, self.top, self.exit), (cells.acceleration_mm_s2, cells.jerk_mm_s3)
+        columns = np.column_stack([cells.length_mm, *speeds, *limits])
+        found = slow_stretches(columns, self.dip_share * feed, cells.first)
         table: pd.DataFrame = dip_table(found, feed, self.bead_mm2)
         motion = cells.motion[table["cell"].to_numpy()]
         table.insert(1, "layer", path.layer[motion])
@@ -98,30 +91,12 @@ class FeedProfile:
         table["least_share"] = least
         return table
 
-    def samples(self, cells: Ints, count: int) -> tuple[Floats, Floats]:
-        """Places (n,) mm along the path from the first of `cells` on, and speeds (n,) mm/s, for a figure."""
-        places, speeds = [], []
-        passed = 0.0
-        for c in np.asarray(cells).tolist():
-            length = float(self.cells.length_mm[c])
-            at = np.linspace(0.0, length, count)
-            a, j = float(self.cells.acceleration_mm_s2[c]), float(self.cells.jerk_mm_s3[c])
-            speeds.append(
-                speeds_along(at, float(self.entry[c]), float(self.top[c]), float(self.exit[c]), length, a, j)
-            )
-            places.append(passed + at)
-            passed += length
-        return np.concatenate([np.zeros(0), *places]), np.concatenate([np.zeros(0), *speeds])
-
 
 def feed_profile(nc: NCProgram, config: Config) -> FeedProfile:
-    """Work out the feed along a program's path, with the limits of the axes and look-ahead.
+    """Work out the feed along a program's path, with the limits of the axes and look-ahead; raises SettingsError if a motion has no feed.
 
-    The axes stand still at rapids and where beam or wire switch. Within a run, corners and curvature limit
-    the speed as :mod:`ebamcheck.kinematics.limits` says, and ramps with limited acceleration and jerk join what
-    is left.
-
-    Raises SettingsError if a motion has no feed.
+    The axes stand still at rapids and where beam or wire switch. Within a run, corners and curvature limit the speed as :mod:`ebamcheck.kinematics.limits`
+    says, and ramps with limited acceleration and jerk join what is left.
     """
     path = program_path(nc, config)
     return _profile(path, config, tuple(nc.where(int(row)) for row in path.row))
@@ -133,17 +108,9 @@ def polyline_profile(layers: Layers, config: Config) -> FeedProfile:
 
 
 def side_by_side(nc: NCProgram, contours: Layers, config: Config) -> pd.DataFrame:
-    """Contour beads of a program beside polylines through the points of `contours`, one row each.
-
-    Columns `blocks`, `length_mm`, `time_s`, `constant_feed_s`, `dips`, `dip_s`, `least_share` (of the feed, ends
-    of tracks left out), `excess_mm3`, `excess_mm3_per_m`.
-    """
-    return pd.DataFrame(
-        [
-            _row("program", feed_profile(nc, config)),
-            _row("polyline", polyline_profile(contours, config)),
-        ]
-    ).set_index("path")
+    """Contour beads of a program beside polylines through the points of `contours`, one row each; ends of tracks are left out of `least_share`."""
+    paths = {"program": feed_profile(nc, config), "polyline": polyline_profile(contours, config)}
+    return pd.DataFrame([_row(name, profile) for name, profile in paths.items()]).set_index("path")
 
 
 def _row(name: str, profile: FeedProfile) -> dict[str, object]:
@@ -169,35 +136,15 @@ def _row(name: str, profile: FeedProfile) -> dict[str, object]:
 
 def _profile(path: DrivenPath, config: Config, places: tuple[str, ...]) -> FeedProfile:
     cells = cells_of(path, config)
-    entry, top, exit_, time = look_ahead(
-        cells.length_mm,
-        cells.most_mm_s,
-        cells.acceleration_mm_s2,
-        cells.jerk_mm_s3,
-        cells.entry_mm_s,
-        cells.first,
-    )
-    return FeedProfile(
-        path=path,
-        cells=cells,
-        entry=entry,
-        top=top,
-        exit=exit_,
-        time_s=time,
-        dip_share=config.kinematics.dip_share,
-        bead_mm2=_bead_mm2(config),
-        places=places,
-    )
-
-
-def _bead_mm2(config: Config) -> float:
-    """Section of a bead of the layers' height: two thirds of width times height."""
+    limits = cells.acceleration_mm_s2, cells.jerk_mm_s3, cells.entry_mm_s
+    speeds_and_time = look_ahead(cells.length_mm, cells.most_mm_s, *limits, cells.first)
+    # Section of a bead of the layers' height: two thirds of width times height.
     area = PARABOLA * config.process.bead_width_mm * config.layer_height_mm
-    return area if math.isfinite(area) else 0.0
+    bead_mm2 = area if math.isfinite(area) else 0.0
+    return FeedProfile(path, cells, *speeds_and_time, config.kinematics.dip_share, bead_mm2, places)
 
 
-# Sorts of slow stretches: from the start of a run, within it, and to its end. A run that is slow throughout is counted as a dip: its start
-# and end alone do not explain it.
+# Sorts of slow stretches: from the start of a run, within it, to its end; a run that is slow throughout is a dip
 START, DIP, END = range(3)
 
 
@@ -206,13 +153,9 @@ START, DIP, END = range(3)
 
 @kernel
 def slow_stretches(cells: Floats, slow: Floats, first: Bools) -> tuple[Ints, Ints, Floats, Floats, Floats]:
-    """Stretches of each run along which the speed is under a threshold.
+    """Stretches of each run that are slower than a threshold (C,), by the cells (C, 6): length, entry, peak and exit speed, acceleration, jerk.
 
-    `cells`: (C, 6) length, entry, peak and exit speed, acceleration, jerk of each cell; `slow`: (C,) threshold of each
-    cell, mm/s; `first`: (C,) true where a run begins.
-
-    Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the
-    least speed, s, mm, mm/s.
+    Returns `sort`, `cell`, `time`, `length`, `least`: (D,) each: :data:`START`, :data:`DIP` or :data:`END`, cell of the least speed, s, mm, mm/s.
     """
     count = len(cells)
     sort, where = np.zeros(2 * count + 1, np.int64), np.zeros(2 * count + 1, np.int64)
@@ -260,8 +203,8 @@ def dip_table(
 ) -> pd.DataFrame:
     """Slow stretches as a table; `feed_mm_s` (C,) is that of each cell, `bead_mm2` the bead's section at it.
 
-    The wire runs at its own speed v_set A / A_wire, so that a stretch of length l that takes the time t gets
-    A (v_set t - l) of metal too much, and at the speed v the bead has v_set / v of its section.
+    The wire runs at its own speed, so that a stretch of length l that takes the time t gets A (v_set t - l) of metal too much, and at the speed v the bead
+    has v_set / v of its section.
     """
     sort, cell, time, length, least = stretches
     feed = feed_mm_s[cell]
@@ -343,18 +286,6 @@ def time_to(first: float, last: float, speed: float, acceleration: float, jerk: 
     return time, first * time + path
 
 
-def speeds_along(
-    at: Floats, first: float, top: float, last: float, length: float, acceleration: float, jerk: float
-) -> Floats:
-    """Speed (n,) at places (n,) mm along a stretch that rises to `top`, holds it, and falls."""
-    result = np.full(at.size, top)
-    for from_speed, place in ((last, length - at), (first, at)):
-        speeds = np.linspace(from_speed, top, 257)
-        paths = [time_to(from_speed, top, speed, acceleration, jerk)[1] for speed in speeds.tolist()]
-        result = np.where(place < paths[-1], np.interp(place, paths, speeds), result)
-    return result
-
-
 # -- Look-ahead: speeds at the borders of cells from which every later one can be reached, and the peaks
 # between.
 
@@ -363,11 +294,8 @@ def speeds_along(
 def look_ahead(
     length: Floats, most: Floats, acceleration: Floats, jerk: Floats, entry: Floats, first: Bools
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Entry, peak and exit speed of each cell, and its time, all (C,).
-
-    The speeds are the greatest that keep every limit and ramp without acceleration at the borders of cells: a
-    pass backwards lowers each to what can still be braked from, a pass forwards to what can be reached. As
-    braking is reaching in reverse, a path driven backwards takes the same time.
+    """Entry, peak and exit speed of each cell, and its time, all (C,): the greatest speeds that keep every limit and ramp without acceleration at the
+    borders of cells. A pass backwards lowers each to what can still be braked from, a pass forwards to what can be reached.
     """
     count = length.size
     begin, end, top, time = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)

@@ -287,13 +287,13 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         beads = stages.contour_curves(smooth, contours, config, wanted.layer)
         numbers = [wanted.layer + wanted.shifted]
         stack = Stack([section], np.array([smooth.heights[0]]), numbers, self.bottom_mm, contours)
-        laid, islands = laid_layer(stack, 0, config, seed)
+        ready = laid_layer(stack, 0, config, seed)
         carry = config.scan.carry_heat and needs_heat(order)
         under = self._under(config, self.primary)
         warm, passes = preheated(before.part, [section], 0, wanted.base_mm, config, under)
         power_of = stages.power_by_wire([section], beads, config, before.surface)
         how = wanted.thickness_mm, config, order, carry, not before.laid, power_of
-        done, part, last = ordered_on(warm, before.last, laid, islands, *how)
+        done, part, last = ordered_on(warm, before.last, ready, *how)
         if done.heat is not None:
             done = replace(done, heat=replace(done.heat, preheat_passes=passes))
         if config.process.interpass == "off" and not carry and not passes:

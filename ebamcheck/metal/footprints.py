@@ -1,7 +1,7 @@
 """Where the metal of each bead comes to lie, and how much wire each needs so that the beads together lay the section.
 
-Wire melts into a pool as wide as the bead, and the pool leaves it behind as it moves on. A pool that is filled like a
-half sphere leaves, along a straight line, the parabolic section of a bead (Pixner et al. 2020), and a round end.
+Wire melts into a pool as wide as the bead, which moves on; one that is filled like a half sphere leaves, along a straight line, the parabolic section of
+a bead (Pixner et al. 2020), and a round end.
 """
 
 from __future__ import annotations
@@ -17,25 +17,18 @@ from ebamcheck.kernels import Floats, Ints, kernel
 
 @dataclass(frozen=True, eq=False)
 class Footprints:
-    """Length of each bead by the cells in which its metal lies.
+    """Length of each bead by the cells in which its metal lies."""
 
-    `starts`: (B + 1,) first entry of each bead; `cell`: (n,) row-major index of a cell; `length_mm`: (n,) share of the
-    bead's length: those of a bead add up to its length.
-    """
-
-    starts: Ints
-    cell: Ints
-    length_mm: Floats
+    starts: Ints  # (B + 1,) first entry of each bead
+    cell: Ints  # (n,) row-major index of a cell
+    length_mm: Floats  # (n,) share of the bead's length: those of a bead add up to its length
 
     def joined(self, first: Ints) -> Footprints:
         """Footprints of runs of beads, each from one of `first` (n,) to before the next; cells may come more than once."""
         return Footprints(np.append(self.starts[first], self.starts[-1]), self.cell, self.length_mm)
 
     def laid(self, width_mm: Floats, cells: int, cell_mm2: float) -> Floats:
-        """Metal in each cell, (cells,), as a height over that of the layer.
-
-        `width_mm`: (B,) metal that a bead lays on a length of path, over the height of the layer.
-        """
+        """Metal in each cell, (cells,), as a height over that of the layer, by what each bead (B,) lays on a length, over the height of the layer."""
         weight = np.repeat(width_mm, np.diff(self.starts)) * self.length_mm
         return np.bincount(self.cell, weight, minlength=cells) / cell_mm2
 
@@ -45,8 +38,8 @@ def footprints(
 ) -> Footprints:
     """Gather the cells in which the metal of beads lies; metal beside the grid of a shape is not counted.
 
-    `places` (n, 2) lie along the beads, in cells from the lower left corner of the grid, sorted by bead; each stands for a
-    length (n,) of its bead (n,). The radius is half the width of the pool, in cells.
+    `places` (n, 2) lie along the beads, in cells from the lower left corner of the grid, sorted by bead; each stands for a length (n,) of its bead (n,). The
+    radius is half the width of the pool, in cells.
     """
     return Footprints(*gathered(places, length_mm, bead, beads, radius, *shape))
 
@@ -107,14 +100,11 @@ def gathered(
 def pooled(
     places: Floats, area_mm2: Floats, radius: float, shape: tuple[int, ...], cell_mm2: float
 ) -> Floats:
-    """Height of the metal in each cell of a grid, over that of the layer, pool by pool.
+    """Height of the metal in each cell, over that of the layer: each place (n, 2), in cells, shares its metal (n,) between those within a radius.
 
-    Each place (n, 2), in cells from the lower left corner, shares its metal (n,), over the height of the layer, between the
-    cells within a radius. Slower to build widths on than :func:`footprints`, which knows each bead by itself, but free of the
-    steps that come from whether the middle of a cell lies within a pool: a tip that gets a film of metal is part of the surface.
+    Slower to build widths on than :func:`footprints`, which knows each bead by itself, but free of the steps that come from whether the middle of a cell
+    lies within a pool: a tip that gets a film of metal is part of the surface.
 
-    Examples
-    --------
     >>> laid = pooled(np.array([[4.5, 4.5]]), np.array([2.0]), 3.0, (9, 9), 1.0)
     >>> round(float(laid.sum()), 9), bool(laid.argmax() == 40)
     (2.0, True)
@@ -136,12 +126,9 @@ def pooled(
     return np.asarray(laid, np.float64)
 
 
+# Factors by which all widths of a layer are changed at most; walls a little wider than a bead get under three quarters of their metal else
 LEAST_RIM, MOST_RIM = 1.0 / 1.15, 1.4
-"""Factors by which all widths of a layer are changed at most so that the sum of the metal is right. Walls that are a little wider
-than a bead get less than three quarters of their metal by their middle, where pools overlap, and which counts most."""
-
-ITERATIONS = 10
-"""Steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after so many."""
+ITERATIONS = 10  # steps of the iteration: the sum is right after the first, and a layer hardly gets flatter after so many
 
 
 def balanced_widths(
@@ -152,12 +139,10 @@ def balanced_widths(
     width_mm: Floats,
     limits_mm: tuple[float, float],
 ) -> Floats:
-    """Widths of metal (B,) that lay a section flat, mm, with the greatest likelihood, and the sum of the metal that of the section.
+    """Widths of metal (B,) between limits that lay a section flat, mm, with the greatest likelihood, and the sum of the metal that of the section.
 
-    The multiplicative iteration of Richardson (1972, J. Opt. Soc. Am. 62:55) and Lucy (1974, Astron. J. 79:745) keeps them positive.
-
-    `share` and `weight` (rows, columns) are what of each cell is to be metal, one layer high, and how much it counts; the widths
-    (B,) to begin with are changed between the limits.
+    By the multiplicative iteration of Richardson (1972, J. Opt. Soc. Am. 62:55) and Lucy (1974, Astron. J. 79:745), which keeps them positive. `share` and
+    `weight` (rows, columns) are what of each cell is to be metal, one layer high, and how much it counts.
     """
     columns = found.starts, found.cell, found.length_mm
     width = np.array(width_mm, np.float64)
@@ -165,9 +150,8 @@ def balanced_widths(
     # Cells that count less, or that pools only touch, miss some of a layer: all beads lay it together, but for those at a limit,
     # whose places ask for less, or for more, than they get.
     free = (width > limits_mm[0]) & (width < limits_mm[1])
-    laid, by_free = (
-        found.laid(some, share.size, cell_mm2).sum() for some in (width, np.where(free, width, 0.0))
-    )
+    both = width, np.where(free, width, 0.0)
+    laid, by_free = (found.laid(some, share.size, cell_mm2).sum() for some in both)
     if by_free <= 0.0:
         return width
     missing = min(max(1.0 + (share.sum() - laid) / by_free, LEAST_RIM), MOST_RIM)

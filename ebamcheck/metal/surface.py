@@ -1,8 +1,7 @@
 """The surface that a part has while it is built: what the layers so far have laid too much or too little.
 
-A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal
-around it; none flows over the border. What is still too high or too low then is where the next layer begins. A place that
-a bead could have reached and that none did stays where it was, a layer deeper than it should be.
+A place stays molten while the beam is within a bead width of it, and levels over that distance with the molten metal around it; none flows over the
+border. A place that a bead could have reached and that none did stays where it was, a layer deeper than it should be.
 """
 
 from __future__ import annotations
@@ -15,34 +14,18 @@ from scipy import ndimage
 from ebamcheck.kernels import Bools, Floats
 from ebamcheck.metal.target import REACHED, Target, border_distance, cell_mm, moved_to_neighbours
 
-LEVELLED_BEADS = 0.5
-"""Standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius."""
-
-SPOT_BEADS = 0.25
-"""The same of the spot over which the surface is read: that of a disc as wide as the bead."""
-
-HALF = 0.5
-"""Share of a cell in the section from which on it counts as inside."""
-
-FILM = 0.25
-"""Height of metal over that of the layer from which on a bead has reached a place: its flank is thinner."""
-
-
-MENDED = 0.3
-"""Share of what lies too high or too low under a layer that is mended by it, where that is worked out and not measured."""
-
+LEVELLED_BEADS = 0.5  # standard deviation, over the bead width, of the Gaussian that levels: that of a disc of one bead width's radius
+SPOT_BEADS = 0.25  # the same of the spot over which the surface is read: that of a disc as wide as the bead
+HALF = 0.5  # share of a cell in the section from which on it counts as inside
+FILM = 0.25  # height of metal over that of the layer from which on a bead has reached a place: its flank is thinner
+MENDED = 0.3  # share of what lies too high or too low under a layer that is mended by it, where that is worked out and not measured
+# Distance from its line, over half its width, up to which a bead is at least half as high as in its middle
 DOME = 0.5**0.5
-"""Distance from its line, over half its width, up to which a bead is at least half as high as in its middle."""
 
 
 def bead_centres(inside: Bools, bead_cells: float) -> Bools:
-    """Cells of a section on which the middle of a bead can lie without reaching over the border.
+    """Cells (rows, columns) of a section, at least one beside it is none, on which the middle of a bead so many cells wide keeps within the border.
 
-    `inside`: (rows, columns) cells of the section, with at least one beside it that is none; `bead_cells`: width of a bead,
-    in cells.
-
-    Examples
-    --------
     >>> int(bead_centres(np.pad(np.ones((8, 9), bool), 1), 6.0).sum())
     20
     """
@@ -50,12 +33,8 @@ def bead_centres(inside: Bools, bead_cells: float) -> Bools:
 
 
 def reachable(inside: Bools, bead_cells: float) -> Bools:
-    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead.
+    """Cells of a section that some bead inside of it builds: all but what only flanks reach, and walls under a bead; parameters as of :func:`bead_centres`.
 
-    Parameters as of :func:`bead_centres`.
-
-    Examples
-    --------
     >>> reachable(np.pad(np.ones((8, 9), bool), 1), 6.0)[1:-1, 1:-1].sum(axis=1)
     array([5, 7, 9, 9, 9, 9, 7, 5])
     """
@@ -74,9 +53,8 @@ class Surface:
         self.step_mm = cell_mm(bounds, bead_width_mm)
         margin_mm = 2.0 * bead_width_mm
         low = np.floor((bounds[:2] - margin_mm) / self.step_mm) - 1.0
-        columns, rows = (
-            (np.ceil((bounds[2:] + margin_mm) / self.step_mm) - low + 1.0).astype(np.int64).tolist()
-        )
+        high = np.ceil((bounds[2:] + margin_mm) / self.step_mm)
+        columns, rows = (high - low + 1.0).astype(np.int64).tolist()
         self._corner = low.astype(np.int64)
         self._over_mm: Floats = np.zeros((rows, columns))
         self._share: Floats = np.zeros((rows, columns))
@@ -95,11 +73,7 @@ class Surface:
         return self._share
 
     def with_map(self, over_mm: Floats) -> Surface:
-        """Return a surface as uneven as it was measured.
-
-        `over_mm`: (rows, columns) height of each cell over the measured height of the layer; cells without metal do not
-        count.
-        """
+        """The surface as uneven as it was measured: heights (rows, columns) over the measured one of the layer; cells without metal do not count."""
         made = self.copy()
         made._over_mm = np.where(self._share > 0.0, over_mm, 0.0)
         made.mapped = True
@@ -132,26 +106,19 @@ class Surface:
             return np.zeros_like(target.share)
         at = self._window(target)
         height, share = _spread(self._over_mm[at], self._share[at], SPOT_BEADS * self._bead)
-        return np.asarray(
-            np.divide(height, share, out=np.zeros_like(share), where=self._share[at] > 0.0), np.float64
-        )
+        metal = self._share[at] > 0.0
+        return np.asarray(np.divide(height, share, out=np.zeros_like(share), where=metal), np.float64)
 
     def add(self, target: Target, laid_mm: Floats, thickness_mm: float) -> None:
-        """Build a layer.
-
-        `laid_mm`: (rows, columns) height of the metal in the cells of `target`; `thickness_mm`: height that the layer is to
-        have.
-        """
+        """Build a layer that is to have a height, of metal as high as (rows, columns) in the cells of `target`."""
         over, built = np.zeros_like(self._over_mm), np.zeros_like(self._share)
         if target.share.size:
             at = self._window(target)
             inside = target.share >= HALF
             metal = inside & ((laid_mm >= REACHED * thickness_mm) | reachable(inside, self._bead))
             before = np.where(self._share[at] > 0.0, self._over_mm[at], 0.0)
-            share, excess = (
-                gathered(field, target.share, metal)
-                for field in (target.share, laid_mm - thickness_mm * target.share)
-            )
+            fields = target.share, laid_mm - thickness_mm * target.share
+            share, excess = (gathered(field, target.share, metal) for field in fields)
             raised = before + np.divide(excess, share, out=np.zeros_like(share), where=metal)
             built[at] = share
             over[at] = levelled(raised, share, self._bead)
@@ -165,10 +132,7 @@ class Surface:
 
 
 def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
-    """A field (rows, columns) on the cells of metal alone, each with that of the cells under :data:`HALF` that are nearest to it.
-
-    So the rim of a section, where cells lie in it in part, loses neither area nor metal.
-    """
+    """A field (rows, columns) on the cells of metal alone, each with that of the nearest cells under :data:`HALF`: no rim loses area or metal."""
     found = np.where(metal, field, 0.0)
     parts = (share > 0.0) & (share < HALF)
     if metal.any() and parts.any():
@@ -177,10 +141,7 @@ def gathered(field: Floats, share: Floats, metal: Bools) -> Floats:
 
 
 def levelled(height: Floats, share: Floats, bead_cells: float) -> Floats:
-    """Heights of molten metal (rows, columns) when it has levelled over a bead width; 0 where the share of metal is 0.
-
-    None flows over the border, and where all cells are whole the volume stays.
-    """
+    """Heights of molten metal (rows, columns) when it has levelled over a bead width, without flowing over the border; 0 where the share of metal is 0."""
     flown, weight = _spread(height, share, LEVELLED_BEADS * bead_cells)
     return np.asarray(np.where(share > 0.0, flown + (1.0 - weight) * height, 0.0), np.float64)
 

@@ -12,30 +12,19 @@ from ebamcheck.geometry.raster import cell_shares, oriented_rings
 from ebamcheck.geometry.regions import valid_polygons
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 
-CELLS_PER_BEAD = 6
-"""Cells across a bead: a third of the half bead that a height field has to resolve."""
-
-ROUNDING = 1e-9
-"""Shares under this are the rounding of a sum along a row of cells."""
-
-REACHED = 0.07
-"""Height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds."""
-
-MOST_CELLS = 4_000_000
-"""Cells of one layer at most; a larger one gets coarser cells."""
+CELLS_PER_BEAD = 6  # cells across a bead: a third of the half bead that a height field has to resolve
+ROUNDING = 1e-9  # shares under this are the rounding of a sum along a row of cells
+REACHED = 0.07  # height of metal over that of the layer under which a place is bare: the tip of a corner, which no bead builds
+MOST_CELLS = 4_000_000  # cells of one layer at most; a larger one gets coarser cells
 
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """Cells around a section.
+    """Cells around a section."""
 
-    `origin`: (2,) lower left corner, a whole number of cells from the origin of the part, mm; `step_mm`: width of a cell;
-    `share`: (rows, columns) share of each cell that lies in the section.
-    """
-
-    origin: Floats
-    step_mm: float
-    share: Floats
+    origin: Floats  # (2,) lower left corner, a whole number of cells from the origin of the part, mm
+    step_mm: float  # width of a cell
+    share: Floats  # (rows, columns) share of each cell that lies in the section
 
 
 def cell_mm(bounds: Floats, bead_width_mm: float) -> float:
@@ -45,10 +34,8 @@ def cell_mm(bounds: Floats, bead_width_mm: float) -> float:
 
 
 def target_of(section: BaseGeometry, step_mm: float, margin_mm: float) -> Target:
-    """Lay cells over a section and a margin around it; raises nothing for an empty one, which has no cells.
+    """Lay cells over a section and a margin around it; an empty one has no cells.
 
-    Examples
-    --------
     >>> found = target_of(shapely.box(0.0, 0.0, 2.5, 2.0), 1.0, 1.0)
     >>> float(found.share.sum())
     5.0
@@ -69,12 +56,9 @@ def target_of(section: BaseGeometry, step_mm: float, margin_mm: float) -> Target
 def border_distance(cells: Bools) -> Floats:
     """Distance of the middle of each cell (rows, columns) from that of the nearest outside, in cells; endless without any.
 
-    By A. Meijster, J. B. T. M. Roerdink, W. H. Hesselink, "A general algorithm for computing distance transforms in
-    linear time", Mathematical Morphology and its Applications to Image and Signal Processing (2000) 331; four times as fast
-    as SciPy's.
+    By A. Meijster, J. B. T. M. Roerdink, W. H. Hesselink, "A general algorithm for computing distance transforms in linear time", Mathematical Morphology
+    and its Applications to Image and Signal Processing (2000) 331; four times as fast as SciPy's.
 
-    Examples
-    --------
     >>> border_distance(np.array([[False, True, True], [True, True, True]])).round(3).tolist()
     [[0.0, 1.0, 2.0], [1.0, 1.414, 2.236]]
     """
@@ -127,8 +111,8 @@ def squared_distances(cells: Bools) -> Ints:
     return result
 
 
+# Rows up and columns to the right of the cells that touch one, in their turn: those beside it are nearer than those at its corners
 NEIGHBOURS = ((0, -1), (-1, 0), (1, 0), (0, 1), (-1, -1), (1, -1), (-1, 1), (1, 1))
-"""Rows up and columns to the right of the cells that touch one, in their turn: those beside it are nearer than those at its corners."""
 
 
 def moved_to_neighbours(found: Floats, field: Floats, moved: Bools, to: Bools) -> None:

@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from ebamcheck.pipeline.run import run_job as run_job
 
 __all__ = ["Observer", "RunResult", "check_job", "run_job"]
-
+# They load when they are first used: who opens a run folder waits for no planning and no program
 _HOMES = {"Observer": "job", "RunResult": "job", "check_job": "run", "run_job": "run"}
-"""Names and where they live; they load when first used: who opens a run folder, a stranger's report writer in a process of
-its own, waits for no planning and no program."""
-
 __getattr__ = on_demand(__name__, _HOMES)

@@ -47,10 +47,9 @@ def cross_check(
     resume: bool,
     meanwhile: Callable[[], object] | None = None,
 ) -> CrossCheck:
-    """Slice and compare; the layers are on disk afterwards.
+    """Slice and compare; the layers are on disk afterwards. `meanwhile` is called once the first slicers are at work.
 
-    `meanwhile` is called once the first slicers are at work. No more than one block of layers of every backend is in memory
-    at a time (``slicing.block_points``), and two while they are compared: the next one is read meanwhile.
+    No more than one block of layers of every backend (``slicing.block_points``) is in memory at a time, two while they are compared.
     """
     borders = layer_blocks(job.part, job.heights, job.config.slicing.block_points)
     outcomes = _slice(job, backends, borders, resume, meanwhile)
@@ -69,8 +68,7 @@ def compared_layers(
 ) -> Comparison:
     """Compare what slicers made of a part, by what the registry says of each; `bounds` are error and height bound, mm, that each declares.
 
-    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of
-    layers that are compared at a time.
+    An agreement is evidence as ``comparison.evidence_share`` has it, unless `count_evidence` is off; `borders` are the edges of the blocks of layers.
     """
     slicers = {name: registry.slicer(name) for name in stacks}
     return compare_all(
@@ -100,9 +98,8 @@ def _slice(
     waiting = {n: s for n, s in backends.items() if n not in kept}
     for name in waiting:
         if blocks := count_kept(job.folder.layers_file(name)):
-            job.observer.note(
-                f"{name}: {blocks} of {borders.size - 1} blocks of layers of the former run are kept"
-            )
+            count = borders.size - 1
+            job.observer.note(f"{name}: {blocks} of {count} blocks of layers of the former run are kept")
     with job.stage("slice", len(waiting) * len(job.heights)):
         made = slice_all(
             job.part,
@@ -132,9 +129,8 @@ def _kept(job: Job, backends: Mapping[str, BackendSettings]) -> dict[str, Outcom
         if not file.is_file() or registry.is_stranger(name) or file_fault(file, job.part, job.heights, False):
             continue
         error_mm, height_mm = declared_bounds(job.part, {name: settings})[name]
-        kept[name] = Outcome(
-            name, file=file, probe=registry.probe(name), error_bound_mm=error_mm, height_bound_mm=height_mm
-        )
+        probe = registry.probe(name)
+        kept[name] = Outcome(name, file=file, probe=probe, error_bound_mm=error_mm, height_bound_mm=height_mm)
         job.observer.note(f"{name}: layers of the former run are kept")
     return kept
 
@@ -153,8 +149,9 @@ def _compare(job: Job, outcomes: Mapping[str, Outcome], borders: NDArray[np.int6
 
 
 def primary_of(checked: CrossCheck, config: Config) -> str:
-    """Backend whose contours go on; none where it has found no contour."""
-    name = primary_backend(config, checked.done)
+    """Backend whose contours go on, of those that came to an end: the one set, else the best exact one; none where it has found no contour."""
+    done = checked.done
+    name = config.slicing.primary if config.slicing.primary in done else max(done, key=_rank, default="")
     return name if name and checked.comparison.stacks[name]["rings"].any() else ""
 
 
@@ -164,10 +161,8 @@ def primary_of(checked: CrossCheck, config: Config) -> str:
 def evidence_rule(config: Config, names: Iterable[str]) -> EvidenceRule:
     """Which agreements of these slicers count: see ``comparison.evidence_share``."""
     share = config.comparison.evidence_share
-    kin = [pair for pair in combinations(names, 2) if registry.one_method(*pair)]
-    return EvidenceRule(
-        share * config.process.bead_width_mm, share * config.layer_height_mm, frozenset(map(frozenset, kin))
-    )
+    kin = frozenset(frozenset(pair) for pair in combinations(names, 2) if registry.one_method(*pair))
+    return EvidenceRule(share * config.process.bead_width_mm, share * config.layer_height_mm, kin)
 
 
 def not_counted(comparison: Comparison) -> list[str]:
@@ -175,11 +170,8 @@ def not_counted(comparison: Comparison) -> list[str]:
     said = [f"{name} is no evidence: {why}" for name, why in comparison.without_weight.items()]
     if len(comparison.pairs):
         one = comparison.pairs[~comparison.pairs["evidence"]][["a", "b"]].drop_duplicates()
-        said += [
-            f"{a} and {b} are one method"
-            for a, b in one.itertuples(index=False)
-            if not {a, b} & set(comparison.without_weight)
-        ]
+        pairs = [pair for pair in one.to_numpy().tolist() if not {*pair} & set(comparison.without_weight)]
+        said += [f"{a} and {b} are one method" for a, b in pairs]
     return said
 
 
@@ -197,15 +189,11 @@ def evidence_records(comparison: Comparison) -> list[dict[str, Any]]:
 
 def resting(comparison: Comparison) -> str:
     """On which two slicers the layers rest, in short."""
-    counts = Counter(str(names) for names in comparison.layers["rests_on"] if names)
+    counts = Counter(" and ".join(names.split(",")) for names in comparison.layers["rests_on"] if names)
     if len(counts) == 1 and counts.total() == len(comparison.layers):
-        return f"every one rests on {_named(*counts)}"
-    parts = [f"{_named(names)} ({count})" for names, count in counts.most_common()]
+        return f"every one rests on {next(iter(counts))}"
+    parts = [f"{names} ({count})" for names, count in counts.most_common()]
     return f"evidence of {', '.join(parts)}" if parts else ""
-
-
-def _named(pair: str) -> str:
-    return " and ".join(pair.split(","))
 
 
 # -- choice of slicers -----------------------------------------------------------------------------
@@ -225,8 +213,13 @@ def chosen_backends(config: Config) -> dict[str, BackendSettings]:
         registry.slicer(name)
     if chosen.primary:
         registry.available_slicer(chosen.primary)
-    names = _asked_for(config) if chosen.backends else _available()
-    names = list(dict.fromkeys([*names, *_witnesses(config)]))
+    usable = [name for name in registry.house_slicers() if registry.probe(name).available]
+    if not (chosen.backends or usable):
+        raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
+    witnesses = [registry.slicer(name).name for name in chosen.witnesses if name != ALL]
+    if ALL in chosen.witnesses:
+        witnesses = [name for name in registry.witnesses() if registry.probe(name).available]
+    names = dict.fromkeys([*(_asked_for(config) if chosen.backends else usable), *witnesses])
     return {name: registry.slicer_settings(name, chosen.settings.get(name, {})) for name in names}
 
 
@@ -239,12 +232,6 @@ def unavailable_backends(config: Config) -> dict[str, Outcome]:
     why = {name: f"{probe.why}; {probe.hint}" if probe.hint else probe.why for name, probe in probes.items()}
     lacking = ((name, probe) for name, probe in probes.items() if not probe.available)
     return {name: Outcome(name, "unavailable", why[name], probe=probe) for name, probe in lacking}
-
-
-def primary_backend(config: Config, names: Iterable[str]) -> str:
-    """Backend whose contours go on, of those that came to an end: the one set, else the best exact one; or none."""
-    done = list(names)
-    return config.slicing.primary if config.slicing.primary in done else max(done, key=_rank, default="")
 
 
 def _rank(name: str) -> tuple[bool, bool, int, str]:
@@ -264,24 +251,8 @@ def _asked_for(config: Config) -> list[str]:
     return [registry.slicer(name).name for name in chosen.backends]
 
 
-def _available() -> list[str]:
-    usable = [name for name in registry.house_slicers() if registry.probe(name).available]
-    if not usable:
-        raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
-    return usable
-
-
-def _witnesses(config: Config) -> list[str]:
-    if ALL not in config.slicing.witnesses:
-        return [registry.slicer(name).name for name in config.slicing.witnesses]
-    return [name for name in registry.witnesses() if registry.probe(name).available]
-
-
 def witness_backend(maker: str, among: Sequence[str] | None = None) -> str:
-    """Exact backend of the highest priority that did not make a program; `maker`, or the default one, if there is no other.
-
-    It is one of `among`, else of those of the house that are available.
-    """
+    """Exact backend of the highest priority that did not make a program, among some, else those of the house that are available; else `maker`."""
     maker = maker or registry.default_backend()
     known = registry.house_slicers() if among is None else among
     others = [name for name in known if name != maker and registry.slicer(name).exact]

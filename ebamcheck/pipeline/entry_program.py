@@ -1,7 +1,4 @@
-"""Programs of a run beside the whole one: one that begins at a layer, and a main program that waits between layers.
-
-The first is read back and compared, and is no proof of the part but the end of a whole program that is; the second is judged by what it does.
-"""
+"""Programs of a run beside the whole one: one that begins at a layer, read back as the end of a whole program, and a main program that waits."""
 
 from __future__ import annotations
 
@@ -47,13 +44,9 @@ class Entry:
 
     def record(self) -> dict[str, Any]:
         """What the run's record holds of it."""
-        files = self.files
-        return {
-            "layer": self.layer,
-            "validated": files.validated,
-            "files": [{"name": name, "sha256": files.sha256[name]} for name in files.names],
-            "check": check_record(self.check),
-        }
+        files = [{"name": name, "sha256": self.files.sha256[name]} for name in self.files.names]
+        said = {"layer": self.layer, "validated": self.files.validated}
+        return {**said, "files": files, "check": check_record(self.check)}
 
 
 def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -> Entry:
@@ -69,10 +62,7 @@ def write_entry(files: ProgramFiles, layer: int, z_of: Floats, config: Config) -
 def checked_again(
     run: Path, record: Mapping[str, Any], whole: Path, z_of: Floats, config: Config
 ) -> list[Check]:
-    """Check the entry program of a run again; nothing for a run without one.
-
-    Its status is that of the whole program: either is called validated only with the other.
-    """
+    """Check the entry program of a run again, whose status is that of the whole program; nothing for a run without one."""
     entry = record.get(ENTRY)
     if entry is None:
         return []
@@ -88,9 +78,8 @@ def checked_again(
         check = replace(check, passed=False, where=f"{names[0]}:1", text=text)
     for file in entry["files"]:
         if not (folder / file["name"]).is_file() or sha256_of_file(folder / file["name"]) != file["sha256"]:
-            check = replace(
-                check, passed=False, where=f"{file['name']}:1", text="its bytes are not those recorded"
-            )
+            text = "its bytes are not those recorded"
+            check = replace(check, passed=False, where=f"{file['name']}:1", text=text)
     return [check]
 
 
@@ -108,10 +97,7 @@ def _checked(
 
 
 def entry_of_whole(program: Path, whole: Path, config: Config) -> Check:
-    """Check a program that begins at a layer against the whole one, a program or that of a run folder.
-
-    The layer is the one at whose Z the text lays its first metal, whatever its comments say.
-    """
+    """Check a program against the whole one, a program or a run folder: it begins where its text lays its first metal, whatever its comments say."""
     said_validated = False
     if own_file(whole / MANIFEST):
         run = RunFolder(whole)
@@ -162,7 +148,6 @@ def _first_mm(nc: NCProgram) -> float:
 # -- the main program that waits -------------------------------------------------------------------
 
 LIVE = "live"  # folder of the program within a run
-
 NAME = "handshake"
 
 
@@ -178,25 +163,17 @@ def check_waits(config: Config) -> None:
 def write_live(
     run: Path, config: Config, top_mm: float, validated: bool, header: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write the waiting main program into a run folder and judge its text; its record.
-
-    It says validated where the whole program does and the check passes. Its layers are no part of it: each is released with a
-    proof of its own.
-    """
+    """Write the waiting main program into a run folder and judge its text; it says validated where the whole program does and the check passes."""
     own = control(config.machine.control)
     name, text = own.load("waiting")(config, top_mm, header)
     check: Check = own.load("handshake")(text, name, config, top_mm)
-    if validated and check.passed:
+    validated = validated and check.passed
+    if validated:
         text = text.replace(NOT_VALIDATED, VALIDATED, 1)
     (run / LIVE).mkdir(exist_ok=True)
     (run / LIVE / name).write_text(text, encoding="ascii", newline="\n")
     sha256 = hashlib.sha256(text.encode("ascii")).hexdigest()
-    return {
-        "name": name,
-        "sha256": sha256,
-        "validated": validated and check.passed,
-        "check": check_record(check),
-    }
+    return {"name": name, "sha256": sha256, "validated": validated, "check": check_record(check)}
 
 
 def live_checked_again(run: Path, record: Mapping[str, Any], config: Config, top_mm: float) -> list[Check]:

@@ -1,7 +1,4 @@
-"""Findings of a run: what a person has to know of part, slicers, profile, fit, plan and program beside the gates.
-
-Every one follows from what the stages return; nobody hands one to the job while values are made.
-"""
+"""Findings of a run: what a person has to know beside the gates; every one follows from what the stages return."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.pipeline.fit import REMEDY, WHY, FitVerdict
+from ebamcheck.pipeline.fit import TOLD, FitVerdict
 from ebamcheck.preflight.report import Ready
 from ebamcheck.preflight.room import of_bodies, suspicions
 from ebamcheck.result import Check, Place, Severity
@@ -40,9 +37,7 @@ from ebamcheck.settings.process_window import outside_window, unusual_layers, wi
 from ebamcheck.slicers.isolation import Outcome
 
 LEAST_WIRE = "whether beads are at the least wire of the feeder (process.wire_speed_min_mm_s)"
-
 LESS_METAL = "where sections taper, let layers have less metal than their sections, by what their rims lack (process.mass_tolerance)"
-
 OVERHANG = "overhang"  # name of that check
 STEEP_DEG = 45.0  # overhang, from the vertical, over which hardly any process builds without support unless it was tried
 MOST_NARROW = 8  # narrow features that are told one by one
@@ -204,13 +199,9 @@ def placeholder_codes(config: Config) -> list[str]:
     used = ["beam_on", "beam_off", "set_beam", "wire_start", "wire_stop", "set_wire"]
     used += ["set_power"] if process.ramps_beam or process.interpass in ("power", "both") else []
     used += ["wire_retract"] if process.wire_retract_mm > 0.0 else []
-    stock = control(machine.control).templates
-    return [
-        name
-        for name in used
-        if getattr(machine, name) in (MachineSettings.model_fields[name].default, stock.get(name, ()))
-        and getattr(machine, name)
-    ]
+    stock, fields = control(machine.control).templates, MachineSettings.model_fields
+    codes = {name: getattr(machine, name) for name in used}
+    return [n for n, code in codes.items() if code and code in (fields[n].default, stock.get(n, ()))]
 
 
 def profile_findings(config: Config) -> Iterator[Check]:
@@ -244,25 +235,20 @@ def fit_findings(verdict: FitVerdict) -> Iterator[Check]:
     """Rings that fell back, by cause, and what no method was found for."""
     found = verdict.evidence
     if not found.known:
-        yield _told(
-            "curves-not-lifted",
-            "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are",
-        )
+        text = "the contours do not lie on the edges of the part's mesh, and so the curves follow them as they are"
+        yield _told("curves-not-lifted", text)
     for number, cause in enumerate(CAUSES):
         rings = np.flatnonzero((found.cause == number) & (found.method > 0))
         if not number or not rings.size:
             continue
         worst = int(rings[np.argmax((found.value_mm - found.limit_mm)[rings])])
-        distance = cause in ("sagitta", "plane")
-        yield _told(
-            "curve-fell-back",
-            f"{rings.size} of {found.cause.size} rings fell back to the contour itself, because {WHY[cause]}",
-            verdict.place_of(worst),
-            float(found.value_mm[worst]) if distance else None,
-            float(found.limit_mm[worst]) if distance else None,
-            unit="mm" if distance else "",
-            remedy=REMEDY[cause],
-        )
+        why, remedy = TOLD[cause]
+        text = f"{rings.size} of {found.cause.size} rings fell back to the contour itself, because {why}"
+        figures: dict[str, Any] = {}
+        if cause in ("sagitta", "plane"):
+            value_mm, limit_mm = float(found.value_mm[worst]), float(found.limit_mm[worst])
+            figures = {"figure": value_mm, "limit": limit_mm, "unit": "mm"}
+        yield _told("curve-fell-back", text, verdict.place_of(worst), remedy=remedy, **figures)
 
 
 # -- plan and program --------------------------------------------------------------------------------
@@ -276,10 +262,7 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
             continue
         code, remedy = METAL[check.name]
         # Excess and lack of metal are one check; its words say which.
-        lacks = code == "metal-excess" and (
-            "too low" in check.text.split("(over all layers")[0] or _lacks(check.text)
-        )
-        if lacks:
+        if code == "metal-excess" and _lacks(check.text):
             code, remedy = "metal-missing", LACKING.get(check.name, remedy)
         severity: Severity = "warning" if check.passed else "fault"
         measured = check.value, check.limit, check.unit
@@ -287,10 +270,7 @@ def metal_findings(checks: Iterable[Check]) -> Iterator[Check]:
 
 
 def narrow_findings(features: Sequence[NarrowFeature], heights: Floats, config: Config) -> Iterator[Check]:
-    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them.
-
-    `heights` are (L,) mm of the cuts, here and below.
-    """
+    """Features narrower than beads can build, the narrowest first: a fault where a setting says so, a note where one allows them."""
     process = config.process
     for feature in features[:MOST_NARROW]:
         allowed = (process.least_wall_mm if feature.is_wall else process.least_hole_mm) is not None
@@ -315,16 +295,15 @@ def failed_checks(checks: Iterable[Check]) -> Iterator[Check]:
     """Checks of a program that failed and of which no finding of metal or heat tells: name, place and what to do."""
     for check in checks:
         if not check.passed and check.name not in (*METAL, NARROW, INTERPASS):
-            place, text = (
-                ", ".join(text for text in (check.where, check.place) if text),
-                f"{check.name}: {check.text}",
-            )
-            said = {"unit": check.unit, "remedy": check.remedy}
+            place = ", ".join(text for text in (check.where, check.place) if text)
+            text, said = f"{check.name}: {check.text}", {"unit": check.unit, "remedy": check.remedy}
             yield _told("check-failed", text, place, check.value, check.limit, **said)
 
 
 def _lacks(text: str) -> bool:
     """Whether the words of a check tell less metal than there is to be: in all, of a layer, or as a mean height."""
+    if "too low" in text.split("(over all layers")[0]:
+        return True
     if whole := re.search(r"(\d+\.\d+) kg of metal for (\d+\.\d+) kg", text):
         return float(whole[1]) < float(whole[2])
     share = re.search(r"(?:has|metal is) (\d+\.\d+)", text)
@@ -333,8 +312,7 @@ def _lacks(text: str) -> bool:
 
 def heat_findings(plan: ScanPlan, config: Config) -> Iterator[Check]:
     """Layers of which an island is entered above the solidus; over the boiling point the model has no figure."""
-    ambient_k = config.process.ambient_temperature_k
-    entry_k = plan.metrics["entry_max_k"].to_numpy() + ambient_k
+    entry_k = plan.metrics["entry_max_k"].to_numpy() + config.process.ambient_temperature_k
     solidus_k = config.material.solidus_k
     hot = np.flatnonzero(entry_k > solidus_k)
     if hot.size:
@@ -359,9 +337,8 @@ def interpass_findings(summary: pd.DataFrame, plan: ScanPlan, config: Config) ->
     share = plan.metrics["power_share"].to_numpy()
     if share.size and np.nanmin(share) < 1.0:
         k, power_w = int(np.nanargmin(share)), config.process.power_w
-        text = (
-            f"the beam's power goes down to {100.0 * share[k]:.3g} % of {power_w:g} W as the part gets warm"
-        )
+        least = f"{100.0 * share[k]:.3g} % of {power_w:g} W"
+        text = f"the beam's power goes down to {least} as the part gets warm"
         yield _told("power-taper", text, _at(k, plan.heights, config), float(share[k] * power_w), power_w)
 
 
@@ -369,9 +346,8 @@ def limit_findings(checks: Iterable[Check], plan: ScanPlan, config: Config) -> I
     """Layers that the plan, or the balance of the program's text, enters above the interpass limit; see the gate `heat`."""
     limit_k, metrics = entry_limit_k(config), plan.metrics
     at_bead = config.process.interpass_at == "bead"
-    planned_k = (
-        metrics["entry_max_k"] + config.process.ambient_temperature_k if at_bead else metrics["enter_k"]
-    )
+    ambient_k = config.process.ambient_temperature_k
+    planned_k = metrics["entry_max_k"] + ambient_k if at_bead else metrics["enter_k"]
     hot = np.flatnonzero(planned_k.to_numpy(np.float64) > limit_k)
     what = "beads" if at_bead else "layers"
     if hot.size:
@@ -406,15 +382,11 @@ def seam_findings(program: NCProgram, heights: Floats, config: Config) -> Iterat
     corner_deg = 180.0 - config.curves.corner_angle_deg
     at_corner = turn_deg > corner_deg
     if at_corner.any():
-        k = int(row[at_corner.argmax()])
-        x_mm, y_mm, z_mm = program.start[k].tolist()
-        layer = int(
-            np.abs(deposition_heights(heights, config.layer_height_mm, config.base_mm) - z_mm).argmin()
-        )
-        count = int(at_corner.sum())
-        text = (
-            f"{count} of {row.size} closed contours start where they turn by more than {corner_deg:g} degrees"
-        )
+        x_mm, y_mm, z_mm = program.start[int(row[at_corner.argmax()])].tolist()
+        tops_mm = deposition_heights(heights, config.layer_height_mm, config.base_mm)
+        layer, count = int(np.abs(tops_mm - z_mm).argmin()), int(at_corner.sum())
+        turned = f"start where they turn by more than {corner_deg:g} degrees"
+        text = f"{count} of {row.size} closed contours {turned}"
         yield _told("seam-at-corner", text, _at(layer, heights, config, x_mm, y_mm), float(count), 0.0)
 
 
@@ -422,10 +394,8 @@ def consumable_findings(program: NCProgram, config: Config) -> Iterator[Check]:
     """Layers before which the operator has to put on a new spool, or put in a new cathode."""
     for found in consumed(program, config):
         if found.changes:
-            place = f"layer {found.changes[0] + 1}"
-            yield _told(
-                "consumable-change", found.check().text, place, found.total, found.holds, unit=found.unit
-            )
+            place, text = f"layer {found.changes[0] + 1}", found.check().text
+            yield _told("consumable-change", text, place, found.total, found.holds, unit=found.unit)
 
 
 def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check]:
@@ -439,11 +409,9 @@ def overhang_findings(checks: Iterable[Check], config: Config) -> Iterator[Check
 
 
 def height_findings(part_mm: float, heights: Floats, config: Config) -> Iterator[Check]:
-    """A program that ends beside the top of the part by more of its height than the metal may be off.
+    """A program that ends beside the top of the part by more of its height than the metal may be off; a fault by more than half a layer.
 
-    What the metal is held against are sections times the heights of layers, so that no gate sees it. By half a layer any part
-    may be off; by more, layers are missing or too many, which is a fault: listed heights (`layers.heights_mm`) have it, and a part of
-    less than half a layer.
+    What the metal is held against are sections times the heights of layers, so that no gate sees it.
     """
     if not len(heights) or config.base_mm > 0.0:
         return

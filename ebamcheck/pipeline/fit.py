@@ -33,22 +33,15 @@ from ebamcheck.result import Place
 from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
-# Causes of `ebamcheck.curves.gate.CAUSES` in words
-WHY: Mapping[str, str] = {
-    "sagitta": "the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
-    "plane": "a planar facet would have moved",
-    "crossing": "it crosses itself or another ring",
-    "turned": "it encloses nothing, or runs the other way",
-    "nesting": "it lies in another ring than its contour",
-}
-
-REMEDY: Mapping[str, str] = {
-    "sagitta": "give a finer mesh, or set curves.method = 'chord'",
-    "plane": "lower curves.crease_angle_deg, or set curves.method = 'chord'",
-    "crossing": "give a finer mesh, or lower curves.tolerance_mm",
-    "turned": "give a finer mesh",
-    "nesting": "give a finer mesh",
-}
+# Causes of `ebamcheck.curves.gate.CAUSES` in words, and what to do
+TOLD: Mapping[str, tuple[str, str]] = {
+    "sagitta": ("the mesh is no evidence for so much of a lift, or the settings allow less (curves.section_tolerance_mm)",
+                "give a finer mesh, or set curves.method = 'chord'"),
+    "plane": ("a planar facet would have moved", "lower curves.crease_angle_deg, or set curves.method = 'chord'"),
+    "crossing": ("it crosses itself or another ring", "give a finer mesh, or lower curves.tolerance_mm"),
+    "turned": ("it encloses nothing, or runs the other way", "give a finer mesh"),
+    "nesting": ("it lies in another ring than its contour", "give a finer mesh"),
+}  # fmt: skip
 
 REFERENCE_FIGURES = ("normal_rms_mm", "normal_max_abs_mm")  # must not be greater than the contour's
 
@@ -115,10 +108,7 @@ def fitted(
 
 def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[FitVerdict, pd.DataFrame]:
     """What speaks for the curves of a fit, and its table, one row a layer."""
-    found = curves.evidence
-    if found is None:
-        raise ValueError("curves of a fit carry its evidence")
-    deviation = fit_deviation(curves, layers)
+    found, deviation = _evidence(curves), fit_deviation(curves, layers)
     far_mm = float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0))
     stack = stack_evidence(curves, layers, part, found) if found.known else None
     verdict = FitVerdict(curves, found, stack, None, far_mm, largest_move_mm(config))
@@ -126,10 +116,8 @@ def judged(curves: Curves, layers: Layers, part: Part, config: Config) -> tuple[
 
 
 def columns(verdict: FitVerdict, deviation: pd.DataFrame) -> pd.DataFrame:
-    """The table of the fit with what speaks for it, one row a layer.
-
-    Adds ``allowed_mm`` (mean of what is allowed), ``lift_mm`` (mean lift), ``polyline_rings`` and
-    ``open_rings`` (rings that fell back, or that nothing was found for).
+    """The table of the fit with what speaks for it, one row a layer: adds `allowed_mm` (greatest mean of what is allowed), `lift_mm` (mean lift),
+    `polyline_rings` (rings that fell back) and `open_rings` (that nothing was found for).
     """
     of_ring, found = verdict.curves.ring_layer, verdict.evidence
     count = len(verdict.curves)
@@ -154,13 +142,12 @@ def gate_text(verdict: FitVerdict) -> str:
     found = verdict.evidence
     count = found.cause.size
     fallen = [f"{int((found.method == k).sum())} by {name}" for k, name in enumerate(FALLBACKS) if k]
-    text = (
-        f"{int((found.method == 0).sum())} of {count} rings by {verdict.curves.method}, {', '.join(fallen)}"
-    )
+    asked = f"{int((found.method == 0).sum())} of {count} rings by {verdict.curves.method}"
+    text = ", ".join([asked, *fallen])
     if verdict.open_rings:
         ring = int(np.flatnonzero(~found.accepted)[0])
         cause = CAUSES[int(found.cause[ring])]
-        text += f"; there is no evidence for {verdict.open_rings}: first at {verdict.place_of(ring)}: {WHY[cause]}: {REMEDY[cause]}"
+        text += f"; there is no evidence for {verdict.open_rings}: first at {verdict.place_of(ring)}: {': '.join(TOLD[cause])}"
     stack = verdict.stack
     if stack is not None and not stack.accepted:
         k = int(np.argmax(np.maximum(stack.jump_excess_mm, stack.volume_excess_mm3)))
@@ -185,21 +172,13 @@ def gate_text(verdict: FitVerdict) -> str:
 
 
 @dataclass(frozen=True)
-class MethodFigures:
-    """What a fit takes, and how far it leaves the contours."""
-
-    blocks: int
-    max_points_mm: float  # greatest distance of a contour's points from the curve
-    max_bulge_mm: float  # greatest distance of the curve from the contour
-
-
-@dataclass(frozen=True)
 class FitResult:
     """The curves of a run with what speaks for them, beside those of the other methods."""
 
     verdict: FitVerdict
     points: int  # points of the contours
-    methods: Mapping[str, MethodFigures]  # figures by method; those of the chosen one are first
+    # By method, the chosen one first: `blocks`, and how far its curves leave the contours, `max_points_mm` and `max_bulge_mm`
+    methods: Mapping[str, Mapping[str, float]]
     tables: Mapping[str, Table]  # its files in a run folder
 
     @property
@@ -241,15 +220,16 @@ def fit_result(
     return FitResult(verdict, len(layers.points), figures, tables)
 
 
-def _figures(curves: Curves) -> MethodFigures:
-    found = curves.evidence
-    if found is None:
+def _evidence(curves: Curves) -> Evidence:
+    if curves.evidence is None:
         raise ValueError("curves of a fit carry its evidence")
-    return MethodFigures(
-        blocks=int(curves.block_count()),
-        max_points_mm=float(found.points_mm.max(initial=0.0)),
-        max_bulge_mm=float(found.bulge_mm.max(initial=0.0)),
-    )
+    return curves.evidence
+
+
+def _figures(curves: Curves) -> dict[str, float]:
+    found = _evidence(curves)
+    points_mm, bulge_mm = float(found.points_mm.max(initial=0.0)), float(found.bulge_mm.max(initial=0.0))
+    return {"blocks": int(curves.block_count()), "max_points_mm": points_mm, "max_bulge_mm": bulge_mm}
 
 
 def _against_reference(
@@ -264,10 +244,8 @@ def _against_reference(
         go_on()
         of_curves[name] = contour_error(curves, truth)
     after = next(iter(of_curves.values()))
-    tables: dict[str, Table] = {
-        "reference.parquet": truth,
-        "reference.csv": pd.concat([before.assign(of="contour"), after.assign(of="curve")]),
-    }
+    both = pd.concat([before.assign(of="contour"), after.assign(of="curve")])
+    tables: dict[str, Table] = {"reference.parquet": truth, "reference.csv": both}
     figures = ("polar_min_mm", "polar_max_mm", "normal_min_mm", "normal_max_mm", "normal_max_abs_mm")
     return {
         "part": {"source": Path(fine.source).name, "sha256": fine.source_sha256, "facets": len(fine.faces)},
@@ -288,8 +266,6 @@ def _rms(errors: pd.DataFrame) -> dict[str, float]:
     result = {}
     for figure, rings in (("polar_rms_mm", "polar_rings"), ("normal_rms_mm", "rings")):
         known = errors[errors[figure].notna()]
-        weight = known[rings].sum()
-        result[figure] = (
-            float(np.sqrt((known[figure] ** 2 * known[rings]).sum() / weight)) if weight else float("nan")
-        )
+        weight, squares = known[rings].sum(), (known[figure] ** 2 * known[rings]).sum()
+        result[figure] = float(np.sqrt(squares / weight)) if weight else float("nan")
     return result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 import pandas as pd
@@ -40,12 +40,11 @@ def input_gate(inspection: Inspection, volume_off: str = "") -> Check:
 
 
 def volume_off(part: Part, cuts: Floats, areas: Floats, config: Config) -> str:
-    """Say how far the volume of the part, closed and the right way out, is off that of its sections; empty where they agree, or the layers are not all of it.
+    """Say how far the volume of the part is off that of its sections; empty where they agree, or the layers are not all of it.
 
-    `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer. The volume comes from
-    facets and from the union of bodies by manifold3d; the sections come from slicers, which unite bodies layer by layer. Sections of the mesh
-    itself are known in closed form, with every body counted, so that what the slicers' lack of them is the metal that would count twice. Only
-    that is summed over layers: between two heights a section of it changes by no more than its surface seen from above, P, so that, cut at the
+    `cuts` (L,), mm, are the heights of the layers from below, `areas` (L,), mm2, those of their sections by one slicer, which unites bodies layer by layer;
+    the volume is of the union of bodies by manifold3d. Sections of the mesh itself are known in closed form, with every body counted; what the slicers'
+    lack of them would count twice, and is summed over layers. A section of it changes by no more than its surface seen from above, P, so that, cut at the
     middles of layers of height h, it is summed to within h P / 2.
     """
     if len(cuts) < 2 or config.layers.heights_mm or config.base_mm > 0.0:
@@ -108,8 +107,14 @@ def agreement_gate(
     skipped = layers - good - bad
     text = f"{methods} methods agree on {good} of {layers} layers"
     if bad:
-        text += f"; they disagree on {bad}: {_worst(comparison, first_layer_mm, base_mm)}"
-    text += _doubted(comparison)
+        worst = worst_of(comparison.findings)
+        found = worst and f"worst {disagreement_in_words(worst, comparison, first_layer_mm, base_mm)}"
+        text += f"; they disagree on {bad}: {found or 'no cause was found'}"
+    for a, b, doubted, depth, added in doubted_layers(comparison.pairs):
+        text += (
+            f"; {a} and {b} agree on {len(doubted)} of them by declared doubt alone, {depth:.2g} mm apart with {added:.2g} mm "
+            "declared (comparison.doubt_mm)"
+        )
     if skipped:
         text += (
             f"; {skipped} pass through a vertex or face and no two methods with one rule for that are left: "
@@ -120,13 +125,6 @@ def agreement_gate(
     text += "".join(f"; {part}" for part in [*idle, resting(comparison)] if part)
     passed = comparison.passed and good == layers
     return Check.gate("agreement", passed, float(bad + skipped), 0.0, NO_AGREEMENT, text)
-
-
-def _worst(comparison: Comparison, first_layer_mm: float, base_mm: float) -> str:
-    f = worst_of(comparison.findings)
-    if f is None:
-        return "no cause was found"
-    return f"worst {disagreement_in_words(f, comparison, first_layer_mm, base_mm)}"
 
 
 def disagreement_in_words(
@@ -143,14 +141,6 @@ def disagreement_in_words(
     return (
         f"{f.backend} against {f.against}: {cause}; {f.metric} {f.value:.4g} over {f.limit:.4g}{unit} at "
         f"({f.x_mm:.3f}, {f.y_mm:.3f}) of {place}; {f.remedy}"
-    )
-
-
-def _doubted(comparison: Comparison) -> str:
-    return "".join(
-        f"; {a} and {b} agree on {len(layers)} of them by declared doubt alone, {depth:.2g} mm apart with {added:.2g} mm "
-        "declared (comparison.doubt_mm)"
-        for a, b, layers, depth, added in doubted_layers(comparison.pairs)
     )
 
 
@@ -182,10 +172,8 @@ def deposit_gate(checks: Iterable[Check], config: Config) -> Check:
         text = "no program was written: there is no contour"
         return Check.gate("deposit", False, float("nan"), limit, "of the part", text)
     failed = [check for check in made if not check.passed]
-    said = failed[0] if failed else made[0]
-    more = (
-        f" (and {len(failed) - 1} more: {', '.join(c.name for c in failed[1:])})" if len(failed) > 1 else ""
-    )
+    said, others = failed[0] if failed else made[0], [check.name for check in failed[1:]]
+    more = f" (and {len(others)} more: {', '.join(others)})" if others else ""
     text = said.text if failed else "; ".join(check.text for check in made[:3])
     return Check.gate("deposit", not failed, said.value, said.limit, said.unit, text + more)
 
@@ -214,10 +202,9 @@ def heat_gate(checks: Iterable[Check], metrics: pd.DataFrame, config: Config) ->
     laid = metrics[["contour_length_mm", "hatch_length_mm"]].sum(axis=1) > 0.0
     unknown = np.flatnonzero(laid & planned.isna()) if planned.notna().any() else np.zeros(0, np.int64)
     passed = text.passed and planned_k <= limit_k and melting.passed and not unknown.size
-    if again is not None and not again.passed:
-        passed, said = False, f"{again.text}; {said}"
-    if cold is not None and not cold.passed:
-        passed, said = False, f"{cold.text}; {said}"
+    for check in (again, cold):
+        if check is not None and not check.passed:
+            passed, said = False, f"{check.text}; {said}"
     if unknown.size:
         said = f"the plan has no temperature for layer {int(unknown[0]) + 1}, which has beads; {said}"
     if not melting.passed:
@@ -233,7 +220,9 @@ def program_gate(checks: Iterable[Check]) -> Check:
         return Check.gate("program", False, 0.0, 0.0, "faults", "no program was written: there is no contour")
     text = f"{len(made)} checks passed"
     if failed:
-        text = f"{len(failed)} of {len(made)} checks failed: {failed_in_words(failed)}"
+        told = [check.in_words() for check in failed[:2]]  # of more the names
+        told += [f"and {', '.join(check.name for check in failed[2:])}"] if failed[2:] else []
+        text = f"{len(failed)} of {len(made)} checks failed: {' | '.join(told)}"
     return Check.gate("program", not failed, float(len(failed)), 0.0, "faults", text)
 
 
@@ -243,20 +232,10 @@ def entry_gate(check: Check) -> Check:
     return Check.gate("entry", check.passed, check.value, check.limit, check.unit, text)
 
 
-TOLD = 2  # failed checks that a gate tells in full; of more the names
-
-
-def failed_in_words(failed: Sequence[Check]) -> str:
-    """Failed checks, each by name: the first ones with place, figure and remedy."""
-    told = " | ".join(check.in_words() for check in failed[:TOLD])
-    return told + (f" | and {', '.join(check.name for check in failed[TOLD:])}" if failed[TOLD:] else "")
-
-
 def exit_code(gates: Iterable[Check], compared_layers: int, outcomes: Mapping[str, Outcome]) -> ExitCode:
     """Exit code of a run: 5 where nothing could be compared, 1 where a gate is shut, else 0.
 
-    Too few methods because one was lost, and a part that did not pass the input gate, are 1, not 5: something was
-    found, it is not that nothing was looked for.
+    A method that was lost, and a part that did not pass the input gate, are 1, not 5: something was found.
     """
     shut = {gate.name for gate in gates if not gate.passed}
     lost = any(o.file is None and o.failure != "unavailable" for o in outcomes.values())

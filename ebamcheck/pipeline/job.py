@@ -68,8 +68,8 @@ class Job:
     # Workers for the slicers that were spawned early; None: they are when they are needed
     workers: WorkerPool | None = None
     live: bool = False  # whether a main program that waits between layers is written, too
+    # Set where the run has ended by an error or an interrupt while work goes on beside it
     ended: Event = field(default_factory=Event)
-    """Set where the run has ended by an error or an interrupt while work goes on beside it."""
 
     def go_on(self) -> None:
         """Raise CancelledError where the run has ended meanwhile; to be called between the steps of work beside the stages."""
@@ -93,10 +93,7 @@ class Job:
 
 @contextmanager
 def one_beside(ended: Event | None = None) -> Iterator[Executor]:
-    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped.
-
-    `ended` is set then, so that what has begun can stop.
-    """
+    """One thread beside this one; where the block ends with an error or an interrupt, what has not begun is dropped, and `ended` is set for the rest."""
     with worker_threads(1) as pool:
         try:
             yield pool
@@ -139,13 +136,12 @@ def carried_out(
 ) -> RunResult:
     """Carry a job out in its run folder; a finished run of the same is returned where `resume` asks for it.
 
-    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed
-    run left are gone on with unless `keep_layers` is off.
+    `what`, `sha256`, `backends` and `inputs` make it another job than others, beside settings, heights and version. Layers that a killed run left are gone
+    on with unless `keep_layers` is off.
     """
     target, observer = Path(target), job.observer
-    job.fingerprint = sha256_of_json(
-        [what, sha256, job.config.model_dump(), job.heights, list(backends), __version__, *inputs]
-    )
+    of_job = [job.config.model_dump(), job.heights, list(backends), __version__]
+    job.fingerprint = sha256_of_json([what, sha256, *of_job, *inputs])
     if resume and not force and (done := finished_run(target, job.fingerprint)) is not None:
         observer.note(f"{target}: is finished already")
         return RunResult.of(done)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 from ebamcheck.checks.consumables import plate_record
 from ebamcheck.checks.header_checks import marked_validated
@@ -21,29 +21,16 @@ from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.nc.files import ProgramFiles
 from ebamcheck.nc.inputs import deposition_heights
+from ebamcheck.pipeline import findings as told
 from ebamcheck.pipeline import gates, stages
 from ebamcheck.pipeline.cross_check import CrossCheck, witness_backend
 from ebamcheck.pipeline.entry_program import Entry, write_entry, write_live
-from ebamcheck.pipeline.findings import (
-    consumable_findings,
-    failed_checks,
-    fit_findings,
-    heat_findings,
-    height_findings,
-    interpass_findings,
-    limit_findings,
-    metal_findings,
-    narrow_findings,
-    overhang_findings,
-    seam_findings,
-)
 from ebamcheck.pipeline.fit import FitResult, fit_result, fitted, other_fits
 from ebamcheck.pipeline.job import Job, one_beside
 from ebamcheck.pipeline.tables import Table, tables_of_metal, tables_of_plan, tables_of_program
 from ebamcheck.program import read_program, verify_program
 from ebamcheck.result import Check, has_fault
 from ebamcheck.scan import ScanPlan
-from ebamcheck.settings.config import Config
 from ebamcheck.surface.part_surface import surface_kept
 
 
@@ -108,15 +95,12 @@ def make_program(
             # Contours by another exact method than the one that made the program, where there is one.
             name = witness_backend(layers.backend, checked.done)
             witness = layers if name == layers.backend else job.folder.read_layers(name)
-            proof = _proved(job.part, files, laid, _Sections(layers, verdict.curves, witness), config, aside)
-            planned: dict[str, Table] = {
-                "scan.parquet": plan,
-                "beads.parquet": laid.beads,
-                **of_plan.result(),
-            }
+            proof = _proved(job, files, laid, layers, verdict.curves, witness, aside)
+            planned: dict[str, Table] = {"scan.parquet": plan, "beads.parquet": laid.beads}
+            planned |= of_plan.result()
             fitting = fit.result()
     made = tuple(stages.judged_program(fitting.verdict, proof.checks, plan.metrics, config))
-    findings = (*fit_findings(verdict), *heat_findings(plan, config), *proof.findings)
+    findings = (*told.fit_findings(verdict), *told.heat_findings(plan, config), *proof.findings)
     entry = _entry(job, files, layers)
     if entry is not None:
         made = (*made, gates.entry_gate(entry.check))
@@ -125,9 +109,8 @@ def make_program(
         entry = entry and entry.marked_validated()
     live = None
     if job.live:
-        live = write_live(
-            job.folder.path, config, float(job.part.size[2]), files.validated, stages.header_of(job.part)
-        )
+        top_mm, header = float(job.part.size[2]), stages.header_of(job.part)
+        live = write_live(job.folder.path, config, top_mm, files.validated, header)
         job.observer.note(f"waiting main program {live['name']}: {live['check']['text']}")
     tables = {**fitting.tables, **planned, **proof.tables}
     return ProgramResult(fitting, plan, proof, files, entry, live, made, findings, tables)
@@ -142,28 +125,21 @@ def _entry(job: Job, files: ProgramFiles, layers: Layers) -> Entry | None:
     return entry
 
 
-class _Sections(NamedTuple):
-    """Sections of the part: contours of the primary slicer, the curves fitted to them, and contours of the witness."""
-
-    contours: Layers
-    curves: Curves
-    witness: Layers
-
-
 def _proved(
-    part: Part,
+    job: Job,
     files: ProgramFiles,
     laid: stages.LaidOut,
-    sections: _Sections,
-    config: Config,
+    contours: Layers,
+    curves: Curves,
+    witness: Layers,
     aside: Executor,
 ) -> ProgramProof:
-    """Read the text of a program back and check it against what it was made from."""
-    witness, heights = sections.witness, sections.contours.heights
+    """Read the text of a program back and check it against what it was made from, and against the contours of a witness."""
+    part, config, heights = job.part, job.config, contours.heights
     z_of = deposition_heights(heights, config.layer_height_mm, config.base_mm)
     program, match = matched(read_program(files.main, config), laid.path)
     metal = aside.submit(deposit, program, witness, z_of, config, asked=True)
-    of_program = aside.submit(tables_of_program, program, sections.contours, config)
+    of_program = aside.submit(tables_of_program, program, contours, config)
     times = aside.submit(build_times_s, program, config, known_sections(laid.plan, witness))
     checks = verify_program(
         program,
@@ -176,7 +152,7 @@ def _proved(
         laid=metal.result,
         heat=True,
         sha256=files.sha256,
-        smooth=stages.smooth_sections(sections.curves, config),
+        smooth=stages.smooth_sections(curves, config),
     )
     found, solid = metal.result(), solid_check(part, witness, config)
     of_metal = [*deposit_checks(program, found, config), solid.check, *of_mesh(part, witness, config)]
@@ -185,15 +161,15 @@ def _proved(
     tables = {**of_text, **tables_of_metal(found, z_of, config.base_mm)}
     low_mm, top_mm = part.bounds[:, 2].tolist()
     findings = [
-        *seam_findings(program, heights, config),
-        *consumable_findings(program, config),
-        *overhang_findings(checks, config),
-        *limit_findings(checks, laid.plan, config),
-        *metal_findings(of_metal),
-        *narrow_findings(found.narrow, heights, config),
-        *(() if solid.tells_of(top_mm) else height_findings(top_mm - low_mm, heights, config)),
-        *failed_checks(remedied),
-        *interpass_findings(of_text["program.csv"], laid.plan, config),
+        *told.seam_findings(program, heights, config),
+        *told.consumable_findings(program, config),
+        *told.overhang_findings(checks, config),
+        *told.limit_findings(checks, laid.plan, config),
+        *told.metal_findings(of_metal),
+        *told.narrow_findings(found.narrow, heights, config),
+        *(() if solid.tells_of(top_mm) else told.height_findings(top_mm - low_mm, heights, config)),
+        *told.failed_checks(remedied),
+        *told.interpass_findings(of_text["program.csv"], laid.plan, config),
     ]
     plate = plate_record(part, config, program)
     return ProgramProof(remedied, findings, tables, witness.backend, times.result(), plate)

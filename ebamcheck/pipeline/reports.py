@@ -1,7 +1,4 @@
-"""Report writers: the house's write into the run folder, a stranger's into a copy of it, from which its new files are taken.
-
-A stranger's runs in a process of its own: ``python -m ebamcheck.pipeline.reports NAME VALUE FOLDER PARENT``.
-"""
+"""Report writers: the house's write into the run folder, a stranger's into a copy (``python -m ebamcheck.pipeline.reports NAME VALUE FOLDER PARENT``)."""
 
 from __future__ import annotations
 
@@ -25,11 +22,9 @@ TIME_S = 600.0  # time of one report writer of another distribution
 MEMORY_MB = 8192.0  # its resident memory
 LARGEST_REPORT_BYTES = 1_000_000_000
 MOST_FILES = 10_000  # what is taken of one writer: more is no report
-
 RESERVED = (MANIFEST, FINGERPRINT, SIGNATURES, "certificate.json")  # the harness's own
 DONE = "done"  # file beside the copy that says that the writer has come back
 OF_RECORD = "OF_RECORD"  # name of the tuple in which a package of ours tells which of its report writers read the record of a run alone
-
 Note = Callable[[str], None]
 
 

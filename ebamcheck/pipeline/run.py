@@ -80,10 +80,8 @@ def check_job(
     force: bool = False,
     workers: WorkerPool | None = None,
 ) -> RunResult:
-    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`.
-
-    A part that would not fit into memory, or of which ``slicing.slabs`` says so, is checked in slabs
-    (:func:`~ebamcheck.pipeline.slabs.check_in_slabs`), unless it was made ready before.
+    """Slice a part with every backend and compare them, no more; parameters and errors as in :func:`run_job`. A part that would not fit into memory, or of
+    which ``slicing.slabs`` says so, is checked in slabs (:func:`~ebamcheck.pipeline.slabs.check_in_slabs`), unless it was made ready before.
     """
     config = config or Config()
     if begun is None and (slabs := wanted_slabs(Path(part_path), config)) > 1:

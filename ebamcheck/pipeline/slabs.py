@@ -1,8 +1,7 @@
 """The cross-check of a part that does not fit into memory: read, cut and compared in slabs of z, one after the other.
 
-Every slab becomes a closed mesh that has the sections of the whole one at its heights and the box of the whole one
-(:mod:`ebamcheck.mesh.slabs`), so that every slicer cuts it as it would cut the whole. Of a slab the tables are kept, and
-the figures of the inspection; its layers are dropped.
+Every slab is a closed mesh that has the sections and the box of the whole one (:mod:`ebamcheck.mesh.slabs`), so that every slicer cuts it alike. Of a
+slab the tables and the figures of the inspection are kept; its layers are dropped.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from ebamcheck.layers.heights import cut_heights, layer_blocks
 from ebamcheck.mesh.inspection import Inspection
 from ebamcheck.mesh.slabs import Division, FacetFile, Slab, SlabInspection, divided, facet_count, read_once
 from ebamcheck.pipeline.cross_check import CrossCheck, chosen_backends, compared_layers
-from ebamcheck.pipeline.finishing import SlabRecord, finish
+from ebamcheck.pipeline.finishing import finish
 from ebamcheck.pipeline.job import Job, Observer, RunResult, Silent, carried_out
 from ebamcheck.preflight.report import Preflight
 from ebamcheck.preflight.workload import slab_workload, work_checks
@@ -37,8 +36,6 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.isolation import Limits, Outcome, WorkerPool, bounds_of, declared_bounds, slice_all
 
 LEAST_REACH = 1e-6  # how far beyond its borders a slab has all facets at least, over the largest coordinate: far above any rounding
-
-
 DOUBT = "doubtful_regions"  # what a slicer declares of a part among the settings of its layers
 
 
@@ -69,19 +66,14 @@ def check_in_slabs(
     Preflight(tuple(work_checks(load, config, yes)), load).stop("check")
     # The mesh as a whole is never there, and so has no hash.
     file.outline.__dict__["sha256"] = ""
-    job = Job(
-        "check", config, observer, file.outline, SlabInspection(file.outline, len(file)).found(), heights
-    )
+    found = SlabInspection(file.outline, len(file)).found()
+    job = Job("check", config, observer, file.outline, found, heights)
 
     def work(job: Job) -> RunResult:
-        made = cut_slabs(job, division, backends)
-        job.found = made.inspection
-        figures = {
-            "count": len(division),
-            "most_facets": division.most_facets,
-            "borders_mm": division.borders_mm[1:-1].tolist(),
-        }
-        return finish(job, made.checked, slabs=SlabRecord(made.settings, figures))
+        checked, job.found, settings = cut_slabs(job, division, backends)
+        borders_mm = division.borders_mm[1:-1].tolist()
+        figures = {"count": len(division), "most_facets": most, "borders_mm": borders_mm}
+        return finish(job, checked, slabs=figures, settings=settings)
 
     what, sha256 = "check in slabs", file.outline.source_sha256
     options = {"resume": resume, "force": force, "keep_layers": False}
@@ -89,17 +81,11 @@ def check_in_slabs(
 
 
 def _as_it_stands(config: Config) -> None:
-    part = config.part
-    asked = {
-        "part.direction": part.direction != (0.0, 0.0, 1.0),
-        "part.rotate_deg": part.rotate_deg != 0.0,
-        "part.place_at_mm": part.place_at_mm is not None,
-        "part.fix_orientation": part.fix_orientation,
-    }
-    for name, is_asked in asked.items():
-        if is_asked:
+    plain = {"direction": (0.0, 0.0, 1.0), "rotate_deg": 0.0, "place_at_mm": None, "fix_orientation": False}
+    for name, value in plain.items():
+        if getattr(config.part, name) != value:
             raise SettingsError(
-                f"{name}: a check in slabs takes the part as it stands in its file: leave the setting out, or check the "
+                f"part.{name}: a check in slabs takes the part as it stands in its file: leave the setting out, or check the "
                 "part whole (--slabs 1)"
             )
 
@@ -114,16 +100,6 @@ def _reach_mm(file: FacetFile, backends: Mapping[str, BackendSettings], config: 
 
 
 # -- slab after slab ---------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class SlabRun:
-    """What all slabs came to."""
-
-    checked: CrossCheck
-    inspection: Inspection
-    # Settings that each backend has filled in, with all that it declared
-    settings: Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,11 +134,16 @@ class _Tally:
         return {n: s for n, s in backends.items() if n not in self.outcomes or not self.outcomes[n].failure}
 
 
-def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettings]) -> SlabRun:
-    """Take a part slab by slab; two are in memory at most: one that is cut, and the one before, which is compared."""
-    inspection = SlabInspection(job.part, len(division.file))
-    tally = _Tally()
-    last = len(division) - 1
+def cut_slabs(
+    job: Job, division: Division, backends: Mapping[str, BackendSettings]
+) -> tuple[CrossCheck, Inspection, Mapping[str, Mapping[str, Any]]]:
+    """Take a part slab by slab; two are in memory at most: one that is cut, and the one before, which is compared.
+
+    What they came to, the inspection of all, and the settings that each backend has filled in, with all that it declared.
+    """
+    inspection, tally, last = SlabInspection(job.part, len(division.file)), _Tally(), len(division) - 1
+    chosen = job.config.slicing
+    limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
     with (
         job.stage("slabs", job.heights.size),
         ExitStack() as workers,
@@ -177,15 +158,13 @@ def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettin
             with tally.timed("read"):
                 slab = division.slab(k)
             inspected = inspecting.submit(inspection.add, slab)
-            cut = _Cut(
-                slab,
-                job.heights[first:past],
-                first,
-                layer_blocks(slab.part, job.heights[first:past], job.config.slicing.block_points),
-                job.folder.layers_folder / f"slab-{k}",
-            )
+            heights = job.heights[first:past]
+            borders = layer_blocks(slab.part, heights, chosen.block_points)
+            cut = _Cut(slab, heights, first, borders, job.folder.layers_folder / f"slab-{k}")
+            cut.folder.mkdir()
             with tally.timed("slice"):
-                outcomes = _sliced(job, cut, tally.alive(backends), pool)
+                asked = slab.part, heights, tally.alive(backends), cut.folder, limits
+                outcomes = slice_all(*asked, borders=borders, pool=pool)
             workers.close()
             _take(job, tally, outcomes, f"slab {k + 1} of {len(division)}")
             with tally.timed("wait"):
@@ -200,7 +179,7 @@ def cut_slabs(job: Job, division: Division, backends: Mapping[str, BackendSettin
     job.folder.layers_folder.rmdir()
     job.timings.update(tally.seconds)
     checked = CrossCheck({name: tally.outcomes[name] for name in backends}, joined(tally.comparisons))
-    return SlabRun(checked, inspection.found(), tally.settings)
+    return checked, inspection.found(), tally.settings
 
 
 def _told(job: Job, compared: Future[int] | None) -> None:
@@ -217,15 +196,6 @@ def _compare(job: Job, tally: _Tally, cut: _Cut, outcomes: Mapping[str, Outcome]
     return cut.heights.size
 
 
-def _sliced(
-    job: Job, cut: _Cut, backends: Mapping[str, BackendSettings], pool: WorkerPool
-) -> dict[str, Outcome]:
-    chosen = job.config.slicing
-    limits = Limits(chosen.time_limit_s, chosen.memory_limit_mb, chosen.processes)
-    cut.folder.mkdir()
-    return slice_all(cut.slab.part, cut.heights, backends, cut.folder, limits, borders=cut.borders, pool=pool)
-
-
 def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) -> None:
     """Add up what the backends came to in a slab; one that is lost here is lost."""
     for name, outcome in outcomes.items():
@@ -238,29 +208,22 @@ def _take(job: Job, tally: _Tally, outcomes: Mapping[str, Outcome], where: str) 
 def _added(before: Outcome, after: Outcome) -> Outcome:
     sums = ("rings", "open_paths", "points", "prepare_s", "slice_s")
     greatest = ("error_bound_mm", "height_bound_mm", "peak_mb")
-    return replace(
-        after,
-        **{name: getattr(before, name) + getattr(after, name) for name in sums},
-        **{name: max(getattr(before, name), getattr(after, name)) for name in greatest},
-    )
+    figures = {name: getattr(before, name) + getattr(after, name) for name in sums}
+    figures |= {name: max(getattr(before, name), getattr(after, name)) for name in greatest}
+    return replace(after, **figures)
 
 
 def _compared(job: Job, tally: _Tally, cut: _Cut, outcomes: Mapping[str, Outcome]) -> Comparison:
+    """Compare a slab; kept are the settings of the first one, and of each the doubts that slicers declare of themselves."""
     done = {name: outcome for name, outcome in outcomes.items() if not outcome.failure}
     with ExitStack() as opened:
         stacks = {n: opened.enter_context(LayerFile(o.made(), edges=False)) for n, o in done.items()}
         for name, stack in stacks.items():
-            _keep_settings(tally.settings, name, stack.settings, cut.slab)
+            of_first = {key: value for key, value in stack.settings.items() if key != DOUBT}
+            of_all = tally.settings.setdefault(name, of_first)
+            for region in stack.settings.get(DOUBT, []):
+                box = np.asarray(region["box_mm"], np.float64)
+                # Others are of the cones that close the mesh, or told by the slab that they are in.
+                if box[2] < cut.slab.upper_mm and box[5] >= cut.slab.lower_mm:
+                    of_all.setdefault(DOUBT, []).append(region)
         return compared_layers(stacks, cut.slab.part, bounds_of(done), job.config, borders=cut.borders)
-
-
-def _keep_settings(
-    kept: dict[str, dict[str, Any]], name: str, settings: Mapping[str, Any], slab: Slab
-) -> None:
-    """Keep the settings of the first slab, and of each one the doubts that it declares of itself."""
-    of_all = kept.setdefault(name, {key: value for key, value in settings.items() if key != DOUBT})
-    for region in settings.get(DOUBT, []):
-        box = np.asarray(region["box_mm"], np.float64)
-        # Others are of the cones that close the mesh, or told by the slab that they are in.
-        if box[2] < slab.upper_mm and box[5] >= slab.lower_mm:
-            of_all.setdefault(DOUBT, []).append(region)

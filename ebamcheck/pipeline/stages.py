@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.curves import LIFTED, Curves, fit
 from ebamcheck.curves.turned import turned_over
 from ebamcheck.heat.part_heat import BeadPower
-from ebamcheck.kernels import Floats, Ints
 from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part
 from ebamcheck.metal import Surface
@@ -26,6 +25,7 @@ from ebamcheck.pipeline.fit import FitVerdict
 from ebamcheck.program import ProgramFiles
 from ebamcheck.result import Check
 from ebamcheck.scan import ScanPlan, plan_stack
+from ebamcheck.scan.islands.clipping import column
 from ebamcheck.scan.islands.regions import contour_region
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf
 from ebamcheck.settings.config import Config
@@ -35,9 +35,8 @@ from ebamcheck.writing.bead_parts import along_beads
 from ebamcheck.writing.tracks import Toolpath, toolpath
 from ebamcheck.writing.wire import bare_surface, wired
 
+# Beads are planned inside of polylines this near to the fitted curves, and their path is held against such: a tenth of the tolerance of the fit
 SAMPLING_MM = 0.002
-"""Beads are planned inside of polylines this near to the fitted curves, and their path is held against such: a tenth of the
-tolerance of the fit."""
 
 
 def smooth_layers(curves: Curves) -> Layers:
@@ -63,10 +62,7 @@ def plan_program(layers: Layers, config: Config, progress: Progress | None = Non
 
 
 def power_by_wire(
-    sections: Sequence[BaseGeometry],
-    beads: Curves,
-    config: Config,
-    stands: Surface | None = None,
+    sections: Sequence[BaseGeometry], beads: Curves, config: Config, stands: Surface | None = None
 ) -> PowerOf | None:
     """Power along beads by their wire, layer by layer from below; None where every layer has the full power.
 
@@ -82,7 +78,7 @@ def power_by_wire(
         nonlocal surface, seams, number
         if surface is None:
             surface = bare_surface(sections, config)
-        plan, machine = _OneLayer.of(layer), config.machine
+        plan, machine = _one_layer(layer), config.machine
         decimals = machine.printed_decimals
         curves = replace(beads.block(number, number + 1), heights=plan.heights)
         path = toolpath(curves, plan, config, decimals, written_form(machine), machine.line_tolerance_mm)
@@ -92,8 +88,7 @@ def power_by_wire(
         path = with_bead_ends(path, process, decimals, below)
         if not path.kind.size:
             return BeadPower(np.zeros(0, np.int64), np.zeros(0), np.zeros(0))
-        parts = wired(path, plan, config, surface)
-        return along_beads(parts, path.ring.size, thickness_mm, config)
+        return along_beads(wired(path, plan, config, surface), path.ring.size, thickness_mm, config)
 
     return power_of
 
@@ -101,18 +96,9 @@ def power_by_wire(
 def contour_curves(
     layers: Layers, contours: Sequence[BaseGeometry], config: Config, first_layer: int = 0
 ) -> Curves:
-    """Curves along the centre lines (L,) of the contour beads of layers, in the direction in which they are driven.
-
-    `first_layer` is the index in the build of the lowest of the layers.
-    """
-    lines = from_polygons(
-        layers.heights,
-        [[region] for region in contours],
-        part=layers.part,
-        direction=layers.direction,
-        backend=layers.backend,
-        settings=layers.settings,
-    )
+    """Curves along the centre lines (L,) of the contour beads of layers, as they are driven; the lowest is `first_layer` of the build."""
+    labels = {name: getattr(layers, name) for name in ("part", "direction", "backend", "settings")}
+    lines = from_polygons(layers.heights, [[region] for region in contours], **labels)
     # What lies along a bead was lifted with the contour; an inset has no edges of the mesh of its own.
     method = "bounded" if config.curves.method in LIFTED else config.curves.method
     # Half of a bulge's limit is a contour's own; beyond its tolerance a path would leave the curves that it follows.
@@ -123,38 +109,18 @@ def contour_curves(
     return turned_over(curves, curves.closed & ((curves.ring_layer + first_layer) % 2 == 1))
 
 
-class _Lines(NamedTuple):
-    island: Ints
-    x0: Floats
-    y0: Floats
-    x1: Floats
-    y1: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class _OneLayer:
+def _one_layer(layer: OrderedLayer) -> Any:
     """Plan of one layer, as far as its path asks for it."""
-
-    heights: Floats
-    island_layer: Ints
-    order: Ints
-    island_kind: NDArray[np.str_]
-    sections: NDArray[np.object_]
-    vectors: _Lines
-
-    @classmethod
-    def of(cls, layer: OrderedLayer) -> _OneLayer:
-        laid, lines = layer.laid, layer.lines
-        sections = np.empty(1, np.object_)
-        sections[0] = laid.regions.section
-        return cls(
-            np.array([laid.height_mm]),
-            np.zeros(len(laid.islands), np.int64),
-            layer.order,
-            laid.kind,
-            sections,
-            _Lines(lines.island, *lines.start.T, *lines.end.T),
-        )
+    laid, lines = layer.laid, layer.lines
+    (x0, y0), (x1, y1) = lines.start.T, lines.end.T
+    return SimpleNamespace(
+        heights=np.array([laid.height_mm]),
+        island_layer=np.zeros(len(laid.islands), np.int64),
+        order=layer.order,
+        island_kind=laid.kind,
+        sections=column([laid.regions.section]),
+        vectors=SimpleNamespace(island=lines.island, x0=x0, y0=y0, x1=x1, y1=y1),
+    )
 
 
 # -- program -----------------------------------------------------------------------------------------

@@ -28,7 +28,6 @@ from ebamcheck.writing.tracks import Toolpath
 
 # What stands in a file of figures of a run
 Table: TypeAlias = pd.DataFrame | pa.Table | Curves | ScanPlan | Layers
-
 INDEXED = ("events.parquet",)  # tables for programs, which count layers from 0; those for people count from 1
 
 
@@ -62,29 +61,21 @@ def layer_table(comparison: Comparison) -> pd.DataFrame:
 
 def tables_of_comparison(comparison: Comparison) -> dict[str, Table]:
     """Tables of a comparison."""
-    return {
-        "layers.csv": layer_table(comparison),
-        "compare.csv": comparison.pairs,
-        "compare.parquet": comparison.pairs,
-    }
+    pairs = comparison.pairs
+    return {"layers.csv": layer_table(comparison), "compare.csv": pairs, "compare.parquet": pairs}
 
 
 def tables_of_plan(path: Toolpath, plan: ScanPlan, config: Config) -> dict[str, Table]:
     """Tables of a plan, and of the tracks that were laid out of it."""
     events = process_events(path, plan, config)
-    return {
-        "scan.csv": plan.metrics,
-        "events.parquet": events,
-        "process.csv": event_totals(events, len(path.z), config),
-    }
+    totals = event_totals(events, len(path.z), config)
+    return {"scan.csv": plan.metrics, "events.parquet": events, "process.csv": totals}
 
 
 def tables_of_program(nc: NCProgram, contours: Layers, config: Config) -> dict[str, pd.DataFrame]:
     """Tables of a program whose beads are those of its plan; `contours` are those that it was made from."""
-    return {
-        "program.csv": program_summary(nc, config),
-        "kinematics.csv": side_by_side(nc, contours, config).reset_index(),
-    }
+    paths = side_by_side(nc, contours, config).reset_index()
+    return {"program.csv": program_summary(nc, config), "kinematics.csv": paths}
 
 
 def tables_of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, Table]:
@@ -92,10 +83,8 @@ def tables_of_metal(laid: Deposit, z_of: Floats, base_mm: float) -> dict[str, Ta
     if laid.worst < 0:
         return {"deposit.csv": laid.layers}
     thickness_mm = float(np.diff(z_of, prepend=base_mm)[laid.worst])
-    return {
-        "deposit.csv": laid.layers,
-        FIELD_FILE: field_table(laid.fields[laid.worst], laid.worst, thickness_mm),
-    }
+    field = field_table(laid.fields[laid.worst], laid.worst, thickness_mm)
+    return {"deposit.csv": laid.layers, FIELD_FILE: field}
 
 
 def sums_of(tables: Mapping[str, Any]) -> dict[str, Any]:

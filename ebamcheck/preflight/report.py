@@ -1,7 +1,6 @@
 """The preflight of a job: part, layer height, heights and all checks, made once and handed on.
 
-A level face within a layer moves to one of its borders, so that metal is added or lacks there: a layer height of which the height of the face
-is a whole number leaves it where it is.
+A level face within a layer moves to one of its borders, so that metal is added or lacks there, unless the layer height divides its height.
 """
 
 from __future__ import annotations
@@ -45,11 +44,8 @@ class Preflight:
 
     def as_dict(self) -> dict[str, Any]:
         """All checks and the estimate, for JSON."""
-        return {
-            "passed": self.passed,
-            "checks": [preflight_record(check) for check in self.checks],
-            "work": asdict(self.work),
-        }
+        checks = [preflight_record(check) for check in self.checks]
+        return {"passed": self.passed, "checks": checks, "work": asdict(self.work)}
 
     def stop(self, job: str) -> None:
         """Refuse a job that cannot come to a good end: the SettingsError tells the first fault that stops it, how many more there are, and what to do."""
@@ -57,9 +53,8 @@ class Preflight:
         if not faults:
             return
         first, more = faults[0], f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise SettingsError(
-            f"preflight: {first.name}: {first.text}{more}: {first.remedy}; `ebamcheck preflight` shows all"
-        )
+        said = f"{first.name}: {first.text}{more}: {first.remedy}"
+        raise SettingsError(f"preflight: {said}; `ebamcheck preflight` shows all")
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +73,8 @@ class Ready:
 
 
 def ready(path: str | Path, config: Config, job: str = RUN, yes: bool = False) -> Ready:
-    """Read and place a part, and look at all that can be known before it is sliced.
-
-    `path` is a mesh file or ``plate.toml``, `job` is ``run`` or ``check``; with `yes` more work than the settings allow is a warning.
+    """Read and place a part (a mesh file, or ``plate.toml``), and look at all that can be known before it is sliced for a ``run`` or a ``check``; with
+    `yes` more work than the settings allow is a warning.
     """
     part, turned = read_part(path, config.part)
     found = inspect(part)
@@ -165,10 +159,7 @@ class ChosenHeight(NamedTuple):
 
 
 def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
-    """Settings of a run with a layer height that fits the part, where they leave it open: layer height, listed heights or a base are kept.
-
-    Of a mesh that is not `sound`, and so encloses no volume, nothing is known.
-    """
+    """Settings of a run with a layer height that fits the part, where they leave it open; of a mesh that is not `sound`, nothing is known."""
     bead_mm, limit = config.layer_height_mm, config.process.mass_tolerance
     if config.layers.layer_height_mm is not None or config.layers.heights_mm or config.base_mm > 0.0:
         return _kept(config, f"{bead_mm:g} mm, as set" if not config.layers.heights_mm else "as listed")
@@ -185,9 +176,8 @@ def chosen_height(part: Part, sound: bool, config: Config) -> ChosenHeight:
             "leave as much out: level faces of the part lie within layers"
         )
         remedy = "list the layers (layers.heights_mm), or move the faces"
-        return ChosenHeight(
-            config, Check.preflight(NAME, "warning", text, share, limit, "of the part", remedy), False
-        )
+        check = Check.preflight(NAME, "warning", text, share, limit, "of the part", remedy)
+        return ChosenHeight(config, check, False)
     text = (
         f"layers of {found.height_mm:g} mm in place of a bead's {bead_mm:g} mm, which would be off by {100.0 * share:.2f} % of the "
         f"solid's metal, since level faces lie within such layers; these are off by {100.0 * found.share:.2f} %"

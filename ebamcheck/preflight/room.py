@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 # Where in a zone a point is looked at, beside its middle, in shares of its extents: powers of the plastic number
 OFF_MIDDLE = (0.7548776662e-5, 0.5698402910e-5)
-
 ROUNDING_MM = 1e-6  # placed boxes are rounded to about this
 
 
@@ -60,9 +59,9 @@ def _travel(part: Part, config: Config, layers_mm: float) -> Iterator[Check]:
         if over <= ROUNDING_MM:
             yield Check.preflight(name, "pass", span, float(greatest), limit_high, "mm")
             continue
-        which, figure, limit = (
-            ("travel_max_mm", greatest, limit_high) if above > below else ("travel_min_mm", least, limit_low)
-        )
+        which, figure, limit = "travel_max_mm", greatest, limit_high
+        if above <= below:
+            which, figure, limit = "travel_min_mm", least, limit_low
         remedy = _room_remedy(axis, greatest - least, limit_high - limit_low, config)
         text = f"{span}: {over:.6g} mm beyond machine.{which}"
         yield Check.preflight(name, "fault", text, float(figure), limit, "mm", remedy, (RUN,))
@@ -73,9 +72,7 @@ def _room_remedy(axis: str, needed_mm: float, there_mm: float, config: Config) -
     if axis == "Z":
         return "lay it down (--direction), or check the unit of the file (--units)"
     if needed_mm <= there_mm:
-        x, y = (
-            0.5 * (a + b) for a, b in zip(machine.travel_min_mm[:2], machine.travel_max_mm[:2], strict=True)
-        )
+        x, y, _ = (0.5 * (a + b) for a, b in zip(machine.travel_min_mm, machine.travel_max_mm, strict=True))
         return f"place it, such as in the middle of the travel: --place {x:g},{y:g} (part.place_at_mm)"
     return "turn it (--rotate, --direction), or check the unit of the file (--units)"
 
@@ -117,31 +114,23 @@ def enters(part: Part, zone: KeepOut, outline: BaseGeometry) -> bool:
 
     corners: Floats = part.triangles
     z = corners[:, :, 2] - float(part.bounds[0, 2])
-    near = _box_meets(corners, outline)
+    x0, y0, x1, y1 = outline.bounds
+    (left, low), (right, high) = corners[:, :, :2].min(axis=1).T, corners[:, :, :2].max(axis=1).T
+    near: Bools = (left <= x1) & (right >= x0) & (low <= y1) & (high >= y0)
     there = near & (z.min(axis=1) < zone.z_mm[1]) & (z.max(axis=1) > zone.z_mm[0])
     if there.any():
         shapely.prepare(outline)
-        shadows = shapely.convex_hull(
-            shapely.multipoints(
-                corners[there, :, :2].reshape(-1, 2), indices=np.repeat(np.arange(there.sum()), 3)
-            )
-        )
-        if bool(shapely.intersects(outline, shadows).any()):
+        facet = np.repeat(np.arange(there.sum()), 3)
+        corners_of = shapely.multipoints(corners[there, :, :2].reshape(-1, 2), indices=facet)
+        if bool(shapely.intersects(outline, shapely.convex_hull(corners_of)).any()):
             return True
     # No facet in the zone: it is wholly within the metal, or wholly outside of it.
-    middle, (x0, y0, x1, y1) = shapely.point_on_surface(outline), outline.bounds
+    middle = shapely.point_on_surface(outline)
     # Off the middle by shares that no drawing has: on the edge of two facets neither would count.
     x, y = float(middle.x) + OFF_MIDDLE[0] * (x1 - x0), float(middle.y) + OFF_MIDDLE[1] * (y1 - y0)
     point = np.array([[x, y, max(zone.z_mm[0], 0.0) + float(part.bounds[0, 2])]])
     facets = np.flatnonzero(near)
     return bool(windings(point, corners, np.zeros(facets.size, np.int64), facets)[0] > 0)
-
-
-def _box_meets(corners: Floats, outline: BaseGeometry) -> Bools:
-    x0, y0, x1, y1 = outline.bounds
-    low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
-    found: Bools = (low[:, 0] <= x1) & (high[:, 0] >= x0) & (low[:, 1] <= y1) & (high[:, 1] >= y0)
-    return found
 
 
 # -- settings that cannot work together ------------------------------------------------------------
@@ -153,9 +142,8 @@ def sense_checks(config: Config) -> Iterator[Check]:
     """Check layer height, wire and energy against the process window, and what else excludes itself."""
     window = [replace(found, name="process window", stops=(RUN,)) for found in outside_window(config)]
     layer, bead = config.layer_height_mm, config.process.bead_height_mm
-    said = (
-        f"layers of {layer:.4g} mm, {layer / bead:.3g} of the height of one bead; within the process window"
-    )
+    of_bead = f"{layer / bead:.3g} of the height of one bead"
+    said = f"layers of {layer:.4g} mm, {of_bead}; within the process window"
     yield from window or [Check.preflight("process window", "pass", said, layer / bead, None, "of the bead")]
     yield from (replace(found, name="layer height") for found in unusual_layers(config))
     yield _control(config)
@@ -227,9 +215,7 @@ def _temperatures(config: Config) -> Iterator[Check]:
 # -- the unit of the file --------------------------------------------------------------------------
 
 FEW_BEADS = 3.0  # a part of fewer beads than this in its greatest extent is no part of this process, or its unit is another
-
 INCH_MM = UNITS_MM["in"]
-
 INCH_PARTS = 16  # extents in drawings in inches are whole sixteenths
 ROUND_MM = 0.5  # extents in mm are mostly whole halves; of sixteenths of an inch hardly one is
 MOST_BODIES = 8  # bodies that are told one by one
@@ -238,16 +224,14 @@ ROUNDING = 2e-6  # of an extent: coordinates of single precision on both sides o
 
 def suspicions(found: Inspection, config: Config) -> Iterator[Check]:
     """What the size of the part and its file say of its unit."""
+    remedy = "look at the file and its unit"
     for note in found.notes:
-        yield Check.finding(
-            "warning", "mesh-oddity", note, found.name, remedy="look at the file and its unit"
-        )
+        yield Check.finding("warning", "mesh-oddity", note, found.name, remedy=remedy)
     largest, few_mm = max(found.size_mm), FEW_BEADS * config.process.bead_width_mm
     size = sizes(found.size_mm)
     if largest < few_mm:
-        text = (
-            f"the part is {size} mm, read as {found.units}: its largest extent is under {FEW_BEADS:g} beads"
-        )
+        read = f"the part is {size} mm, read as {found.units}"
+        text = f"{read}: its largest extent is under {FEW_BEADS:g} beads"
         remedy = f"check the unit of the file (--units){_in_other_units(found, config)}"
         yield Check.finding("warning", "part-under-beads", text, "part.units", largest, few_mm, "mm", remedy)
     # Of a file in inches that is what one expects.
@@ -263,12 +247,9 @@ def of_bodies(found: Inspection) -> Iterator[Check]:
     """How the bodies of a part lie to each other, and what is made of them."""
     lost = [relation for relation in found.relations if relation.lost]
     for relation in lost[:MOST_BODIES]:
-        code = "body-doubled" if relation.kind == "doubled" else "body-in-body"
-        remedy = (
-            "delete one of the two in the model"
-            if relation.kind == "doubled"
-            else "turn its facets over in the model if it is a cavity, else delete it"
-        )
+        code, remedy = "body-in-body", "turn its facets over in the model if it is a cavity, else delete it"
+        if relation.kind == "doubled":
+            code, remedy = "body-doubled", "delete one of the two in the model"
         yield Check.finding("warning", code, relation.text, f"body {relation.body}", remedy=remedy)
     if len(lost) > MOST_BODIES:
         more = f"{len(lost) - MOST_BODIES} or more further bodies lie in others of the same sense, or are doubled"
@@ -317,10 +298,6 @@ def _beyond_travel(found: Inspection, config: Config) -> Iterator[Check]:
     ):
         if extent > high - low:
             text = f"the part is {extent:.6g} mm along {axis}, read as {found.units}; the axis travels {high - low:g} mm"
-            place, remedy = (
-                f"machine.travel_max_mm {axis}",
-                "check the unit of the file (--units), or turn the part",
-            )
-            yield Check.finding(
-                "warning", "part-beyond-travel", text, place, extent, high - low, "mm", remedy
-            )
+            measured = f"machine.travel_max_mm {axis}", extent, high - low, "mm"
+            remedy = "check the unit of the file (--units), or turn the part"
+            yield Check.finding("warning", "part-beyond-travel", text, *measured, remedy)

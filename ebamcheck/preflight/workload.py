@@ -1,7 +1,6 @@
 """How much work a job will be, whole or in slabs, worked out from the mesh and the settings in a fraction of a second.
 
-Layers and points are counted; islands follow from area and outline of the mean layer; time and memory are those of the
-parts that were measured, on a core of 2020s make, and right within a factor of three or so.
+Time and memory are those of the parts that were measured, on a core of 2020s make, and right within a factor of three or so.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +22,7 @@ from ebamcheck.result import Check, Level
 from ebamcheck.settings.config import Config
 
 RUN, CHECK = "run", "check"  # jobs: all the way to a program, or slicing and comparison alone
-
 EVERY = (RUN, CHECK)
-
 HOUSE_SLICERS = 4  # slicers of the house, which a job runs where the settings name none
 START_S = 6.0  # start of the interpreter and of the slicers' processes
 SLICE_S, COMPARE_S, FIT_S = 3e-6, 8e-6, 3e-5  # time a point and method, a point and pair, and a point
@@ -35,9 +32,7 @@ BEAD_S = 1.4e-4  # time a millimetre of bead of writing, reading back and laying
 BASE_MB, METHOD_MB, FACET_MB, POINT_MB = 450.0, 250.0, 4e-4, 1e-4
 # Islands of an ordinary layer, and fewest and most beads across one (`ebamcheck.scan.islands.lattice`)
 ZONES, BEADS_ACROSS = 60, (4, 12)
-
 CUT = 0.3  # islands that the border cuts off, over those that fit along it
-
 SQRT3 = math.sqrt(3.0)
 
 
@@ -56,22 +51,23 @@ class Workload:
 def workload(part: Part, heights: Floats, config: Config, job: str) -> Workload:
     """Estimate what a job of a part makes and takes."""
     points = int(crossing_counts(part, heights).sum())
-    named = len({*config.slicing.backends, *config.slicing.witnesses})
-    methods = named if config.slicing.backends else HOUSE_SLICERS + named
-    side_by_side = min(methods, config.slicing.processes or os.cpu_count() or 1)
-    pairs = methods * (methods - 1) / 2
-    at_once = min(points, config.slicing.block_points)
-    time_s = START_S + points * (SLICE_S * methods + COMPARE_S * pairs)
-    memory_mb = (
-        BASE_MB + side_by_side * (METHOD_MB + FACET_MB * len(part.faces)) + POINT_MB * at_once * methods
-    )
-    islands, bead_mm = 0, 0.0
-    if job == RUN:
-        area, border = mean_section(part)
-        islands = round(len(heights) * islands_of_layer(area, border, config))
-        bead_mm = len(heights) * (area / config.process.hatch_spacing_mm + border)
-        time_s += FIT_S * points + ISLAND_S * islands + BEAD_S * bead_mm
-    return Workload(len(heights), points, islands, bead_mm, time_s, memory_mb)
+    work = _of_slicing(len(heights), points, len(part.faces), config)
+    if job != RUN:
+        return work
+    area, border = mean_section(part)
+    islands = round(len(heights) * islands_of_layer(area, border, config))
+    bead_mm = len(heights) * (area / config.process.hatch_spacing_mm + border)
+    time_s = work.time_s + FIT_S * points + ISLAND_S * islands + BEAD_S * bead_mm
+    return replace(work, islands=islands, bead_mm=bead_mm, time_s=time_s)
+
+
+def _of_slicing(layers: int, points: int, facets: int, config: Config, slabs: int = 1) -> Workload:
+    """What slicing and comparison take, with all facets of a mesh, or of the largest of some slabs, in memory."""
+    methods, at_once = _methods(config), min(points, config.slicing.block_points)
+    time_s = START_S * slabs + points * (SLICE_S * methods + COMPARE_S * methods * (methods - 1) / 2)
+    each_mb = METHOD_MB + FACET_MB * facets
+    memory_mb = BASE_MB + _side_by_side(config) * each_mb + POINT_MB * at_once * methods
+    return Workload(layers, points, 0, 0.0, time_s, memory_mb)
 
 
 def mean_section(part: Part) -> tuple[float, float]:
@@ -139,9 +135,8 @@ def work_checks(work: Workload, config: Config, yes: bool) -> Iterator[Check]:
 
 def refuse_work(part: Part, heights: Floats, config: Config, yes: bool) -> None:
     """Refuse to slice a part with one slicer where that is more work than the settings allow; the message names figure, limit and setting."""
-    one = config.model_copy(
-        update={"slicing": config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})}
-    )
+    alone = config.slicing.model_copy(update={"backends": ("",), "witnesses": ()})
+    one = config.model_copy(update={"slicing": alone})
     for check in work_checks(workload(part, heights, one, CHECK), config, yes):
         if check.level == "fault":
             raise SettingsError(f"{check.text}: {check.remedy}")
@@ -154,10 +149,9 @@ def _amount(figure: float, unit: str) -> str:
     ('1,234,567', '1.5 hours', '1.6 minutes', '2.3 GB')
     """
     if unit == "s":
-        scale, name = (
-            (3600.0, "hours") if figure >= 3600.0 else (60.0, "minutes") if figure >= 60.0 else (1.0, "s")
-        )
-        return f"{figure / scale:.2g} {name}"
+        scales = ((3600.0, "hours"), (60.0, "minutes"), (-math.inf, "s"))
+        scale, name = next((least, name) for least, name in scales if figure >= least)
+        return f"{figure / max(scale, 1.0):.2g} {name}"
     if unit == "MB":
         return f"{figure * 1e-3:.2g} GB" if figure >= 1000.0 else f"{figure:.0f} MB"
     return f"{figure:,.0f}"
@@ -195,24 +189,9 @@ def wanted_slabs(path: Path, config: Config) -> int:
 def slab_workload(
     facets: int, most_facets: int, layers: int, points: int, slabs: int, config: Config
 ) -> Workload:
-    """Estimate what a check in slabs makes and takes.
-
-    `facets` and `most_facets` are those of the file and of its largest slab, `points` those of one exact contour of all layers.
-    """
-    methods = _methods(config)
-    at_once = min(points, config.slicing.block_points)
-    return Workload(
-        layers=layers,
-        points=points,
-        islands=0,
-        bead_mm=0.0,
-        time_s=START_S * slabs + points * (SLICE_S * methods + COMPARE_S * methods * (methods - 1) / 2),
-        memory_mb=BASE_MB
-        + COLUMNS_MB * facets
-        + FACET_MB * most_facets
-        + _side_by_side(config) * (METHOD_MB + FACET_MB * most_facets)
-        + POINT_MB * at_once * methods,
-    )
+    """Estimate what a check in slabs makes and takes, of a file and its largest slab of so many facets, and points of one exact contour of all layers."""
+    work = _of_slicing(layers, points, most_facets, config, slabs)
+    return replace(work, memory_mb=work.memory_mb + COLUMNS_MB * facets + FACET_MB * most_facets)
 
 
 def _methods(config: Config) -> int:

@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from ebamcheck.result import Check as Check
     from ebamcheck.writing.posts import write_program as write_program
 
-__all__ = [
-    "Check",
-    "NCProgram",
-    "ProgramFiles",
-    "mark_validated",
-    "program_summary",
-    "read_program",
-    "verify_file",
-    "verify_program",
-    "write_program",
-]
 # Names and where they live; they load when first used: who asks what a control is waits for no planning and no check.
 _HOMES = {
     "Check": "result",
@@ -40,4 +29,5 @@ _HOMES = {
     "verify_program": "program.verification",
     "write_program": "writing.posts",
 }
+__all__ = [*_HOMES]
 __getattr__ = on_demand("ebamcheck", _HOMES)

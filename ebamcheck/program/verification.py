@@ -2,24 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.header_checks import Truth
-from ebamcheck.checks.matching import Matching, matched
-from ebamcheck.checks.metal import Deposit
+from ebamcheck.checks.matching import matched
 from ebamcheck.checks.rules import checks_on
 from ebamcheck.checks.state_checks import far_away
 from ebamcheck.checks.subject import Subject
 from ebamcheck.errors import InputError
-from ebamcheck.heat.balance import HeatColumn
-from ebamcheck.layers.stack import Layers
-from ebamcheck.mesh.part import Part
-from ebamcheck.nc.inputs import CurveColumns, ScanColumns
 from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.reader import read_program
 from ebamcheck.result import Check
@@ -31,63 +24,34 @@ def verify_program(
     nc: NCProgram,
     *,
     config: Config,
-    curves: CurveColumns | None = None,
-    plan: ScanColumns | None = None,
-    match: Matching | None = None,
-    part: Part | None = None,
-    layers: Layers | None = None,
-    smooth: Layers | None = None,
+    heights: ArrayLike | None = None,
     beads: bool = False,
     metal: bool = False,
-    laid: Callable[[], Deposit] | None = None,
     heat: bool = False,
-    before: HeatColumn | None = None,
-    under: BaseGeometry | None = None,
-    heights: ArrayLike | None = None,
-    sha256: Mapping[str, str] | None = None,
-    truth: Truth | None = None,
+    **known: Any,
 ) -> list[Check]:
-    """Check a program that was read; every check is made that its inputs allow, in a fixed order.
+    """Check a program that was read; every check is made that its inputs allow, in a fixed order; one that fails names the first or worst line.
 
-    `curves` and `plan` are what it was made from, and `match` says which bead follows which track of both. `layers` are sections
-    by a slicer, best by one that did not make the program, and `smooth` the same with the curves that their chords stand for.
-    `beads` judges the beads themselves; `metal` lays the metal over the `layers`, or takes it from `laid`, and `part` has them held
-    against its mesh and file; `heat` works out a balance, from the heat `before` and the section `under` the program. `heights`
-    (L,) are those of the cuts, `sha256` the recorded hash of each file, `truth` what its header is held against. A check that
-    fails names the file and line of the first or worst place.
+    `heights` (L,) are those of the cuts, and `known` is what a :class:`~ebamcheck.checks.subject.Subject` may know, None where it is not known. `beads`
+    judges the beads themselves; `metal` lays the metal over the `layers`, or takes it from `laid`, and a `part` has them held against its mesh and file;
+    `heat` works out a balance, from the heat `before` and the section `under` the program.
     """
-    if match is None and curves is not None and plan is not None:
-        nc, match = matched(nc, planned_path(curves, plan, config))
-    asked = {"beads": beads, "metal": metal, "heat": heat}
-    subject = Subject(
-        nc,
-        config,
-        curves=curves,
-        plan=plan,
-        match=match,
-        part=part,
-        layers=layers,
-        smooth=smooth,
-        cuts=None if heights is None else np.asarray(heights, np.float64),
-        before=before,
-        under=under,
-        sha256=sha256,
-        truth=truth or Truth(),
-        laid=laid,
-        asked=frozenset(name for name, wanted in asked.items() if wanted),
-    )
-    return checks_on(subject)
+    curves, plan = known.get("curves"), known.get("plan")
+    if known.get("match") is None and curves is not None and plan is not None:
+        nc, known["match"] = matched(nc, planned_path(curves, plan, config))
+    wanted = {"beads": beads, "metal": metal, "heat": heat}
+    asked = frozenset(name for name, is_wanted in wanted.items() if is_wanted)
+    known = {name: value for name, value in known.items() if value is not None}
+    cuts = None if heights is None else np.asarray(heights, np.float64)
+    return checks_on(Subject(nc, config, cuts=cuts, asked=asked, **known))
 
 
-def verify_file(path: str | Path, *, config: Config, **given: object) -> list[Check]:
-    """Read and check a program; one that cannot be read is a failed check named ``readable``.
-
-    Takes what :func:`verify_program` takes, and the same `path` as :func:`read_program`.
-    """
+def verify_file(path: str | Path, *, config: Config, **given: Any) -> list[Check]:
+    """Read and check a program, with what :func:`verify_program` takes; one that cannot be read is a failed check named ``readable``."""
     nc, readable = read_checked(path, config)
     if nc is None:
         return [readable]
-    return [readable, *verify_program(nc, config=config, **given)]  # type: ignore[arg-type]
+    return [readable, *verify_program(nc, config=config, **given)]
 
 
 def read_checked(path: str | Path, config: Config) -> tuple[NCProgram | None, Check]:

@@ -1,8 +1,6 @@
-"""The certificate of a run: what was made from what, by what, how well, and who releases it.
+"""The certificate of a run: what was made from what, by what, how well, and who releases it; made last, beside the record.
 
-It stands beside the record of the run, and is made last. A seal over all of it tells whether it is whole, its list of
-files whether the run is; signatures beside it (:mod:`ebamcheck.record.signing`) tell who stands for it. What it says
-of the part and the program is believed by nobody: :func:`ebamcheck.verify` works it out again.
+Its seal tells whether it is whole, its list of files whether the run is, signatures who stands for it. :func:`ebamcheck.verify` believes none of it.
 """
 
 from __future__ import annotations
@@ -29,7 +27,6 @@ from ebamcheck.result import SEVERITIES
 from ebamcheck.settings.config import Config, validated
 
 CERTIFICATE = "certificate.json"
-
 PROFILE = ("machine", "process", "material", "kinematics")  # sections of machine and process
 
 # What a person adds when the run is released (`ebamcheck sign`), and its empty values. The seal covers it
@@ -58,20 +55,14 @@ NOT_PROVED = (
 
 
 def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """What the record of a run says of it, as its certificate holds it; without files, release and seal.
-
-    `made` is the software that made it, as an earlier certificate tells; None: that of this process.
-    """
+    """What the record of a run says of it, as its certificate holds it, without files, release and seal; `made` is the software that made it."""
     config = validated(manifest["settings"], "run.json: settings")
     program = manifest.get("program") or {"files": [], "validated": False, "checks": []}
+    part, machine = manifest["part"], config.machine
     fields = {
         "format": CERTIFICATE_FORMAT,
         "finished": manifest["timings"]["finished"],
-        "part": {
-            key: manifest["part"][key]
-            for key in (*OF_PART, *PLACED)
-            if key in manifest["part"] or key not in PLACED
-        },
+        "part": {key: part[key] for key in (*OF_PART, *PLACED) if key in part or key not in PLACED},
         "heights": manifest["heights"],
         "settings_sha256": manifest["settings_sha256"],
         "profile_sha256": profile_sha256(manifest["settings"]),
@@ -80,13 +71,10 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
         "primary": manifest["primary"],
         "witness": program.get("witness", ""),
         "software": software(manifest) if made is None else made,
-        "control": config.machine.control,
-        "curve_form": config.machine.curve_form,
+        "control": machine.control,
+        "curve_form": machine.curve_form,
         "spline_convention": _convention(config),
-        "smoothing": {
-            "words": list(config.machine.smoothing),
-            "tolerance_mm": config.machine.smoothing_tolerance_mm,
-        },
+        "smoothing": {"words": list(machine.smoothing), "tolerance_mm": machine.smoothing_tolerance_mm},
         "gates": manifest["gates"],
         "checks": program.get("checks", []),
         "validated": bool(program["validated"]),
@@ -101,25 +89,17 @@ def certificate(manifest: Mapping[str, Any], made: Mapping[str, Any] | None = No
 
 
 def write_certificate(run: RunFolder, release: Mapping[str, Any] | None = None) -> Path:
-    """Write the certificate of a run beside its record; every other file of the run must be there and final.
-
-    `release` has values in place of those of :data:`RELEASE`.
-    """
-    found = {
-        **certificate(run.manifest()),
-        "release": {**RELEASE, **(release or {})},
-        "files": file_hashes(run.path),
-    }
-    return write_sealed(run.path / CERTIFICATE, found)
+    """Write the certificate of a run beside its record, with what `release` says; every other file of the run must be there and final."""
+    said = {"release": {**RELEASE, **(release or {})}, "files": file_hashes(run.path)}
+    return write_sealed(run.path / CERTIFICATE, {**certificate(run.manifest()), **said})
 
 
 def released(path: Path, release: Mapping[str, Any]) -> Path:
     """Write what a person adds into a certificate, and seal it anew; a broken seal, or a signature that would no longer hold, is refused."""
     found = read_certificate(path)
     if not is_sealed(path, found):
-        raise InputError(
-            f"{path}: its seal is broken: it was changed since it was written, and is not to be signed"
-        )
+        why = "it was changed since it was written, and is not to be signed"
+        raise InputError(f"{path}: its seal is broken: {why}")
     after = {**found["release"], **release}
     if after == found["release"]:
         return path
@@ -156,9 +136,8 @@ def file_names(folder: Path) -> list[str]:
     """Relative names of the files that a certificate lists: of all that stands there and is no folder."""
     found = (path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir())
     names = (path.relative_to(folder).as_posix() for path in found)
-    return sorted(
-        n for n in names if n not in (CERTIFICATE, "fingerprint") and not n.startswith(f"{SIGNATURES}/")
-    )
+    own = CERTIFICATE, "fingerprint"
+    return sorted(n for n in names if n not in own and not n.startswith(f"{SIGNATURES}/"))
 
 
 def profile_sha256(settings: Mapping[str, Any]) -> str:
@@ -207,11 +186,9 @@ def lots_of(assignments: Sequence[str]) -> dict[str, str]:
 
 def _convention(config: Config) -> str:
     shift = config.machine.bspline_shift
-    return (
-        "PL: even intervals"
-        if shift == "uniform"
-        else f"PL of block i carries U[i+{shift}] - U[i+{shift - 1}]"
-    )
+    if shift == "uniform":
+        return "PL: even intervals"
+    return f"PL of block i carries U[i+{shift}] - U[i+{shift - 1}]"
 
 
 # What each gate proves where it has passed, and what is not proved where it is shut; of another one its own text says it
@@ -249,18 +226,14 @@ class Statement:
 
 
 def statement(manifest: Mapping[str, Any]) -> Statement:
-    """Statement of a run from its record; one of an earlier version has no findings.
-
-    What comes after a validated program (codes, dry run, approval) is said of no other one.
-    """
+    """Statement of a run from its record; what comes after a validated program (codes, dry run, approval) is said of no other one."""
     gates, found = manifest["gates"], manifest.get("findings", [])
-    unproved, proved = (
-        tuple(PROVED.get(gate["name"], gate["text"]) for gate in gates if gate["passed"] is passed)
-        for passed in (False, True)
-    )
+    said = [(gate["passed"], PROVED.get(gate["name"], gate["text"])) for gate in gates]
+    unproved, proved = (tuple(text for passed, text in said if passed is which) for which in (False, True))
     shut = [str(gate["name"]) for gate in gates if not gate["passed"]]
     left = [f"to open the gate{'s' if len(shut) > 1 else ''} {', '.join(shut)}"] if shut else []
-    left += [_looked_at(found)] if found else []
+    grave = [finding for finding in found if finding["severity"] != "note"]
+    left += [f"a look at {counted(grave)}"] if grave else []
     if manifest.get("program") and manifest["exit_code"] == 0:
         codes = any(finding["code"] == "placeholder-codes" for finding in found)
         left += [*([CODES_OF_THE_MAKER] if codes else []), _consumables(manifest), DRY_RUN, APPROVAL]
@@ -287,16 +260,10 @@ def counted(findings: list[Mapping[str, Any]]) -> str:
     return ", ".join(f"{n} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n)
 
 
-def _looked_at(findings: list[Mapping[str, Any]]) -> str:
-    grave = [finding for finding in findings if finding["severity"] != "note"]
-    return f"a look at {counted(grave)}" if grave else ""
-
-
 # -- what a run was made with ----------------------------------------------------------------------
 
 GIT_TIMEOUT_S = 10.0  # a checkout that git cannot look through in this time has an unknown state
 UNKNOWN = "unknown"
-
 _NAME = re.compile(r"[A-Za-z0-9._-]+")
 
 
@@ -319,10 +286,7 @@ def software(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 @functools.cache
 def source_state() -> dict[str, str]:
-    """Commit of the checkout that this package is run from, whether it differs from it, and the hash of its files.
-
-    An installed package has no commit; its files have a hash all the same.
-    """
+    """Commit of the checkout that this package is run from (none: it is installed), whether it differs from it, and the hash of its files."""
     root = Path(ebamcheck.__file__).resolve().parent.parent
     return {"commit": commit(), "dirty": _dirty(root), "sha256": source_sha256()}
 
@@ -341,8 +305,7 @@ def source_sha256() -> str:
 
 def commit() -> str:
     """Commit of the checkout that this package is run from; empty for an installed one."""
-    found = _git(Path(ebamcheck.__file__).resolve().parent.parent, "rev-parse", "HEAD")
-    return (found or "").strip()
+    return (_git(Path(ebamcheck.__file__).resolve().parent.parent, "rev-parse", "HEAD") or "").strip()
 
 
 @functools.cache
@@ -360,14 +323,10 @@ def dependencies() -> Mapping[str, str]:
         if key in found:
             continue
         found[key] = distribution.version
-        waiting += [_required(line) for line in distribution.requires or () if "extra ==" not in line]
+        needed = (_NAME.match(line) for line in distribution.requires or () if "extra ==" not in line)
+        waiting += [name[0] for name in needed if name]
     found.pop("ebamcheck", None)
     return dict(sorted(found.items()))
-
-
-def _required(line: str) -> str:
-    name = _NAME.match(line)
-    return name[0] if name else ""
 
 
 def _dirty(root: Path) -> str:

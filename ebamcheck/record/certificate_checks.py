@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os.path import lexists, realpath
 from pathlib import Path
@@ -12,23 +12,15 @@ from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.json_values import plain, sha256_of_file, sha256_of_json
 from ebamcheck.mesh.part_source import source_sha256
 from ebamcheck.printable import printable
-from ebamcheck.record.certificate import (
-    CERTIFICATE,
-    certificate,
-    file_names,
-    is_sealed,
-    profile_sha256,
-    read_certificate,
-)
+from ebamcheck.record import certificate as of_run
+from ebamcheck.record.certificate import CERTIFICATE, read_certificate
 from ebamcheck.record.run_folder import RunFolder, own_file
 from ebamcheck.record.signing import signature_check
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 HARMLESS = (".DS_Store", "Thumbs.db", ".directory")  # left by file managers: no stage reads them
-
 OF_THE_RECORD = ("program", "entry", "live", "layers")  # every file in the record of the run
-
 OF_PEOPLE = ("release", "files", "seal", "software")  # fields that do not follow from the record of the run
 
 
@@ -41,13 +33,9 @@ def run_certificate_checks(
         missing = ["the run has no certificate: it was removed, or the run is of an earlier version"]
         return [] if manifest.get("job") == "check" else [_faults("certificate", missing)]
     found = read_certificate(path)
-    wanted = certificate(manifest, found.get("software", {}))
-    names = sorted({*wanted, *found} - set(OF_PEOPLE))
-    differ = [
-        f"{name} is not what the record of the run says"
-        for name in names
-        if found.get(name) != wanted.get(name)
-    ]
+    wanted = of_run.certificate(manifest, found.get("software", {}))
+    names = [n for n in sorted({*wanted, *found} - set(OF_PEOPLE)) if found.get(n) != wanted.get(n)]
+    differ = [f"{name} is not what the record of the run says" for name in names]
     return [
         _sealed(path, found),
         _faults("certificate", differ),
@@ -65,26 +53,19 @@ def refuse_unfit(run: RunFolder) -> None:
     checks += told_once([file_check(run.path / name, name, h) for name, h in manifest["files"].items()])
     for check in checks:
         if not check.passed:
-            raise InputError(
-                f"{run.path}: is not what its certificate says, and is not to be signed: {check.in_words()}"
-            )
+            why = f"and is not to be signed: {check.in_words()}"
+            raise InputError(f"{run.path}: is not what its certificate says, {why}")
 
 
 def _files(run: RunFolder, listed: Mapping[str, str], recorded: Mapping[str, str]) -> list[Check]:
-    """Check every file of the run by the hashes of the certificate; none is missing, none was added.
-
-    Those that the record lists with the same hash are checked by it.
-    """
+    """Check every file of the run by the hashes of the certificate, but for those that the record lists with the same hash; none is missing or added."""
     alone = {name: sha256 for name, sha256 in listed.items() if recorded.get(name) != sha256}
     checks = [file_check(run.path / name, name, sha256) for name, sha256 in alone.items()]
-    unknown = [name for name in file_names(run.path) if name not in listed]
+    unknown = [name for name in of_run.file_names(run.path) if name not in listed]
     ignored = [name for name in unknown if name.rpartition("/")[2] in HARMLESS]
     added = dict.fromkeys(set(unknown) - set(ignored), "the certificate does not know this file")
-    added |= {
-        name: "the record does not know this file"
-        for name in set(listed) - set(recorded)
-        if name.partition("/")[0] in OF_THE_RECORD
-    }
+    strange = {name for name in listed if name.partition("/")[0] in OF_THE_RECORD} - set(recorded)
+    added |= dict.fromkeys(strange, "the record does not know this file")
     checks += [Check.fault("file unchanged", printable(name), text) for name, text in sorted(added.items())]
     return told_once(checks, ignored)
 
@@ -95,21 +76,20 @@ def certificate_checks(
     """Check part, settings, profile and every program by the hashes of a certificate."""
     found = read_certificate(path)
     folder = program if program.is_dir() else program.parent
-    profile = profile_sha256(plain(config.model_dump()))
+    settings = config.model_dump()
     checks = [
         _sealed(path, found),
         hash_check("part unchanged", part_hash(part), found["part"]["sha256"], part.name),
+        hash_check("settings unchanged", sha256_of_json(settings), found["settings_sha256"], "settings"),
         hash_check(
-            "settings unchanged", sha256_of_json(config.model_dump()), found["settings_sha256"], "settings"
+            "profile unchanged", of_run.profile_sha256(plain(settings)), found["profile_sha256"], "settings"
         ),
-        hash_check("profile unchanged", profile, found["profile_sha256"], "settings"),
     ]
-    programs = [
-        hash_check(
-            "program unchanged", _hash_or_missing(folder / file["name"]), file["sha256"], f"{file['name']}:1"
-        )
-        for file in found["programs"]
-    ]
+    programs = []
+    for file in found["programs"]:
+        name, place = str(file["name"]), folder / file["name"]
+        sha256 = sha256_of_file(place) if place.is_file() else "missing"
+        programs.append(hash_check("program unchanged", sha256, file["sha256"], f"{name}:1"))
     return [*checks, *told_once(programs), signature_check(path, trusted)]
 
 
@@ -132,40 +112,27 @@ def file_check(path: Path, name: str, recorded: str) -> Check:
     if not path.is_file():
         text = "is no regular file" if lexists(path) else "the file is missing"
         return Check.fault("file unchanged", name, text)
-    return hash_check("file unchanged", file_hash(path), recorded, name)
+    return hash_check("file unchanged", part_hash(path, sha256_of_file), recorded, name)
 
 
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file; raises :class:`InputError` where it cannot be read."""
-    try:
-        return sha256_of_file(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-
-
-def part_hash(path: Path) -> str:
+def part_hash(path: Path, sha256_of: Callable[[Path], str] = source_sha256) -> str:
     """SHA-256 of a part's file, or of a plate and all of its parts; raises :class:`InputError` for what cannot be read."""
     try:
-        return source_sha256(path)
+        return sha256_of(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def hash_check(name: str, found: str, recorded: str, where: str) -> Check:
     """Check that a hash is the recorded one."""
-    same = found == recorded
-    text = f"SHA-256 {recorded[:16]}..."
-    if not same:
-        text = f"SHA-256 is {found[:16]}..., recorded is {recorded[:16]}..."
-    return Check(name, same, float(not same), 0.0, "faults", where, text)
-
-
-def _hash_or_missing(path: Path) -> str:
-    return sha256_of_file(path) if path.is_file() else "missing"
+    if found == recorded:
+        return Check(name, True, 0.0, 0.0, "faults", where, f"SHA-256 {recorded[:16]}...")
+    return Check.fault(name, where, f"SHA-256 is {found[:16]}..., recorded is {recorded[:16]}...")
 
 
 def _sealed(path: Path, found: Mapping[str, Any]) -> Check:
-    broken = [] if is_sealed(path, found) else ["its seal does not fit: it was changed after it was written"]
+    sealed = of_run.is_sealed(path, found)
+    broken = [] if sealed else ["its seal does not fit: it was changed after it was written"]
     return _faults("certificate seal", broken)
 
 

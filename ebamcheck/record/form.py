@@ -1,13 +1,12 @@
-"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each.
+"""Form of ``run.json`` and of ``certificate.json``: which keys they have, and what may stand under each; checked once, when they are read.
 
-Both are checked once, when they are read: what is under a key is of the type that a run writes, a slicer's name is a
-name, and a file's name one inside of the run folder. What a record *says* is believed by nobody; that is for
-:func:`ebamcheck.verify`.
+What a record *says* is believed by nobody; that is for :func:`ebamcheck.verify`.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -20,56 +19,38 @@ from ebamcheck.result import CODES, Severity
 PRINTED = 60  # characters of a name or value that a message quotes
 
 
-def file_inside(name: str) -> str:
-    """Return the name of a file inside of a run folder, as ``run.json`` lists it; raises :class:`ValueError` for another.
+def _only(what: str, is_one: Callable[[str], object]) -> AfterValidator:
+    """Let texts pass that are what they are to be; a ValueError says what another one is not."""
 
-    >>> file_inside("program/MAIN.MPF")
-    'program/MAIN.MPF'
-    """
-    if any(part in ("", ".", "..") for part in name.split("/")) or "\\" in name or printable(name) != name:
-        raise ValueError(f"{printable(name, PRINTED)!r} is no name of a file inside of the run folder")
-    return name
+    def passed(text: str) -> str:
+        if not is_one(text):
+            raise ValueError(f"{printable(text, PRINTED)!r} is no {what}")
+        return text
 
-
-def plain_name(name: str) -> str:
-    """Return the name of a file without a folder; raises :class:`ValueError` for another."""
-    if "/" in name:
-        raise ValueError(f"{printable(name, PRINTED)!r} is no plain file name")
-    return file_inside(name)
+    return AfterValidator(passed)
 
 
-def _slicer(name: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}", name):
-        raise ValueError(f"{printable(name, PRINTED)!r} is no name of a slicer")
-    return name
-
-
-def known_code(code: str) -> str:
-    """Return the code of a finding; raises :class:`ValueError` for one that stands in no table."""
-    if code not in CODES:
-        raise ValueError(f"{printable(code, PRINTED)!r} is no code of a finding")
-    return code
+def _is_inside(name: str) -> bool:
+    """Whether a name, as ``run.json`` lists it, is that of a file inside of a run folder."""
+    steps = name.split("/")
+    return not {"", ".", ".."} & {*steps} and "\\" not in name and printable(name) == name
 
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
-
-
-def part_file(name: str) -> str:
-    """Return the name of a part's file, which is the user's choice, without a folder; raises :class:`ValueError` for another."""
-    if "/" in name or "\0" in name or name in ("", ".", ".."):
-        raise ValueError(f"{printable(name, PRINTED)!r} is no plain file name")
-    return name
-
-
-SlicerName = Annotated[str, AfterValidator(_slicer)]
-RunFile = Annotated[str, AfterValidator(file_inside)]
-FileName = Annotated[str, AfterValidator(plain_name)]
+_SLICER = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
+SlicerName = Annotated[str, _only("name of a slicer", _SLICER.fullmatch)]
+_INSIDE = _only("name of a file inside of the run folder", _is_inside)
+RunFile = Annotated[str, _INSIDE]
+FileName = Annotated[str, _only("plain file name", lambda name: "/" not in name), _INSIDE]
+# The name of a part's file is the user's choice
+_PART = re.compile(r"(?!\.{0,2}\Z)[^/\0]+")
+PartFile = Annotated[str, _only("plain file name", _PART.fullmatch)]
+Code = Annotated[str, _only("code of a finding", lambda code: code in CODES)]
 SettingsTables = dict[str, dict[str, JsonValue]]
 Number = float | Literal["NaN", "Infinity", "-Infinity"]
 Figures = dict[str, Number]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
-
 PLATE = "plate"  # field of the record and of the certificate: one entry a part
 FORMAT_VERSION = 2  # of ``run.json``: layers are counted from 1; format 1 counted from 0
 
@@ -106,7 +87,7 @@ class CheckForm(Form):
 
 class FindingForm(Form):
     severity: Severity
-    code: Annotated[str, AfterValidator(known_code)]
+    code: Code
     text: str
     place: str = ""
     figure: Number | None = None
@@ -115,9 +96,12 @@ class FindingForm(Form):
     remedy: str = ""
 
 
-class ProgramFile(Form):
+class CertifiedProgram(Form):
     name: FileName
     sha256: Sha256
+
+
+class ProgramFile(CertifiedProgram):
     blocks: Count = 0
 
 
@@ -128,9 +112,7 @@ class EntryForm(Form):
     check: CheckForm
 
 
-class LiveForm(Form):
-    name: FileName
-    sha256: Sha256
+class LiveForm(CertifiedProgram):
     validated: bool
     check: CheckForm
 
@@ -191,15 +173,18 @@ class ProgramForm(Form):
     live: LiveForm | None = None
 
 
-class BackendForm(Form):
+class DeviceForm(Form):
+    device: str
+    versions: dict[str, str]
+
+
+class BackendForm(DeviceForm):
     status: str
     why: str
     summary: str
     exact: bool
     coplanar_rule: str
     inside_rule: str
-    device: str
-    versions: dict[str, str]
     error_bound_mm: Number
     height_bound_mm: Number
     settings: dict[str, JsonValue]
@@ -261,7 +246,7 @@ class ComparisonForm(Form):
 
 class PartOfRun(Form):
     name: str
-    source: Annotated[str, AfterValidator(part_file)]
+    source: PartFile
     sha256: Sha256
     mesh_sha256: Sha256 | Literal[""]  # empty in a check in slabs, in which the mesh is never whole
     units: str
@@ -337,9 +322,8 @@ class RecordForm(Form):
         named = {"primary": self.primary, "program.witness": self.program.witness if self.program else ""}
         for key, name in named.items():
             if name and name not in done:
-                raise ValueError(
-                    f"{key} {name!r} is no slicer of this run: it has {', '.join(done) or 'none'}"
-                )
+                there = ", ".join(done) or "none"
+                raise ValueError(f"{key} {name!r} is no slicer of this run: it has {there}")
         return self
 
 
@@ -375,11 +359,6 @@ class ReleaseForm(Form):
     deviations: list[str]
 
 
-class CertifiedProgram(Form):
-    name: FileName
-    sha256: Sha256
-
-
 class SmoothingForm(Form):
     words: list[str]
     tolerance_mm: float
@@ -389,11 +368,6 @@ class SourceForm(Form):
     commit: str
     dirty: str
     sha256: Sha256
-
-
-class DeviceForm(Form):
-    device: str
-    versions: dict[str, str]
 
 
 class SoftwareForm(Form):

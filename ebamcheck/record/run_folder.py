@@ -1,7 +1,5 @@
-"""The run folder: everything that a run leaves behind, written aside and moved into place when whole.
-
-``run.json`` is the truth; every other file is named in it, and every report is a rendering of it. Times and dates
-stand in ``timings.json`` alone, so that two runs of the same input are the same bytes in everything else.
+"""The run folder: everything that a run leaves behind, written aside and moved into place when whole. ``run.json`` is the truth, which names every file;
+times and dates stand in ``timings.json`` alone, so that two runs of the same input are the same bytes in everything else.
 """
 
 from __future__ import annotations
@@ -29,7 +27,6 @@ from ebamcheck.record.form import FORMAT_VERSION, RecordForm, TimingsForm, in_fo
 MANIFEST = "run.json"
 FINGERPRINT = "fingerprint"  # marks an unfinished folder; a finished run has it in its record
 LAYERS = "layers"
-
 AT_FDCWD = -100
 RENAME_EXCHANGE = 2  # numbers of Linux's requests, from <linux/fcntl.h> and <linux/fs.h>
 
@@ -65,9 +62,8 @@ class RunFolder:
             raise InputError(f"{self.path}: is no run folder: it has no {MANIFEST}")
         found = read_json(path)
         if not isinstance(found, dict) or found.get("format") != FORMAT_VERSION:
-            raise InputError(
-                f"{path}: is not a run of format {FORMAT_VERSION}: make it again with `ebamcheck run`"
-            )
+            again = "make it again with `ebamcheck run`"
+            raise InputError(f"{path}: is not a run of format {FORMAT_VERSION}: {again}")
         found = in_form(RecordForm, found, path)
         # Runs of earlier versions have them in the record itself.
         return found if "timings" in found else {**found, "timings": self._timings()}
@@ -76,8 +72,7 @@ class RunFolder:
         path = self.path / TIMINGS
         if not own_file(path):
             return {}
-        found = read_json(path)
-        return in_form(TimingsForm, found, path)
+        return in_form(TimingsForm, read_json(path), path)
 
     def write_manifest(self, manifest: Mapping[str, Any]) -> None:
         """Write the record: ``timings`` into a file of their own, everything else into ``run.json``."""
@@ -125,7 +120,11 @@ def start_run(target: Path, fingerprint: str, resume: bool, force: bool = False)
             raise SettingsError(f"{target}: is there and is no run folder: give another place with -o")
         settle(target)
         if is_run(target) and not force:
-            raise SettingsError(_finished_already(target))
+            finished = finished_at(target, MANIFEST)
+            raise SettingsError(
+                f"{target}: holds a run that was finished at {finished}Z: give another place with -o, or --force, which keeps "
+                f"that one as {dated_name(target, finished).name}"
+            )
         path.mkdir(parents=True, exist_ok=True)
         lock = _locked(path, target)
         try:
@@ -188,14 +187,6 @@ def _is_whole(path: Path) -> bool:
     return is_run(path) and not (path / FINGERPRINT).exists()
 
 
-def _finished_already(target: Path) -> str:
-    finished = finished_at(target, MANIFEST)
-    return (
-        f"{target}: holds a run that was finished at {finished}Z: give another place with -o, or --force, which keeps "
-        f"that one as {dated_name(target, finished).name}"
-    )
-
-
 def _set_aside(run: Path, target: Path) -> None:
     """Give a finished run that stood at `target` its dated name; what is no run is an empty folder, and goes."""
     if is_run(run):
@@ -256,15 +247,11 @@ def _exchange(new: Path, old: Path) -> None:
 
 
 TIMINGS = "timings.json"  # times and dates of a run, which are all that differs from one run of the same input to the next
-
 _DATE = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d")
 
 
 def finished_at(run: Path, record: str) -> str:
-    """When a finished run came to its end, UTC, as ``2026-11-22T14:15:00``; by its own record where that can be read.
-
-    `record` is the file whose date counts where it names no time.
-    """
+    """When a finished run came to its end, UTC, as ``2026-11-22T14:15:00``: by its own record, else by the date of that file."""
     for name in (TIMINGS, record):
         try:
             told = json.loads((run / name).read_text(encoding="utf-8"))

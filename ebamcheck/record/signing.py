@@ -1,8 +1,6 @@
-"""Signatures under a certificate: Ed25519 (RFC 8032), detached, one file a signer.
+"""Signatures under a certificate: Ed25519 (RFC 8032), detached, one file a signer, who alone can make it with the private key.
 
-A seal tells that a file is whole; whoever changes the file can make a new one. A signature can be made only by
-who holds the private key, so that it tells *who* stands for what is written. Keys are PEM files: the private one
-in PKCS 8, the public one as SubjectPublicKeyInfo, as `openssl genpkey -algorithm ed25519` writes them, too.
+Keys are PEM files, as `openssl genpkey -algorithm ed25519` writes them, too: the private one in PKCS 8, the public one as SubjectPublicKeyInfo.
 """
 
 from __future__ import annotations
@@ -54,10 +52,7 @@ class Signature:
 
 
 def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
-    """Make a pair of keys: ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; returns both paths.
-
-    A file that is there already is refused, since a key that is overwritten is lost.
-    """
+    """Make ``PATH.key`` (mode 600) and ``PATH.pub``, in a folder (mode 700) that is made; a file that is there is refused: a key overwritten is lost."""
     stem = Path(path)
     private_path, public_path = (stem.with_name(stem.name + end) for end in (PRIVATE_SUFFIX, PUBLIC_SUFFIX))
     for file in (private_path, public_path):
@@ -65,14 +60,12 @@ def make_key(path: str | Path, password: str = "") -> tuple[Path, Path]:
             raise SettingsError(
                 f"{file}: is there already, and a key that is overwritten is lost: give another name"
             )
-    key = Ed25519PrivateKey.generate()
+    key, pem = Ed25519PrivateKey.generate(), serialization.Encoding.PEM
     encryption: serialization.KeySerializationEncryption = serialization.NoEncryption()
     if password:
         encryption = serialization.BestAvailableEncryption(password.encode())
-    private = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
-    public = key.public_key().public_bytes(
-        serialization.Encoding.PEM, serialization.PublicFormat.SubjectPublicKeyInfo
-    )
+    private = key.private_bytes(pem, serialization.PrivateFormat.PKCS8, encryption)
+    public = key.public_key().public_bytes(pem, serialization.PublicFormat.SubjectPublicKeyInfo)
     try:
         stem.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(private_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -172,9 +165,8 @@ def signature_check(certificate: Path, trusted: dict[bytes, str] | None) -> Chec
     broken = [s for s in found if s.state == BROKEN]
     if broken:
         text = broken[0].text + (f" (and {len(broken) - 1} more)" if len(broken) > 1 else "")
-        return Check(
-            "signature", False, float(len(broken)), 0.0, "faults", f"{SIGNATURES}/{broken[0].file}", text
-        )
+        where = f"{SIGNATURES}/{broken[0].file}"
+        return Check("signature", False, float(len(broken)), 0.0, "faults", where, text)
     text = "; ".join(s.text for s in found) or "unsigned: anyone who can write here can write another one"
     others = sorted({*(certificate.parent / SIGNATURES).glob("*")} - {*signature_files(certificate)})
     text += f"; ignored: {', '.join(printable(path.name) for path in others)}" if others else ""
@@ -198,9 +190,8 @@ def _judged(path: Path, digest: str, trusted: dict[bytes, str]) -> Signature:
     except (InputError, ValueError, KeyError, TypeError, binascii.Error):
         return Signature(path.name, BROKEN, "", "", "is no signature of ours")
     except InvalidSignature:
-        return Signature(
-            path.name, BROKEN, "", fingerprint(public), "the signature does not fit what it covers"
-        )
+        text = "the signature does not fit what it covers"
+        return Signature(path.name, BROKEN, "", fingerprint(public), text)
     key = fingerprint(public)
     name, role, date = (printable(said[field]) for field in ("name", "role", "date"))
     if said["certificate_sha256"] != digest:

@@ -15,17 +15,10 @@ from ebamcheck.showing.markup import NAMESPACE, Markup, element
 WIDTH_PX, HEIGHT_PX, MARGIN_PX = 360, 300, 8
 MOST_POINTS = 20_000  # of more points every second, third … is drawn: a notebook keeps its pictures
 
-STYLE = {
-    "fill": "#9fc3e8",
-    "fill_opacity": 0.6,
-    "fill_rule": "nonzero",
-    "stroke": "#2a78b8",
-    "stroke_width": 1,
-}
+FILL = {"fill": "#9fc3e8", "fill_opacity": 0.6, "fill_rule": "nonzero"}
+STYLE = {**FILL, "stroke": "#2a78b8", "stroke_width": 1}
 OPEN_STYLE = {"fill": "none", "stroke": "#d55e00", "stroke_width": 2}
-
 Item = TypeVar("Item")
-
 Facts = dict[str, int | str]  # facts about a value by name, counts by their plural
 
 
@@ -64,10 +57,8 @@ class Columns(Generic[Item]):
         return self._item(index_of(which, len(self), *self._item_in))
 
     def __repr__(self) -> str:
-        said = (
-            short_text.counted(fact, name.removesuffix("s")) if isinstance(fact, int) else fact
-            for name, fact in self._facts().items()
-        )
+        facts = ((name.removesuffix("s"), fact) for name, fact in self._facts().items())
+        said = (short_text.counted(fact, one) if isinstance(fact, int) else fact for one, fact in facts)
         return short_text.line(type(self).__name__, *said)
 
     def _repr_html_(self) -> str:

@@ -16,7 +16,6 @@ from ebamcheck.atomic_file import replacing
 from ebamcheck.showing.markup import clean
 
 Kind = Literal["", "failure", "error", "skipped"]
-
 _RESULTS = {"failure": Failure, "error": Error, "skipped": Skipped}
 
 

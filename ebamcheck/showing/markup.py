@@ -9,13 +9,9 @@ from typing import Any
 from markupsafe import Markup, escape
 
 __all__ = ["FONT", "NAMESPACE", "Markup", "clean", "element", "escaped", "inline", "join", "svg_file", "text"]
-
 _NOT_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-
 EMPTY_ELEMENTS = frozenset({"meta", "br", "input", "hr", "path", "rect", "circle", "line", "image", "polygon", "polyline"})  # fmt: skip
-
 NAMESPACE = "http://www.w3.org/2000/svg"
-
 FONT = "Helvetica, Arial, sans-serif"
 
 
@@ -50,11 +46,8 @@ def element(tag: str, *children: Any, **attributes: Any) -> Markup:
     >>> element("td", "a < b", class_="num", stroke_width=None)
     Markup('<td class="num">a &lt; b</td>')
     """
-    given = "".join(
-        f' {name.rstrip("_").replace("_", "-")}="{escaped(value)}"'
-        for name, value in attributes.items()
-        if value is not None
-    )
+    named = {name.rstrip("_").replace("_", "-"): value for name, value in attributes.items()}
+    given = "".join(f' {name}="{escaped(value)}"' for name, value in named.items() if value is not None)
     if tag in EMPTY_ELEMENTS:
         return Markup(f"<{tag}{given}/>")
     return Markup(f"<{tag}{given}>{join(children)}</{tag}>")
@@ -62,9 +55,8 @@ def element(tag: str, *children: Any, **attributes: Any) -> Markup:
 
 def text(x_px: float, y_px: float, words: Any, size_px: float = 11, **style: Any) -> Markup:
     """Words that begin at a place, or lie about it where `text_anchor` says so."""
-    return element(
-        "text", words, x=f"{x_px:.1f}", y=f"{y_px:.1f}", font_size=f"{size_px:g}", **{"fill": "#222", **style}
-    )
+    given = {"x": f"{x_px:.1f}", "y": f"{y_px:.1f}", "font_size": f"{size_px:g}", "fill": "#222"}
+    return element("text", words, **{**given, **style})
 
 
 def inline(picture: str, class_: str | None = None) -> Markup:
@@ -77,15 +69,6 @@ def svg_file(width_px: float, height_px: float, body: Iterable[Markup], title: s
     """Return an SVG document on white ground, one element a line, those behind first; viewers and screen readers show the title."""
     ground = element("rect", width=f"{width_px:g}", height=f"{height_px:g}", fill="#ffffff")
     named = [element("title", title)] if title else []
-    picture = element(
-        "svg",
-        "\n",
-        join([*named, ground, *body], "\n"),
-        "\n",
-        xmlns=NAMESPACE,
-        width=f"{width_px:g}",
-        height=f"{height_px:g}",
-        viewBox=f"0 0 {width_px:g} {height_px:g}",
-        font_family=FONT,
-    )
-    return f"{picture}\n"
+    box = {"width": f"{width_px:g}", "height": f"{height_px:g}", "viewBox": f"0 0 {width_px:g} {height_px:g}"}
+    drawn = join(["", *named, ground, *body, ""], "\n")
+    return f"{element('svg', drawn, xmlns=NAMESPACE, **box, font_family=FONT)}\n"

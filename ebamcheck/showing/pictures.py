@@ -21,7 +21,6 @@ from ebamcheck.showing.markup import Markup, element, svg_file, text
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, FOOT_PX = 800, 16, 28, 44, 20
 # Length of a scale, of one of temperatures, and half the room of a label of its greatest one
 BAR_PX, LONG_BAR_PX, LABEL_PX = 240.0, 560.0, 40.0
-
 TALLEST_PX, LEAST_EXTENT_MM = 1200, 1e-6  # of what is shown
 FIELD_PX = 3  # width of a pixel of a field; viewers smooth between them
 LABELLED = 400  # islands on a picture up to which each carries its number
@@ -35,10 +34,8 @@ def islands_svg(
     scene: Scene | None = None,
     temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw islands (I,), polygons, coloured by finite values (I,), each with its number where they are not too many.
-
-    A scene puts the section, contour beads and path over it, in the frame of the section; `temperatures` are the ends and marks of the scale
-    of values that are rises.
+    """Draw islands (I,), polygons, coloured by finite values (I,), each with its number where they are not too many. A scene puts section, contour beads
+    and path over it, in the frame of the section; `temperatures` are the ends and marks of the scale of values that are rises.
     """
     low, high = float(values.min(initial=0.0)), float(values.max(initial=1.0))
     if temperatures is not None:
@@ -48,10 +45,8 @@ def islands_svg(
     body, texts = [], []
     for island, value in zip(islands, values.tolist(), strict=True):
         share = (value - low) / (high - low) if high > low else 0.0
-        path = ring_path(island, view.place)
-        body.append(
-            element("path", d=path, fill=ramp(share), fill_rule="evenodd", stroke="#fff", stroke_width=0.7)
-        )
+        filled = {"d": region_path(island, view.place), "fill": ramp(share), "fill_rule": "evenodd"}
+        body.append(element("path", **filled, stroke="#fff", stroke_width=0.7))
         if len(islands) <= LABELLED:
             ((x, y),) = view.place(shapely.get_coordinates(shapely.point_on_surface(island)))
             told = str(round(value)) if temperatures is None else temperatures.told(value)
@@ -71,10 +66,7 @@ def _label(x_px: float, y_px: float, words: str, on_dark: bool, with_halo: bool)
 
 def overlay(scene: Scene, place: Callable[[Floats], Floats]) -> Markup:
     """Paths of the section's outline, the contour beads, the lines and the ways between islands, by class."""
-    outline, contour = (
-        "".join(ring_path(part, place) for part in shapely.get_parts(region))
-        for region in (scene.section, scene.contour)
-    )
+    outline, contour = (region_path(region, place) for region in (scene.section, scene.contour))
     lines, jumps = (_strokes(columns, place) for columns in (scene.lines, scene.jumps))
     return element(
         "g",
@@ -100,10 +92,7 @@ def field_svg(
     scene: Scene | None = None,
     temperatures: TemperatureScale | None = None,
 ) -> str:
-    """Draw a field over a section, given by its values (n,) at points (n, 2), coloured from 0 to the greatest value and more.
-
-    `scene` and `temperatures` as for :func:`islands_svg`.
-    """
+    """Draw a field over a section, given by its values (n,) at points (n, 2), coloured from 0 to the greatest value; rest as for :func:`islands_svg`."""
     view = _View.of(np.asarray(section.bounds))
     step_mm = FIELD_PX / view.scale
     columns, rows = (max(1, math.ceil(extent / step_mm)) for extent in (view.high - view.low).tolist())
@@ -114,17 +103,11 @@ def field_svg(
     share = np.zeros(len(points))
     share[inside] = values_at(points[inside]) / greatest if greatest > 0.0 else 0.0
     pixels = np.rint(255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8).reshape(len(y), len(x))
-    outline = "".join(ring_path(part, view.place) for part in shapely.get_parts(section))
+    outline = region_path(section, view.place)
     left, top = view.place(view.low[None])[0, 0], view.place(view.high[None])[0, 1]
-    image = element(
-        "image",
-        x=f"{left:.1f}",
-        y=f"{top:.1f}",
-        width=len(x) * FIELD_PX,
-        height=len(y) * FIELD_PX,
-        preserveAspectRatio="none",
-        href=png_address(palette_image(pixels, SCALE)),
-    )
+    box = {"x": f"{left:.1f}", "y": f"{top:.1f}", "width": len(x) * FIELD_PX, "height": len(y) * FIELD_PX}
+    address = png_address(palette_image(pixels, SCALE))
+    image = element("image", **box, preserveAspectRatio="none", href=address)
     body = [
         element("clipPath", element("path", d=outline, clip_rule="evenodd"), id="section"),
         element("g", image, clip_path="url(#section)"),
@@ -152,12 +135,9 @@ class _View:
 
     def place(self, points: Floats) -> Floats:
         """Places of points (n, 2) on the picture, px."""
-        return np.column_stack(
-            [
-                MARGIN_PX + self.scale * (points[:, 0] - self.low[0]),
-                TITLE_PX + self.scale * (self.high[1] - points[:, 1]),
-            ]
-        )
+        x, y = points.T
+        right, down = self.scale * (x - self.low[0]), self.scale * (self.high[1] - y)
+        return np.column_stack([MARGIN_PX + right, TITLE_PX + down])
 
     def picture(
         self,
@@ -172,47 +152,33 @@ class _View:
         extent = float(self.high[1] - self.low[1])
         height_px = math.ceil(TITLE_PX + self.scale * extent + FOOT_PX + SCALE_PX)
         top_px = float(height_px - SCALE_PX)
-        if temperatures is None:
-            bar = _scale_bar(low, high, unit, top_px)
-        else:
+        if temperatures is not None:
             bar = _temperature_bar(temperatures, unit, top_px)
+        else:
+            ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
+            bar = _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
         return svg_file(WIDTH_PX, height_px, [text(MARGIN_PX, 18, title, 14), *body, *bar])
 
 
-def ring_path(island: shapely.Polygon, place: Callable[[Floats], Floats]) -> str:
-    """Path of the rings of an island, whose points are put on the picture by `place`."""
-    rings = [shapely.get_coordinates(ring)[:-1] for ring in (island.exterior, *island.interiors)]
+def region_path(region: BaseGeometry, place: Callable[[Floats], Floats]) -> str:
+    """Path of the rings of polygons, whose points are put on the picture by `place`."""
+    rings = [shapely.get_coordinates(ring)[:-1] for ring in shapely.get_rings(shapely.get_parts(region))]
     return "".join("M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in place(ring)) + "Z" for ring in rings)
-
-
-def _scale_bar(low: float, high: float, unit: str, top_px: float) -> list[Markup]:
-    ends = ((0.0, "start", f"{low:.0f}{unit}"), (BAR_PX, "end", f"{high:.0f}{unit}"))
-    return _gradient(BAR_PX, top_px) + [_scale_text(*end, top_px + 24.0) for end in ends]
 
 
 def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[Markup]:
     """Colours from 0 to the greatest rise, in their last one on to the boiling point, with the marks over it."""
-    per_k = LONG_BAR_PX / max(scale.greatest, *(rise for _, rise in scale.marks))
+    marks = {"solidus": scale.solidus, "boiling": scale.boiling}
+    per_k = LONG_BAR_PX / max(scale.greatest, *marks.values())
     hottest = scale.greatest * per_k
-    beyond = element(
-        "rect",
-        x=MARGIN_PX,
-        y=f"{top_px:.1f}",
-        width=LONG_BAR_PX,
-        height=10,
-        fill=ramp(1.0),
-        fill_opacity=0.35,
-    )
-    bar = [beyond, *_gradient(hottest, top_px)]
+    box = {"x": MARGIN_PX, "y": f"{top_px:.1f}", "width": LONG_BAR_PX, "height": 10}
+    bar = [element("rect", **box, fill=ramp(1.0), fill_opacity=0.35), *_gradient(hottest, top_px)]
     low, high = f"0{unit}", f"{scale.greatest:.0f}{unit} and more"
-    if hottest > 3 * LABEL_PX:
-        bar += [
-            _scale_text(0.0, "start", low, top_px + 24.0),
-            _scale_text(hottest, "end", high, top_px + 24.0),
-        ]
-    else:  # no room under the colours
-        bar.append(_scale_text(0.0, "start", f"0 to {high}", top_px + 24.0))
-    for name, rise in scale.marks:
+    ends = [(0.0, "start", low), (hottest, "end", high)]
+    if hottest <= 3 * LABEL_PX:  # no room under the colours
+        ends = [(0.0, "start", f"0 to {high}")]
+    bar += [_scale_text(*end, top_px + 24.0) for end in ends]
+    for name, rise in marks.items():
         x = MARGIN_PX + rise * per_k
         bar += [
             element("path", class_="mark", d=f"M{x:.1f},{top_px - 3:.1f}v16", stroke="#222", stroke_width=1),
@@ -224,17 +190,9 @@ def _temperature_bar(scale: TemperatureScale, unit: str, top_px: float) -> list[
 def _gradient(width_px: float, top_px: float) -> list[Markup]:
     steps = 40
     width = width_px / steps
-    return [
-        element(
-            "rect",
-            x=f"{MARGIN_PX + n * width:.1f}",
-            y=f"{top_px:.1f}",
-            width=f"{width + 0.5:.1f}",
-            height=10,
-            fill=ramp(n / (steps - 1)),
-        )
-        for n in range(steps)
-    ]
+    box = {"y": f"{top_px:.1f}", "width": f"{width + 0.5:.1f}", "height": 10}
+    places = [f"{MARGIN_PX + n * width:.1f}" for n in range(steps)]
+    return [element("rect", x=x, **box, fill=ramp(n / (steps - 1))) for n, x in enumerate(places)]
 
 
 def _scale_text(x_px: float, anchor: str, words: str, y_px: float) -> Markup:
@@ -265,10 +223,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class TemperatureScale:
-    """Scale of all temperature rises of a layer, K: from 0 to `greatest`, with marks at solidus and boiling point.
-
-    A rise over the boiling point is none that the model can tell: it is shown as that or more.
-    """
+    """Scale of all temperature rises of a layer, K: from 0 to `greatest`, with marks; no rise over the boiling point is one that the model can tell."""
 
     greatest: float
     solidus: float
@@ -279,22 +234,14 @@ class TemperatureScale:
         """Scale up to the hottest rise, or to the boiling point where that is less."""
         return cls(min(max(hottest, 1.0), boiling), solidus, boiling)
 
-    @property
-    def marks(self) -> tuple[tuple[str, float], ...]:
-        """Names and rises of the marks."""
-        return (("solidus", self.solidus), ("boiling", self.boiling))
-
     def told(self, rise_k: float) -> str:
         """Return a rise as it is printed: whole kelvins, none under 0, none over the boiling point."""
         return f"over {self.boiling:.0f}" if rise_k > self.boiling else f"{max(rise_k, 0.0):.0f}"
 
 
 CHART_PX, CHART_HIGH_PX, LEFT_PX, RIGHT_PX, TOP_PX, BASE_PX = 760, 460, 70, 110, 40, 52
-
 BEST, OTHER = "#1b4f82", "#9aa5b1"  # orders that none beats in both figures, and others
 CHART_LABEL_PX = 13.0  # least distance of two labels one over the other
-
-
 TICKS = 5  # steps of each axis
 
 
@@ -351,11 +298,9 @@ def pareto_svg(figures: Mapping[str, tuple[float, float]], title: str) -> str:
 def frontier(figures: Mapping[str, tuple[float, float]]) -> list[str]:
     """Orders that no other one beats in both figures, by rising travel."""
     found: list[str] = []
-    coolest = float("inf")
     for name, (_, y) in sorted(figures.items(), key=lambda item: item[1]):
-        if y < coolest:
+        if not found or y < figures[found[-1]][1]:
             found.append(name)
-            coolest = y
     return found
 
 
@@ -372,11 +317,8 @@ KIND_COLOURS = {
 }
 # Rows to the right, up, and towards the eye
 VIEW = np.array([[0.8, 0.6, 0.0], [-0.36, 0.48, 0.8], [0.48, -0.64, 0.6]])
-
 PART_PX, PART_MARGIN_PX, KEY_PX = 720.0, 10.0, 20.0
-
 LEAST_LIGHT = 0.55
-
 MOST_DRAWN = 200_000  # more facets than pixels: a part beyond is drawn without those too small to see
 
 

@@ -17,7 +17,6 @@ from ebamcheck.kernels import Floats
 
 ORDER_COLOURS = "viridis"  # from first to last
 MOST_FACETS = 200_000  # facets that matplotlib turns around in a bearable time
-
 LEAST_EXTENT_MM = 1e-6
 
 
@@ -110,13 +109,9 @@ def _add_lines(ax: Any, groups: Sequence[Lines], style: dict[str, Any]) -> None:
     from matplotlib.collections import LineCollection
 
     for group in groups:
-        drawn = {
-            "colors": group.colour,
-            "linewidths": group.width,
-            "linestyles": group.dashes,
-            "label": group.name or None,
-        }
-        ax.add_collection(LineCollection(list(group.points), **{**drawn, **style}))
+        drawn = {"colors": group.colour, "linewidths": group.width, "linestyles": group.dashes}
+        named = {**drawn, "label": group.name or None, **style}
+        ax.add_collection(LineCollection(list(group.points), **named))
 
 
 def _plane(ax: Any, title: str) -> Any:

@@ -66,10 +66,8 @@ def html(title: str, facts: Mapping[str, Any], picture: str = "") -> str:
     >>> html("a & b", {"facets": 12})
     '<div><b>a &amp; b</b><table><tr><th scope="row">facets</th><td>12</td></tr></table></div>'
     """
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td>{escape(str(value))}</td></tr>'
-        for name, value in facts.items()
-    )
+    told = [(escape(name), escape(str(value))) for name, value in facts.items()]
+    rows = "".join(f'<tr><th scope="row">{name}</th><td>{value}</td></tr>' for name, value in told)
     return f"<div><b>{escape(title)}</b><table>{rows}</table>{picture}</div>"
 
 

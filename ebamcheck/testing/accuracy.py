@@ -2,49 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from ebamcheck.errors import BackendFailed
 from ebamcheck.geometry.regions import eroded
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part, from_arrays
 from ebamcheck.mesh.topology import weld
 from ebamcheck.plugins.registry import Model
-from ebamcheck.testing.solids import (
-    FRAME_MM,
-    HOUSE_RULE,
-    SIMPLE,
-    attackers,
-    box,
-    frame,
-    house_rule,
-    joined,
-    mapped,
-    named,
-    region,
-    sections,
-    simple,
-    steps,
-    turn,
-    winding_rule,
-)
+from ebamcheck.testing import solids
+from ebamcheck.testing.solids import SIMPLE, box, house_rule, joined, mapped, named, sections, simple, turn
 from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, generic_heights, rounding_mm, truth
 
 LOOSEST = 3.0  # a bound more than this many times the worst case that the kit finds is idle
 SHIFT_SHARE = 0.2  # share of the bound by which the centroids of round sections may be off, on the mean of a body's layers
+# The same for one layer alone: by chance a torus's thin ring is 0.37 of a bound off, half a pixel is 0.63 of a raster's, half a row all of it
 LAYER_SHIFT_SHARE = 0.5
-"""The same for one layer alone, where chance does not average out.
-
-Half a pixel off is 0.63 of a raster's bound and half a row all of it. By chance alone rows as coarse as the thin
-ring near a torus's top put its centroid 0.37 of their bound off, pixels and grids at most 0.23.
-"""
-
 SHIFT_LAYERS = 9  # layers of a body over which chance averages out
-
 ROUND = ("sphere", "torus", "upright torus")
-
 FINE_FEATURES_MM = 1e-3  # what the features of attacking solids are scaled by where a bound is mere rounding
 MODEL_TOLERANCE = 0.003  # tessellation of reference models, over their size; within .01 .. .5 mm
 SECTION_SHARE = 0.05  # chord error of a model's exact section, over the tessellation's tolerance
@@ -53,8 +32,7 @@ BUFFER_SHARE = 0.003  # what a buffer's polygonal arcs take off its radius (16 s
 
 def bound_held(subject: Subject) -> list[Figure]:
     """On every solid and layer, the exact section eroded by the bound lies in the result, and the reverse."""
-    parts = [simple(name) for name in SIMPLE]
-    return [f for part in parts for f in _depths("bound held", subject, part, generic_heights(part, 3))]
+    return [f for part, z in _solids() for f in _depths("bound held", subject, part, z)]
 
 
 def bound_attacked(subject: Subject) -> list[Figure]:
@@ -79,49 +57,36 @@ def bound_not_idle(subject: Subject) -> list[Figure]:
 def no_shift(subject: Subject) -> list[Figure]:
     """On round bodies errors average out: sections do not lie to one side of the exact ones."""
     found = []
-    for name in ROUND:
-        part = simple(name)
-        heights = generic_heights(part, SHIFT_LAYERS)
+    for part, heights in _solids(ROUND, SHIFT_LAYERS):
         layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
-        limit = SHIFT_SHARE * subject.promise_mm(part) + rounding_mm(part)
+        promise_mm, rounding = subject.promise_mm(part), rounding_mm(part)
+        limit, one_limit = (share * promise_mm + rounding for share in (SHIFT_SHARE, LAYER_SHIFT_SHARE))
         shifts = []
         for k in range(len(heights)):
-            cut, true = region(layers, k), region(exact, k)
-            if cut.is_empty:
-                shifts.append((np.inf, np.inf))
-            else:
-                shifts.append((cut.centroid.x - true.centroid.x, cut.centroid.y - true.centroid.y))
+            cut, true = solids.region(layers, k), solids.region(exact, k).centroid
+            off = (np.inf, np.inf) if cut.is_empty else (cut.centroid.x - true.x, cut.centroid.y - true.y)
+            shifts.append(off)
         # A small section lies off by chance; what is wrong lies off the same way in all.
         shift = float(np.hypot(*np.mean(shifts, axis=0)))
         text = f"mean distance of the centroids of {len(heights)} layers, mm"
-        found.append(Figure("no shift", name, NO_LAYER, shift, limit, text))
+        found.append(Figure("no shift", part.name, NO_LAYER, shift, limit, text))
         # The mean would hide a layer that lies off alone.
-        one_limit = LAYER_SHIFT_SHARE * subject.promise_mm(part) + rounding_mm(part)
+        text = "distance of the centroids, mm"
         for k, one in enumerate(shifts):
-            found.append(
-                Figure("no shift", name, k, float(np.hypot(*one)), one_limit, "distance of the centroids, mm")
-            )
+            found.append(Figure("no shift", part.name, k, float(np.hypot(*one)), one_limit, text))
     return found
 
 
 def topology(subject: Subject) -> list[Figure]:
     """Rings and holes are those of the exact section; if sampled, those thicker than twice the limit."""
     found = []
-    for name in SIMPLE:
-        part = simple(name)
-        heights = generic_heights(part, 3)
+    for part, heights in _solids():
+        seen = subject.differences(part, heights)
         if subject.slicer.exact:
             layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
-            agree = (layers.outer_counts() == exact.outer_counts()) & (
-                layers.hole_counts() == exact.hole_counts()
-            )
-        else:
-            agree = subject.differences(part, heights).topology_agrees
-        places = subject.differences(part, heights).places
-        found += [
-            truth("topology", name, bool(agree[k]), f"other rings or holes at {places[k]}", k)
-            for k in range(len(heights))
-        ]
+            agree = layers.outer_counts() == exact.outer_counts()
+            seen = seen._replace(topology_agrees=agree & (layers.hole_counts() == exact.hole_counts()))
+        found += seen.topology_figures("topology", part.name)
     return found
 
 
@@ -130,30 +95,28 @@ def points_on_contours(subject: Subject) -> list[Figure]:
     if not subject.slicer.exact:
         return []
     found = []
-    for name in SIMPLE:
-        part = simple(name)
-        heights = generic_heights(part, 3)
+    for part, heights in _solids():
         layers, exact = subject.cut(part, heights), sections(part, heights, house_rule)
         limit = subject.promise_mm(part)
         for k in range(len(heights)):
             rings = [layers.ring(r) for r in layers.rings_of(k)]
             points = shapely.points(np.concatenate([np.zeros((0, 2)), *rings]))
-            off = shapely.distance(points, region(exact, k).boundary).max(initial=0.0)
-            found.append(Figure("points on contours", name, k, float(off), limit, "farthest point, mm"))
+            off = shapely.distance(points, solids.region(exact, k).boundary).max(initial=0.0)
+            found.append(Figure("points on contours", part.name, k, float(off), limit, "farthest point, mm"))
             error = float(abs(layers.areas()[k] - exact.areas()[k]))
             allowed = limit * float(exact.perimeters()[k])
-            found.append(Figure("points on contours", name, k, error, allowed, "area, mm2"))
+            found.append(Figure("points on contours", part.name, k, error, allowed, "area, mm2"))
     return found
 
 
 def coplanar_planes(subject: Subject) -> list[Figure]:
     """Planes through vertices and faces give the section of z = h + 0, if that is the declared rule."""
     parts = {
-        "steps": steps(),
-        "turned steps": mapped(steps(), turn(29.0)),
+        "steps": solids.steps(),
+        "turned steps": mapped(solids.steps(), turn(29.0)),
         "pyramid": simple("pyramid"),
         "sphere": simple("sphere"),
-        "upside-down steps": mapped(steps(), turn(180.0, "x")),
+        "upside-down steps": mapped(solids.steps(), turn(180.0, "x")),
     }
     found = []
     for name, made in parts.items():
@@ -177,24 +140,22 @@ def inside_rule(subject: Subject) -> list[Figure]:
         "shell in a shell": joined(first, box((2, 2, 1), (5, 5, 4))),
         "inside out": joined(mapped(first, shift=(20, 0, 0)), second.reversed()),
     }
-    found = []
+    found: list[Figure] = []
     for name, made in parts.items():
         part = named(name, made)
         heights = generic_heights(part, 4)
-        try:
-            layers = subject.cut(part, heights)
-        except BackendFailed as refusal:
-            found.append(truth("inside rule", name, True, f"refused: {refusal}"))
+        layers = subject.cut_unless_refused("inside rule", part, heights, found)
+        if layers is None:
             continue
         rule = subject.inside_rule(layers)
-        if winding_rule(rule) is None:
+        if solids.winding_rule(rule) is None:
             found.append(truth("inside rule", name, False, f"unknown rule {rule!r}"))
             continue
         differences = subject.differences(part, heights)
         limit = subject.limit_mm(part)
         for k, depth in enumerate(differences.depth_mm):
             found.append(Figure("inside rule", name, k, float(depth), limit, differences.places[k]))
-            twice = abs(float(layers.areas()[k]) - region(layers, k).area)
+            twice = abs(float(layers.areas()[k]) - solids.region(layers, k).area)
             rounding_mm2 = rounding_mm(part) * float(layers.perimeters()[k])
             found.append(Figure("inside rule", name, k, twice, rounding_mm2, "area under two rings, mm2"))
     return found
@@ -216,15 +177,13 @@ def touching_bodies(subject: Subject) -> list[Figure]:
         "an edge": (joined(base, box((8, 8, 0), (14, 13, 5))), 2),
         "a gap": (joined(base, box((8 + gap, 2, 0), (14 + gap, 6, 5))), 2),
     }
-    found = []
+    found: list[Figure] = []
     for name, (made, bodies) in parts.items():
         for degrees in (0.0, 29.0):
             part = named(f"{name}, {degrees:g} degrees", mapped(made, turn(degrees)))
             heights = generic_heights(part, 2)
-            try:
-                layers = subject.cut(part, heights)
-            except BackendFailed as refusal:
-                found.append(truth("touching bodies", part.name, True, f"refused: {refusal}"))
+            layers = subject.cut_unless_refused("touching bodies", part, heights, found)
+            if layers is None:
                 continue
             seen, limit = subject.differences(part, heights), subject.limit_mm(part)
             for k, rings in enumerate(layers.ring_counts().tolist()):
@@ -232,10 +191,8 @@ def touching_bodies(subject: Subject) -> list[Figure]:
                 right = rings == bodies or (free and bool(seen.topology_agrees[k]))
                 text = f"{rings} rings in place of {bodies}"
                 found.append(truth("touching bodies", part.name, right, text, k))
-                depth = float(seen.depth_mm[k])
-                found.append(
-                    Figure("touching bodies", part.name, k, depth, limit, f"depth, mm, at {seen.places[k]}")
-                )
+                text = f"depth, mm, at {seen.places[k]}"
+                found.append(Figure("touching bodies", part.name, k, float(seen.depth_mm[k]), limit, text))
     return found
 
 
@@ -254,10 +211,8 @@ def reference_models(subject: Subject) -> list[Figure]:
 
 
 def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
-    """Area by which layers of one model break their promise.
-
-    No point of the mesh is farther than `t` from the surface, so its section at z lies within the union of
-    the exact sections at z - t .. z + t dilated by t, and contains their intersection eroded by t.
+    """Area by which layers of one model break their promise. No point of the mesh is farther than `t` from the surface, so its section at z lies within
+    the union of the exact sections at z - t .. z + t dilated by t, and contains their intersection eroded by t.
     """
     size_mm = float((model.bounds[1] - model.bounds[0]).max())
     t = min(max(MODEL_TOLERANCE * size_mm, 0.01), 0.5)
@@ -272,31 +227,24 @@ def _model_figures(subject: Subject, name: str, model: Model) -> list[Figure]:
         if k in told_otherwise:
             found.append(told_otherwise[k])
             continue
-        near = [
-            shapely.union_all(model.section(z + share * t, SECTION_SHARE * t))
-            for share in (-1.0, -0.5, 0.0, 0.5, 1.0)
-        ]
+        heights_near = z + t * np.linspace(-1.0, 1.0, 5)
+        near = [shapely.union_all(model.section(at, SECTION_SHARE * t)) for at in heights_near.tolist()]
         most = shapely.union_all(near).buffer(reach_mm, quad_segs=16)
         least = eroded(shapely.intersection_all(near), reach_mm)
-        cut = region(layers, k)
+        cut = solids.region(layers, k)
         beyond = float(cut.difference(most).area + least.difference(cut).area)
         rounding_mm2 = rounding_mm(part) * max(float(most.length), 1.0)
-        found.append(
-            Figure("reference models", name, k, beyond, rounding_mm2, f"area beyond, mm2, at z = {z:.9g} mm")
-        )
+        text = f"area beyond, mm2, at z = {z:.9g} mm"
+        found.append(Figure("reference models", name, k, beyond, rounding_mm2, text))
     return found
 
 
-def _by_another_rule(
-    subject: Subject, part: Part, layers: Layers, heights: NDArray[np.float64]
-) -> dict[int, Figure]:
-    """Figures of the layers where the declared inside rule asks for another solid than the house's.
-
-    A model's closed form is the union of its shells. A slicer that declares another rule is held against the section of
-    the mesh by that rule where the two differ, as on solids (`inside_rule`).
+def _by_another_rule(subject: Subject, part: Part, layers: Layers, heights: Floats) -> dict[int, Figure]:
+    """Figures of the layers where the declared inside rule asks for another solid than the house's, the union of shells, which is a model's closed form:
+    there the slicer is held against the section of the mesh by that rule, as on solids (`inside_rule`).
     """
-    rule = winding_rule(subject.inside_rule(layers))
-    if rule is None or subject.inside_rule(layers) == HOUSE_RULE:
+    rule = solids.winding_rule(subject.inside_rule(layers))
+    if rule is None or subject.inside_rule(layers) == solids.HOUSE_RULE:
         return {}
     own, house = (sections(part, heights, by) for by in (rule, house_rule))
     other = np.flatnonzero(~np.isclose(own.areas(), house.areas(), rtol=1e-9, atol=rounding_mm(part) ** 2))
@@ -310,13 +258,24 @@ def _by_another_rule(
     }
 
 
+def _solids(names: Iterable[str] = tuple(SIMPLE), layers: int = 3) -> Iterator[tuple[Part, Floats]]:
+    """Solids by name, each with as many generic heights."""
+    for name in names:
+        part = simple(name)
+        yield part, generic_heights(part, layers)
+
+
 def _attackers(subject: Subject) -> dict[str, Part]:
-    return attackers(min(max(subject.bound_mm(frame()), FINE_FEATURES_MM), 0.02 * FRAME_MM))
+    bound_mm = max(subject.bound_mm(solids.frame()), FINE_FEATURES_MM)
+    return solids.attackers(min(bound_mm, 0.02 * solids.FRAME_MM))
 
 
-def _depths(check: str, subject: Subject, part: Part, heights: NDArray[np.float64]) -> list[Figure]:
-    differences, limit = subject.differences(part, heights), subject.limit_mm(part)
-    return [
-        Figure(check, part.name, k, float(depth), limit, f"depth, mm, at {differences.places[k]}")
-        for k, depth in enumerate(differences.depth_mm)
-    ]
+def _depths(check: str, subject: Subject, part: Part, heights: Floats) -> list[Figure]:
+    return subject.differences(part, heights).depth_figures(check, part.name, subject.limit_mm(part))
+
+
+# In the order in which they are run
+CHECKS = (
+    bound_held, bound_attacked, bound_not_idle, no_shift, topology, points_on_contours, coplanar_planes, inside_rule,
+    touching_bodies, reference_models,
+)  # fmt: skip

@@ -23,10 +23,8 @@ class Check:
 
     Parameters
     ----------
-    name, summary
-        As the table of ``ebamcheck conform`` shows them.
-    find
-        The function.
+    name, summary, find
+        As the table of ``ebamcheck conform`` shows them, and the function.
 
     Examples
     --------
@@ -66,46 +64,7 @@ def _check(function: Callable[[Subject], list[Figure]]) -> Check:
 
 
 # Every check, in the order in which they are run and shown
-CHECKS: tuple[Check, ...] = tuple(
-    _check(function)
-    for function in (
-        protocol.attributes,
-        protocol.signatures,
-        protocol.settings,
-        protocol.probe,
-        protocol.context,
-        protocol.blocks,
-        protocol.canonical_form,
-        protocol.orientation,
-        protocol.out_of_range,
-        protocol.labels,
-        protocol.progress,
-        protocol.declared_bound,
-        protocol.open_surfaces,
-        accuracy.bound_held,
-        accuracy.bound_attacked,
-        accuracy.bound_not_idle,
-        accuracy.no_shift,
-        accuracy.topology,
-        accuracy.points_on_contours,
-        accuracy.coplanar_planes,
-        accuracy.inside_rule,
-        accuracy.touching_bodies,
-        accuracy.reference_models,
-        laws.translation,
-        laws.rotation,
-        laws.mirror,
-        laws.scale,
-        laws.upside_down,
-        laws.large_offset,
-        laws.facet_order,
-        laws.vertex_order,
-        laws.subdivision,
-        laws.union_of_parts,
-        laws.volume,
-        laws.ring_parity,
-    )
-)
+CHECKS = (*map(_check, (*protocol.CHECKS, *accuracy.CHECKS)), *(Check(*law) for law in laws.LAWS))
 
 SHOWN_SHARE = 0.005  # shares of a limit under this are mere rounding and shown as a plain pass
 
@@ -149,10 +108,8 @@ class Conformance:
 
     Parameters
     ----------
-    subject
-        Slicer and settings in words.
-    outcomes
-        What each check found.
+    subject, outcomes
+        Slicer and settings in words, and what each check found.
 
     Examples
     --------
@@ -176,18 +133,12 @@ class Conformance:
 
     def table(self) -> str:
         """Text for a terminal: one line a check, then every violation."""
-        rows = [
-            [o.check, o.cell(), len(o.figures), "" if o.worst is None else _place(o.worst), o.summary]
-            for o in self.outcomes
-        ]
+        columns = [(o, "" if o.worst is None else _place(o.worst)) for o in self.outcomes]
+        rows = [[o.check, o.cell(), len(o.figures), place, o.summary] for o, place in columns]
         told = [f"  {figure}" for figure in self.violations]
-        return "\n".join(
-            [
-                f"{self.subject}: {'conforms' if self.passed else f'{len(told)} violations'}",
-                text_table(["check", "verdict", "figures", "nearest its limit", ""], rows),
-                *told,
-            ]
-        )
+        head = f"{self.subject}: {'conforms' if self.passed else f'{len(told)} violations'}"
+        table = text_table(["check", "verdict", "figures", "nearest its limit", ""], rows)
+        return "\n".join([head, table, *told])
 
     def to_json(self) -> dict[str, Any]:
         """Return the same as plain values."""
@@ -218,12 +169,8 @@ def conform(
 
     Parameters
     ----------
-    name
-        Name in the registry.
-    models
-        Reference models to cut; default: all that are installed.
-    settings
-        The slicer's settings; default: its own defaults.
+    name, models, settings
+        Name in the registry; reference models to cut, by default all that are installed; the slicer's settings.
     progress
         Called with 1 after each check; there are ``len(CHECKS)``.
 
@@ -234,10 +181,8 @@ def conform(
 
     Raises
     ------
-    BackendMissing
-        If the slicer is unknown or cannot run on this machine.
-    SettingsError
-        If a model is unknown or a setting is wrong.
+    BackendMissing, SettingsError
+        If the slicer is unknown or cannot run on this machine; if a model is unknown or a setting is wrong.
 
     Examples
     --------
@@ -271,12 +216,8 @@ def examine(
 
     Parameters
     ----------
-    subject
-        The slicer, its class, or one with settings and models.
-    checks
-        What to run; default: all.
-    progress
-        Called with 1 after each check.
+    subject, checks, progress
+        The slicer, its class, or one with settings and models; what to run; what is called with 1 after each check.
 
     Returns
     -------
@@ -321,12 +262,10 @@ def markdown_table(found: Sequence[Conformance]) -> str:
     | bound | pass (0.50) |
     """
     head = ["check", *(c.subject for c in found)]
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    lines.extend(
-        "| " + " | ".join([row[0].check, *(outcome.cell() for outcome in row)]) + " |"
-        for row in zip(*(c.outcomes for c in found), strict=True)
-    )
-    return "\n".join(lines)
+    outcomes = zip(*(c.outcomes for c in found), strict=True)
+    rows = [[row[0].check, *(outcome.cell() for outcome in row)] for row in outcomes]
+    first, *rest = ["| " + " | ".join(row) + " |" for row in [head, *rows]]
+    return "\n".join([first, "|" + "---|" * len(head), *rest])
 
 
 def _share(figure: Figure) -> float:

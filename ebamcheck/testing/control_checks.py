@@ -29,6 +29,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.testing.subject import Figure, truth
 
 LAYERS = 3
+FORMS = ("", "arcs", "lines")  # forms of curves: the control's own, arcs, lines
 LONGEST_BLOCK = 255  # characters of a block; controls of this kind read at least so many
 
 # Settings of the process that bring every kind of event into a program
@@ -61,10 +62,6 @@ class ControlSubject:
         machine = {"control": self.name, **self.machine, **({"curve_form": form} if form else {})}
         return Config().changed(machine=machine, process=dict(process))
 
-    def forms(self) -> list[str]:
-        """Forms of curves that the control takes: its own, arcs, lines."""
-        return ["", "arcs", "lines"]
-
     @cached_property
     def stacks(self) -> dict[str, tuple[Curves, ScanPlan]]:
         """Curves of the contour beads and plan, for each of :data:`PROCESSES`."""
@@ -88,8 +85,7 @@ def _stack(config: Config) -> tuple[Curves, ScanPlan]:
     plate = shapely.box(0.0, 0.0, 62.0, 44.0).buffer(-8.0).buffer(8.0, quad_segs=32)
     oval = shapely.affinity.scale(shapely.Point(20.0, 22.0).buffer(8.0, quad_segs=48), 1.0, 0.7)
     section: BaseGeometry = plate.difference(shapely.union_all([oval, shapely.box(40.0, 18.0, 70.0, 26.0)]))
-    height = config.layer_height_mm
-    layers = from_polygons(height * (np.arange(LAYERS) + 0.5), [[section]] * LAYERS)
+    layers = from_polygons(config.layer_height_mm * (np.arange(LAYERS) + 0.5), [[section]] * LAYERS)
     smooth = smooth_layers(fit(layers, "paper", config.curves))
     plan = plan_program(smooth, config)
     return bead_paths(smooth, plan, config), plan
@@ -121,7 +117,7 @@ def read_back(subject: ControlSubject) -> list[Figure]:
     """Every motion and event of a program is read back as it was meant, in every form of curves."""
     figures = []
     for process in PROCESSES:
-        for form in subject.forms() if process == "defaults" else [""]:
+        for form in FORMS if process == "defaults" else FORMS[:1]:
             with tempfile.TemporaryDirectory() as folder:
                 files, config = subject.written(Path(folder, "program"), process, form)
                 checks = subject.checked(files, config, process)
@@ -138,17 +134,14 @@ def form_of_text(subject: ControlSubject) -> list[Figure]:
         again, _ = subject.written(Path(folder, "two"))
         data = b"".join((files.folder / name).read_bytes() for name in files.names)
         stamped = mark_validated(files)
-        changed = [
-            (files.folder / name).read_bytes() != (again.folder / name).read_bytes() for name in files.names
-        ]
-    longest = max(len(line) for line in data.split(b"\n"))
+        places = [(files.folder / name, again.folder / name) for name in files.names]
+        changed = [one.read_bytes() != two.read_bytes() for one, two in places]
+    longest, stamps = max(len(line) for line in data.split(b"\n")), stamped.validated and all(changed)
     return [
         truth("form of text", "encoding", data.isascii() and b"\r" not in data, "not ASCII with LF alone"),
         Figure("form of text", "longest block", -1, float(longest), float(LONGEST_BLOCK), "characters"),
         truth("form of text", "twice", files.sha256 == again.sha256, "two programs of the same differ"),
-        truth(
-            "form of text", "status", stamped.validated and all(changed), "files do not carry their status"
-        ),
+        truth("form of text", "status", stamps, "files do not carry their status"),
     ]
 
 
@@ -159,9 +152,8 @@ def planted_faults(subject: ControlSubject) -> list[Figure]:
         files, config = subject.written(Path(folder, "program"))
         texts = {name: (files.folder / name).read_text(encoding="ascii") for name in files.names}
         for fault, plant in _faults(config, subject.name).items():
-            name, text = next(
-                ((n, new) for n, old in reversed(texts.items()) if (new := plant(old)) != old), ("", "")
-            )
+            planted = ((n, new) for n, old in reversed(texts.items()) if (new := plant(old)) != old)
+            name, text = next(planted, ("", ""))
             if not name:
                 figures.append(truth("planted faults", fault, False, "there is no place to plant it"))
                 continue
@@ -182,7 +174,7 @@ def _faults(config: Config, name: str) -> dict[str, Callable[[str], str]]:
 
     def without(template: str) -> Callable[[str], str]:
         last = values.fill(template, templates[template])[-1].split(";")[0].strip()
-        return lambda text: _line(text, re.escape(last), "", 1)
+        return lambda text: _without_second(text, last)
 
     move = r"X(-?[\d.]+) Y(-?[\d.]+)"
     return {
@@ -199,14 +191,11 @@ def _faults(config: Config, name: str) -> dict[str, Callable[[str], str]]:
     }
 
 
-def _line(text: str, pattern: str, replacement: str, nth: int) -> str:
-    """Replace what matches in the nth line that holds the pattern; an emptied line goes."""
+def _without_second(text: str, words: str) -> str:
+    """Leave out the second line that holds some words."""
     lines = text.split("\n")
-    at = [i for i, line in enumerate(lines) if re.search(pattern, line)]
-    if len(at) <= nth:
-        return text
-    lines[at[nth]] = replacement
-    return "\n".join(line for i, line in enumerate(lines) if line or i != at[nth])
+    at = [i for i, line in enumerate(lines) if words in line]
+    return "\n".join(line for i, line in enumerate(lines) if i not in at[1:2])
 
 
 def _corner_left_out(text: str) -> str:
@@ -232,10 +221,7 @@ CONTROL_CHECKS = (declaration, read_back, form_of_text, planted_faults)
 
 
 def control_figures(subject: ControlSubject) -> Iterator[tuple[str, str, list[Figure]]]:
-    """Name, summary and figures of every check; whatever a control raises is a violation like any other.
-
-    A control whose programs are not read back is held to its declaration alone.
-    """
+    """Name, summary and figures of every check; whatever a control raises is a violation; one that is not read back is held to its declaration alone."""
     for check in CONTROL_CHECKS if subject.control.is_read else CONTROL_CHECKS[:1]:
         name = check.__name__.replace("_", " ")
         try:

@@ -1,8 +1,4 @@
-"""Laws that hold for every slicer, whatever the part: maps carry sections along, order does not matter.
-
-Each law takes its numbers as arguments, so that a property test can choose them; the checks of the kit
-at the end of this module apply each with fixed ones.
-"""
+"""Laws that hold for every slicer, whatever the part: maps carry sections along, order does not matter; :data:`LAWS` apply each with fixed numbers."""
 
 from __future__ import annotations
 
@@ -19,12 +15,10 @@ from ebamcheck.testing.subject import NO_LAYER, Figure, Subject, differences, ge
 
 LARGE_OFFSET_MM = (2.0**17, -(2.0**18), 2.0**16)  # 0.1 .. 0.3 km from the origin, as in plant coordinates
 COORDINATE_STEP_MM = 2.0**-16  # grid on which vertices are placed where a large shift must not round them
-
 # Solids without features thinner than any sensible bound
 THICK = ("box", "plate with holes", "tilted plate", "sphere", "torus", "upright torus", "cavity")
 # Solids whose vertices lie at few heights, between which the area is a polynomial
 FEW_LEVELS = ("box", "plate with holes", "sphere", "torus", "pyramid", "comb", "pillars")
-
 LEAST_INTERVAL_MM = 1e-9  # levels nearer to each other than this are one, by rounding
 
 
@@ -51,13 +45,11 @@ def carried_by_map(
     order = slice(None, None, 1 if linear[2, 2] > 0.0 else -1)
     planes = linear[2, 2] * heights + move[2]
     found = subject.cut(image, np.ascontiguousarray(planes[order]))
-    wanted = carried_layers(
-        subject.cut(part, heights).take(np.arange(len(heights))[order]), linear, move, found.heights
-    )
+    before = subject.cut(part, heights).take(np.arange(len(heights))[order])
+    wanted = carried_layers(before, linear, move, found.heights)
     scale = float(np.sqrt(abs(np.linalg.det(linear[:2, :2]))))
-    return _alike(
-        subject, law, image, found, wanted, scale * subject.limit_mm(part) + subject.limit_mm(image)
-    )
+    limit_mm = scale * subject.limit_mm(part) + subject.limit_mm(image)
+    return _alike(subject, law, image, found, wanted, limit_mm)
 
 
 def same_sections(subject: Subject, law: str, part: Part, other: Part, heights: Floats) -> list[Figure]:
@@ -71,21 +63,13 @@ def _alike(
 ) -> list[Figure]:
     exact = subject.slicer.exact
     seen = differences(wanted, found, limit_mm, reference_exact=exact, found_exact=exact)
-    figures = [
-        Figure(law, part.name, k, float(depth), limit_mm, f"depth, mm, at {seen.places[k]}")
-        for k, depth in enumerate(seen.depth_mm)
-    ]
-    figures += [
-        truth(law, part.name, bool(agrees), f"other rings or holes at {seen.places[k]}", k)
-        for k, agrees in enumerate(seen.topology_agrees)
-    ]
-    return figures
+    return seen.depth_figures(law, part.name, limit_mm) + seen.topology_figures(law, part.name)
 
 
 # -- meshes of the same solid --------------------------------------------------------------------------
 
 
-def shuffled_facets(part: Part, seed: int) -> Part:
+def shuffled_facets(part: Part, seed: int = 5) -> Part:
     """The same facets in another order, each starting at another corner."""
     rng = np.random.default_rng(seed)
     faces = part.faces[rng.permutation(len(part.faces))]
@@ -94,7 +78,7 @@ def shuffled_facets(part: Part, seed: int) -> Part:
     return from_arrays(part.vertices, np.take_along_axis(faces, columns, axis=1), part.name)
 
 
-def shuffled_vertices(part: Part, seed: int) -> Part:
+def shuffled_vertices(part: Part, seed: int = 6) -> Part:
     """The same facets with the vertices numbered another way."""
     order = np.random.default_rng(seed).permutation(len(part.vertices))
     number = np.empty_like(order)
@@ -121,23 +105,16 @@ def disjoint_union(subject: Subject, part: Part, other: Part, heights: Floats) -
     gap = float(part.size[0]) + 3.7
     moved = mapped(other, shift=(gap + float(part.bounds[0, 0] - other.bounds[0, 0]), 1.3, 0.0))
     both = joined(part, moved)
-    alone = [subject.cut(p, heights) for p in (part, moved)]
-    rings = [
-        [layers.ring(r) for layers in alone for r in layers.rings_of(k) if layers.closed[r]]
-        for k in range(len(heights))
-    ]
+    alone, every = [subject.cut(p, heights) for p in (part, moved)], range(len(heights))
+    rings = [[n.ring(r) for n in alone for r in n.rings_of(k) if n.closed[r]] for k in every]
     limit = max(subject.limit_mm(part), subject.limit_mm(moved)) + subject.limit_mm(both)
-    return _alike(
-        subject, "union of parts", both, subject.cut(both, heights), from_rings(heights, rings), limit
-    )
+    wanted = from_rings(heights, rings)
+    return _alike(subject, "union of parts", both, subject.cut(both, heights), wanted, limit)
 
 
 def volume_from_areas(subject: Subject, part: Part) -> list[Figure]:
-    """The integral of the areas is the volume.
-
-    Between two levels at which there are vertices the area is a quadratic polynomial of the height, so the
-    two points of Gauss integrate it without error. A section within r of the true one misses its area by
-    r times its perimeter and pi r squared a ring at most.
+    """The integral of the areas is the volume: between two levels of vertices the area is a quadratic polynomial of the height, which two points of Gauss
+    integrate without error; a section within r of the true one misses its area by r times its perimeter and pi r squared a ring at most.
     """
     levels = np.unique(part.vertices[:, 2])
     levels = levels[np.append(True, np.diff(levels) > LEAST_INTERVAL_MM)]
@@ -155,10 +132,8 @@ def volume_from_areas(subject: Subject, part: Part) -> list[Figure]:
 
 
 def parity_of_rings(subject: Subject, part: Part, heights: Floats) -> list[Figure]:
-    """The number of rings is odd or even as the Euler number of the surface below the plane.
-
-    The surface below z = h + 0 is a set of sheets with ``2 - 2 handles - rings`` each, and contracts onto
-    the facets that lie wholly below, so that its Euler number is counted without any tracing.
+    """The number of rings is odd or even as the Euler number of the surface below the plane z = h + 0: sheets with ``2 - 2 handles - rings`` each, which
+    contracts onto the facets that lie wholly below, so that it is counted without any tracing.
     """
     layers = subject.cut(part, heights)
     edges = np.unique(np.sort(part.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
@@ -173,97 +148,72 @@ def parity_of_rings(subject: Subject, part: Part, heights: Floats) -> list[Figur
     return figures
 
 
-# -- the laws with fixed numbers -----------------------------------------------------------------------
-
-
-def _over(names: tuple[str, ...], layers: int, law: Callable[[Part, Floats], list[Figure]]) -> list[Figure]:
-    parts = [simple(name) for name in names]
-    return [figure for part in parts for figure in law(part, generic_heights(part, layers))]
-
-
-def _maps(
-    subject: Subject, law: str, layers: int, *matrices: ArrayLike, shift: ArrayLike = (0, 0, 0)
-) -> list[Figure]:
-    return [
-        figure
-        for name in THICK
-        for matrix in matrices
-        for figure in carried_by_map(
-            subject, law, simple(name), generic_heights(simple(name), layers), matrix, shift
-        )
-    ]
-
-
-def translation(subject: Subject) -> list[Figure]:
-    """Moving the part moves its sections."""
-    return _maps(subject, "translation", 2, np.eye(3), shift=(3.1415, -7.77, 11.3))
-
-
-def rotation(subject: Subject) -> list[Figure]:
-    """Turning the part about z turns its sections, by any angle."""
-    return _maps(subject, "rotation", 1, turn(45.0), turn(163.7))
-
-
-def mirror(subject: Subject) -> list[Figure]:
-    """Mirroring the part mirrors its sections."""
-    return _maps(subject, "mirror", 2, np.diag([-1.0, 1.0, 1.0]))
-
-
-def scale(subject: Subject) -> list[Figure]:
-    """A part twice or a quarter as large has sections twice or a quarter as large."""
-    return _maps(subject, "scale", 1, 0.25 * np.eye(3), 2.0 * np.eye(3))
-
-
-def upside_down(subject: Subject) -> list[Figure]:
-    """The part turned upside down has mirrored sections, in the opposite order."""
-    return _maps(subject, "upside down", 2, np.diag([1.0, -1.0, -1.0]))
-
-
-def large_offset(subject: Subject) -> list[Figure]:
-    """Far from the origin sections are as good as near it."""
-
-    def law(part: Part, z: Floats) -> list[Figure]:
-        placed = from_arrays(on_grid(part.vertices), part.faces, part.name)
-        return carried_by_map(subject, "large offset", placed, on_grid(z), np.eye(3), LARGE_OFFSET_MM)
-
-    return _over(("tilted plate", "sphere", "upright torus"), 2, law)
-
-
-def facet_order(subject: Subject) -> list[Figure]:
-    """The order of facets and of their corners does not matter."""
-    return _over(
-        THICK, 2, lambda part, z: same_sections(subject, "facet order", part, shuffled_facets(part, 5), z)
-    )
-
-
-def vertex_order(subject: Subject) -> list[Figure]:
-    """How vertices are numbered does not matter."""
-    return _over(
-        THICK, 2, lambda part, z: same_sections(subject, "vertex order", part, shuffled_vertices(part, 6), z)
-    )
-
-
-def subdivision(subject: Subject) -> list[Figure]:
-    """Cutting every facet into four does not change the solid."""
-    return _over(THICK, 2, lambda part, z: same_sections(subject, "subdivision", part, subdivided(part), z))
-
-
-def union_of_parts(subject: Subject) -> list[Figure]:
-    """Two parts beside each other have the sections of both."""
-    other = simple("torus")
-    return _over(("plate with holes", "sphere"), 3, lambda part, z: disjoint_union(subject, part, other, z))
-
-
-def volume(subject: Subject) -> list[Figure]:
-    """The integral of areas along z is the volume."""
-    return [figure for name in FEW_LEVELS for figure in volume_from_areas(subject, simple(name))]
-
-
-def ring_parity(subject: Subject) -> list[Figure]:
-    """Rings come and go with the handles and pieces of the surface below the plane."""
-    return _over(THICK, 5, lambda part, z: parity_of_rings(subject, part, z))
-
-
 def on_grid(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round to the grid that a large shift keeps."""
     return np.round(values / COORDINATE_STEP_MM) * COORDINATE_STEP_MM
+
+
+# -- the laws with fixed numbers -----------------------------------------------------------------------
+
+Law = tuple[str, str, Callable[[Subject], list[Figure]]]  # name, summary, and what finds the figures
+LawOfPart = Callable[[Subject, Part, Floats], list[Figure]]
+
+
+def _over(name: str, summary: str, solids: tuple[str, ...], layers: int, law: LawOfPart) -> Law:
+    """A law of some solids, each at as many heights."""
+
+    def figures(subject: Subject) -> list[Figure]:
+        parts = [simple(solid) for solid in solids]
+        return [figure for part in parts for figure in law(subject, part, generic_heights(part, layers))]
+
+    return name, summary, figures
+
+
+def _maps(name: str, summary: str, layers: int, *matrices: ArrayLike, shift: ArrayLike = (0, 0, 0)) -> Law:
+    def figures(subject: Subject, part: Part, z: Floats) -> list[Figure]:
+        return [f for matrix in matrices for f in carried_by_map(subject, name, part, z, matrix, shift)]
+
+    return _over(name, summary, THICK, layers, figures)
+
+
+def _meshes(name: str, summary: str, other: Callable[[Part], Part]) -> Law:
+    def figures(subject: Subject, part: Part, z: Floats) -> list[Figure]:
+        return same_sections(subject, name, part, other(part), z)
+
+    return _over(name, summary, THICK, 2, figures)
+
+
+def _far_away(subject: Subject, part: Part, z: Floats) -> list[Figure]:
+    placed = from_arrays(on_grid(part.vertices), part.faces, part.name)
+    return carried_by_map(subject, "large offset", placed, on_grid(z), np.eye(3), LARGE_OFFSET_MM)
+
+
+def _beside_a_torus(subject: Subject, part: Part, z: Floats) -> list[Figure]:
+    return disjoint_union(subject, part, simple("torus"), z)
+
+
+def _volume(subject: Subject, part: Part, _: Floats) -> list[Figure]:
+    return volume_from_areas(subject, part)
+
+
+FAR_SOLIDS = ("tilted plate", "sphere", "upright torus")
+LARGER = "A part twice or a quarter as large has sections twice or a quarter as large."
+OVER = "The part turned upside down has mirrored sections, in the opposite order."
+BESIDE = "Two parts beside each other have the sections of both."
+PARITY = "Rings come and go with the handles and pieces of the surface below the plane."
+LAWS = (
+    _maps("translation", "Moving the part moves its sections.", 2, np.eye(3), shift=(3.1415, -7.77, 11.3)),
+    _maps(
+        "rotation", "Turning the part about z turns its sections, by any angle.", 1, turn(45.0), turn(163.7)
+    ),
+    _maps("mirror", "Mirroring the part mirrors its sections.", 2, np.diag([-1.0, 1.0, 1.0])),
+    _maps("scale", LARGER, 1, 0.25 * np.eye(3), 2.0 * np.eye(3)),
+    _maps("upside down", OVER, 2, np.diag([1.0, -1.0, -1.0])),
+    _over("large offset", "Far from the origin sections are as good as near it.", FAR_SOLIDS, 2, _far_away),
+    _meshes("facet order", "The order of facets and of their corners does not matter.", shuffled_facets),
+    _meshes("vertex order", "How vertices are numbered does not matter.", shuffled_vertices),
+    _meshes("subdivision", "Cutting every facet into four does not change the solid.", subdivided),
+    _over("union of parts", BESIDE, ("plate with holes", "sphere"), 3, _beside_a_torus),
+    _over("volume", "The integral of areas along z is the volume.", FEW_LEVELS, 1, _volume),
+    _over("ring parity", PARITY, THICK, 5, parity_of_rings),
+)

@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
-from ebamcheck.errors import BackendFailed
 from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.plugins.registry import SLICER_ATTRIBUTES
 from ebamcheck.testing.solids import box, joined, mapped, named, simple, winding_rule
@@ -26,9 +25,7 @@ SIGNATURES = {
 }
 
 EXACT_BOUND = 1e-6  # largest bound of a slicer that calls itself exact, over the part's largest coordinate: it is rounding
-
 COLUMNS = ("heights", "points", "ring_starts", "layer_starts", "closed")
-
 FORM_SOLIDS = ("plate with holes", "tilted plate", "upright torus", "cavity", "comb", "pillars")
 
 
@@ -44,9 +41,8 @@ def attributes(subject: Subject) -> list[Figure]:
         found.append(truth("attributes", what, good, f"it is {getattr(slicer, what)!r}"))
 
     holds("name", isinstance(slicer.name, str) and bool(slicer.name) and slicer.name == slicer.name.strip())
-    holds(
-        "summary", isinstance(slicer.summary, str) and slicer.summary.count("\n") == 0 < len(slicer.summary)
-    )
+    told = isinstance(slicer.summary, str) and slicer.summary.count("\n") == 0 < len(slicer.summary)
+    holds("summary", told)
     holds("exact", isinstance(slicer.exact, bool))
     holds("priority", isinstance(slicer.priority, int))
     holds("coplanar_rule", slicer.coplanar_rule in get_args(CoplanarRule))
@@ -107,9 +103,8 @@ def context(subject: Subject) -> list[Figure]:
             same = entered is prepared
             layers = entered.slice(np.array([2.9]))
         found.append(truth("context", f"{time} time", same, "__enter__ returned something else"))
-        found.append(
-            truth("context", f"{time} cut", len(layers) == 1, f"it gave {len(layers)} layers for one")
-        )
+        text = f"it gave {len(layers)} layers for one"
+        found.append(truth("context", f"{time} cut", len(layers) == 1, text))
     return found
 
 
@@ -136,9 +131,7 @@ def canonical_form(subject: Subject) -> list[Figure]:
     for name in FORM_SOLIDS:
         part = simple(name)
         layers = subject.cut(part, generic_heights(part, 3))
-        again = canonical(
-            layers.heights, layers.points, layers.ring_starts, layers.layer_starts, layers.closed
-        )
+        again = canonical(*(getattr(layers, column) for column in COLUMNS))
         found.append(_same("canonical form", name, again, layers))
     return found
 
@@ -170,11 +163,9 @@ def out_of_range(subject: Subject) -> list[Figure]:
     counts = layers.ring_counts() + layers.open_counts()
     right = len(layers) == planes.size and (counts > 0).tolist() == [False, False, True, False, False]
     kept = len(layers) == planes.size and np.array_equal(layers.heights, planes)
-    none = subject.cut(part, [])
+    none, text = subject.cut(part, []), f"rings on five layers, of which two lie on each side: {counts}"
     return [
-        truth(
-            "out of range", "outside", right, f"rings on five layers, of which two lie on each side: {counts}"
-        ),
+        truth("out of range", "outside", right, text),
         truth("out of range", "heights", kept, "the layers do not carry the heights that were asked for"),
         truth("out of range", "no heights", len(none) == 0, f"it gave {len(none)} layers for no heights"),
     ]
@@ -225,10 +216,8 @@ def declared_bound(subject: Subject) -> list[Figure]:
         text = f"a part twice as large has {ratio:.6g} times the bound"
         found.append(truth("declared bound", f"{name}, doubled", 1.0 - 1e-9 <= ratio <= 2.0 + 1e-9, text))
         if subject.slicer.exact:
-            limit = EXACT_BOUND * float(np.abs(part.bounds).max())
-            found.append(
-                Figure("declared bound", f"{name}, exact", -1, bound, limit, "more than rounding, mm")
-            )
+            limit, text = EXACT_BOUND * float(np.abs(part.bounds).max()), "more than rounding, mm"
+            found.append(Figure("declared bound", f"{name}, exact", -1, bound, limit, text))
     return found
 
 
@@ -237,15 +226,13 @@ def open_surfaces(subject: Subject) -> list[Figure]:
     closed = joined(box((0, 0, 0), (8, 8, 8)), box((12, 0, 0), (20, 8, 8)))
     level = (closed.triangles[:, :, 2] == 8.0).all(axis=1)
     side = (closed.triangles[:, :, 0] == 20.0).all(axis=1)
-    found = []
+    found: list[Figure] = []
     for name, gone in {"no lid": level, "no side": side}.items():
         part = named(name, type(closed)(closed.vertices, closed.faces[~gone]))
         with _Heard() as heard:
-            try:
-                layers = subject.cut(part, [4.1])
-            except BackendFailed as refusal:
-                found.append(truth("open surfaces", name, True, f"refused: {refusal}"))
-                continue
+            layers = subject.cut_unless_refused("open surfaces", part, [4.1], found)
+        if layers is None:
+            continue
         paths = int((layers.ring_counts() + layers.open_counts())[0])
         text = f"{paths} contours of two bodies, and no warning"
         found.append(truth("open surfaces", name, paths >= 2 or heard.count > 0, text, 0))
@@ -273,3 +260,10 @@ class _Heard(logging.Handler):
 def _same(check: str, name: str, found: Layers, wanted: Layers) -> Figure:
     unlike = [c for c in COLUMNS if not np.array_equal(getattr(found, c), getattr(wanted, c))]
     return truth(check, name, not unlike, f"other {', '.join(unlike)}")
+
+
+# In the order in which they are run
+CHECKS = (
+    attributes, signatures, settings, probe, context, blocks, canonical_form, orientation, out_of_range, labels, progress,
+    declared_bound, open_surfaces,
+)  # fmt: skip

@@ -1,7 +1,6 @@
-"""Small solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their arrangement, winding numbers.
+"""Small closed solids on which slicers are tested, and their exact sections by plain means: segments, polygons of their arrangement, winding numbers.
 
-All meshes are closed. Those of :data:`SIMPLE` bound one winding number, so any slicer should take them; the others overlap, are inside out or
-open. Sections share no code with a slicer, work in float64 and take time with the number of segments squared.
+Those of :data:`SIMPLE` bound one winding number, so any slicer should take them. Sections share no code with a slicer; time goes with segments squared.
 """
 
 from __future__ import annotations
@@ -19,9 +18,7 @@ from ebamcheck.layers.stack import Layers, from_polygons
 from ebamcheck.mesh.part import Part, from_arrays
 
 FRAME_MM = 40.0  # side of the box around every attacking solid: a slicer's bound, which may depend on it, is the same for all
-
 Matrix = NDArray[np.float64]
-
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -91,9 +88,8 @@ def box(low: ArrayLike, high: ArrayLike) -> Part:
 def regular(sides: int, radius_mm: float, x_mm: float = 0.0, y_mm: float = 0.0) -> shapely.Polygon:
     """Regular polygon; its first corner lies off the axes."""
     angle = 0.1 + 2.0 * math.pi * np.arange(sides) / sides
-    return shapely.Polygon(
-        np.column_stack([x_mm + radius_mm * np.cos(angle), y_mm + radius_mm * np.sin(angle)])
-    )
+    x, y = x_mm + radius_mm * np.cos(angle), y_mm + radius_mm * np.sin(angle)
+    return shapely.Polygon(np.column_stack([x, y]))
 
 
 def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) -> Part:
@@ -101,10 +97,8 @@ def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) 
     angle = 2.0 * math.pi * np.arange(around) / around
     rows = np.asarray(profile if closed else profile[1:-1], dtype=np.float64)
     r, z = rows.T
-    grid = np.stack(
-        [np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle)), np.repeat(z[:, None], around, 1)], -1
-    )
-    vertices = grid.reshape(-1, 3)
+    x, y = np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle))
+    vertices = np.stack([x, y, np.repeat(z[:, None], around, 1)], -1).reshape(-1, 3)
     last = len(rows) if closed else len(rows) - 1
     i, j = np.meshgrid(np.arange(last), np.arange(around), indexing="ij")
     a, b = i * around + j, i * around + (j + 1) % around
@@ -116,19 +110,16 @@ def revolved(profile: Sequence[tuple[float, float]], around: int, closed: bool) 
         k = np.arange(around)
         after = (k + 1) % around
         top = (len(rows) - 1) * around
-        faces += [
-            np.column_stack([np.full(around, south), after, k]),
-            np.column_stack([np.full(around, north), top + k, top + after]),
-        ]
+        faces.append(np.column_stack([np.full(around, south), after, k]))
+        faces.append(np.column_stack([np.full(around, north), top + k, top + after]))
     return from_arrays(vertices, np.concatenate(faces), "revolved")
 
 
 def sphere(radius_mm: float = 10.0, rows: int = 12, around: int = 24) -> Part:
     """Sphere of latitude and longitude, its poles single vertices."""
     latitude = np.linspace(-0.5 * math.pi, 0.5 * math.pi, rows + 1)
-    return revolved(
-        [(radius_mm * math.cos(a), radius_mm * math.sin(a)) for a in latitude], around, closed=False
-    )
+    profile = [(radius_mm * math.cos(a), radius_mm * math.sin(a)) for a in latitude]
+    return revolved(profile, around, closed=False)
 
 
 def torus(major_mm: float = 12.0, minor_mm: float = 4.0, around: int = 30, across: int = 14) -> Part:
@@ -142,8 +133,7 @@ def steps() -> Part:
     """A block with a terrace and a pit: level faces that look up at 3, 5 and 8 mm, and down at 0 and 2 mm."""
     block = box((0, 0, 0), (20, 14, 5))
     tower = box((4, 3, 5), (11, 9, 8))
-    shelf = box((25, 0, 2), (31, 6, 3))
-    return joined(block, tower, shelf)
+    return joined(block, tower, box((25, 0, 2), (31, 6, 3)))
 
 
 def named(name: str, part: Part) -> Part:
@@ -170,11 +160,9 @@ def _comb() -> BaseGeometry:
     return shapely.union_all([*teeth, shapely.box(0.0, 0.0, x + 1.0, 2.0)])
 
 
-def _pillars() -> BaseGeometry:
-    """Posts from 0.01 to 3 mm across, each far from the next."""
-    widths = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-    return shapely.union_all([regular(7, 0.5 * w, 4.3 * k, 2.1 * (k % 3)) for k, w in enumerate(widths)])
-
+# Posts from 0.01 to 3 mm across, each far from the next
+_ACROSS_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+_PILLARS = [regular(7, 0.5 * mm, 4.3 * k, 2.1 * (k % 3)) for k, mm in enumerate(_ACROSS_MM)]
 
 # Closed meshes of one winding number
 SIMPLE: dict[str, Callable[[], Part]] = {
@@ -193,7 +181,7 @@ SIMPLE: dict[str, Callable[[], Part]] = {
     ),
     "comb": lambda: prism(_comb(), 0.0, 3.0),
     "turned comb": lambda: mapped(prism(_comb(), 0.0, 3.0), turn(31.0)),
-    "pillars": lambda: prism(_pillars(), 0.0, 3.0),
+    "pillars": lambda: prism(shapely.union_all(_PILLARS), 0.0, 3.0),
     "wedge": lambda: mapped(prism(shapely.Polygon([(0, 0), (20, 0.6), (0, 1.2)]), 0.0, 3.0), turn(44.9)),
 }
 
@@ -219,14 +207,12 @@ def _framed(pieces: Iterable[BaseGeometry]) -> BaseGeometry:
 
 def _strips(bound_mm: float) -> list[BaseGeometry]:
     """Strips of all widths that lie at places that never repeat modulo a sample."""
-    pitch = (FRAME_MM - 6.0) / (len(WIDTHS) * REPEATS)
-    strips: list[BaseGeometry] = []
-    for k in range(len(WIDTHS) * REPEATS):
-        width = WIDTHS[k % len(WIDTHS)] * bound_mm
-        x = 2.0 + k * pitch + (k * GOLDEN % 1.0) * min(2.0 * bound_mm, 0.2 * pitch)
-        y = 10.0 + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
-        strips.append(shapely.box(x, y, x + min(width, 0.7 * pitch), y + 2.0))
-    return strips
+    k = np.arange(len(WIDTHS) * REPEATS)
+    pitch = (FRAME_MM - 6.0) / k.size
+    x = 2.0 + k * pitch + (k * GOLDEN % 1.0) * min(2.0 * bound_mm, 0.2 * pitch)
+    y = 10.0 + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
+    width = np.minimum(np.resize(WIDTHS, k.size) * bound_mm, 0.7 * pitch)
+    return list(shapely.box(x, y, x + width, y + 2.0))
 
 
 def _turned(pieces: Sequence[BaseGeometry], degrees: float) -> list[BaseGeometry]:
@@ -239,13 +225,11 @@ def _turned(pieces: Sequence[BaseGeometry], degrees: float) -> list[BaseGeometry
 
 def _posts(bound_mm: float) -> list[BaseGeometry]:
     """Small posts, three- to eight-sided, of all widths and at all places."""
-    posts: list[BaseGeometry] = []
-    for k in range(len(WIDTHS) * REPEATS):
-        row, column = divmod(k, 11)
-        x = 3.0 + 3.2 * column + (k * GOLDEN % 1.0) * 2.0 * bound_mm
-        y = 3.0 + 3.2 * row + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
-        posts.append(regular(3 + k % 6, min(0.6 * WIDTHS[k % len(WIDTHS)] * bound_mm, 1.2), x, y))
-    return posts
+    k = np.arange(len(WIDTHS) * REPEATS)
+    x = 3.0 + 3.2 * (k % 11) + (k * GOLDEN % 1.0) * 2.0 * bound_mm
+    y = 3.0 + 3.2 * (k // 11) + (k * GOLDEN * GOLDEN % 1.0) * 2.0 * bound_mm
+    radius = np.minimum(0.6 * np.resize(WIDTHS, k.size) * bound_mm, 1.2)
+    return [regular(3 + n % 6, *place) for n, place in enumerate(np.stack([radius, x, y], 1).tolist())]
 
 
 def _wedges() -> list[BaseGeometry]:
@@ -253,20 +237,14 @@ def _wedges() -> list[BaseGeometry]:
     for k, angle in enumerate((1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 80.0)):
         row, column = divmod(k, 4)
         x, y, direction = 7.0 + 8.7 * column, 12.0 + 15.0 * row, math.radians(23.7 + 47.0 * k)
-        half = math.radians(0.5 * angle)
-        corners = [
-            (x + 3.7 * math.cos(direction + t), y + 3.7 * math.sin(direction + t)) for t in (-half, half)
-        ]
+        sides = (direction - math.radians(0.5 * angle), direction + math.radians(0.5 * angle))
+        corners = [(x + 3.7 * math.cos(side), y + 3.7 * math.sin(side)) for side in sides]
         wedges.append(shapely.Polygon([(x, y), *corners]))
     return wedges
 
 
 def attackers(bound_mm: float) -> dict[str, Part]:
-    """Prisms with features about as thin as a bound: thin walls, slits, posts and pores, wedges.
-
-    All have the same box, ``FRAME_MM`` square and 4 mm high, so that a slicer whose samples are laid over
-    the part's box has the same bound for all of them (that of :func:`frame`).
-    """
+    """Prisms with features about as thin as a bound: thin walls, slits, posts and pores, wedges; all in the box of :func:`frame`, and so of one bound."""
     plate = shapely.box(0.0, 0.0, FRAME_MM, FRAME_MM)
     across = shapely.box(1.0, 8.0, FRAME_MM - 1.0, 14.0)
     strips, posts = _strips(bound_mm), _posts(bound_mm)
@@ -301,15 +279,8 @@ def winding_rule(text: str) -> WindingRule | None:
     >>> [w for w in range(-1, 4) if winding_rule("1..2")(w)]
     [1, 2]
     """
-    if text == HOUSE_RULE:
-        return house_rule
-    if text == "winding != 0":
-        return lambda count: count != 0
-    if text == "odd":
-        return lambda count: count % 2 == 1
-    span = re.fullmatch(r"(-?\d+)\.\.(-?\d+)", text)
-    if span is None:
-        return None
+    if text in RULES or not (span := re.fullmatch(r"(-?\d+)\.\.(-?\d+)", text)):
+        return RULES.get(text)
     low, high = int(span[1]), int(span[2])
     return lambda count: low <= count <= high
 
@@ -319,11 +290,17 @@ def house_rule(winding: int) -> bool:
     return winding > 0
 
 
-def segments(part: Part, height: float) -> NDArray[np.float64]:
-    """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left.
+RULES: dict[str, WindingRule] = {
+    HOUSE_RULE: house_rule,
+    "winding != 0": lambda count: count != 0,
+    "odd": lambda count: count % 2 == 1,
+}
 
-    An edge is cut where ``min <= height < max``; the crossing is computed from its lower vertex, so that
-    both facets of an edge give the same point.
+
+def segments(part: Part, height: float) -> NDArray[np.float64]:
+    """Directed segments of the plane z = height + 0, (S, 2, 2) mm, material on the left; an edge is cut where ``min <= height < max``.
+
+    The crossing is computed from its lower vertex, so that both facets of an edge give the same point.
     """
     corners = part.triangles
     above = corners[:, :, 2] > height
@@ -359,18 +336,14 @@ def section(part: Part, height: float, rule: WindingRule) -> list[shapely.Polygo
     cells = shapely.get_parts(shapely.polygonize([lines]))
     middles = shapely.get_coordinates(shapely.point_on_surface(cells))
     solid = [cell for cell, (x, y) in zip(cells, middles, strict=True) if rule(winding_number(cut, x, y))]
-    return polygons_of(shapely.union_all(solid))
+    parts = shapely.get_parts(shapely.union_all(solid))
+    return [part for part in parts if part.geom_type == "Polygon" and part.area > 0.0]
 
 
 def sections(part: Part, heights: ArrayLike, rule: WindingRule) -> Layers:
     """Sections of a closed part as layers, one a height."""
     planes = np.asarray(heights, dtype=np.float64).reshape(-1)
     return from_polygons(planes, [section(part, h, rule) for h in planes.tolist()], part=part.sha256)
-
-
-def polygons_of(geometry: BaseGeometry) -> list[shapely.Polygon]:
-    """Polygons with area in a geometry."""
-    return [g for g in shapely.get_parts(geometry) if g.geom_type == "Polygon" and g.area > 0.0]
 
 
 def region(layers: Layers, layer: int) -> BaseGeometry:

@@ -30,12 +30,8 @@ class Subject:
 
     Parameters
     ----------
-    slicer
-        The slicer, or its class.
-    settings
-        Its settings; the defaults where none are given.
-    models
-        Reference models that it is to cut, by name.
+    slicer, settings, models
+        The slicer, or its class; its settings, by default its own; reference models that it is to cut, by name.
 
     Examples
     --------
@@ -79,6 +75,16 @@ class Subject:
         if key not in self._layers:
             self._layers[key] = self._cut(part, planes)
         return self._layers[key]
+
+    def cut_unless_refused(
+        self, check: str, part: Part, heights: ArrayLike, found: list[Figure]
+    ) -> Layers | None:
+        """Layers of a part that may be refused, which is then told among the figures `found`: it is no violation."""
+        try:
+            return self.cut(part, heights)
+        except BackendFailed as refusal:
+            found.append(truth(check, part.name, True, f"refused: {refusal}"))
+            return None
 
     def _cut(self, part: Part, planes: NDArray[np.float64]) -> Layers:
         """Cut a part; what the slicer raises tells part, settings, height and place."""
@@ -180,9 +186,19 @@ class Differences(NamedTuple):
 
     # Deepest point of the symmetric difference, measured from the exact contours
     depth_mm: NDArray[np.float64]
+    # Whether rings and holes agree once features thinner than twice the limit are set aside
     topology_agrees: NDArray[np.bool_]
-    """Whether rings and holes agree once features thinner than twice the limit are set aside."""
     places: list[str]  # height of the layer, and where its deepest point lies
+
+    def depth_figures(self, check: str, model: str, limit_mm: float) -> list[Figure]:
+        """How deep they differ, one figure a layer."""
+        rows = enumerate(zip(self.depth_mm.tolist(), self.places, strict=True))
+        return [Figure(check, model, k, deep, limit_mm, f"depth, mm, at {at}") for k, (deep, at) in rows]
+
+    def topology_figures(self, check: str, model: str) -> list[Figure]:
+        """Whether rings and holes agree, one figure a layer."""
+        rows = enumerate(zip(self.topology_agrees.tolist(), self.places, strict=True))
+        return [truth(check, model, same, f"other rings or holes at {at}", k) for k, (same, at) in rows]
 
 
 def differences(
@@ -192,11 +208,9 @@ def differences(
     a, b = reference_exact, found_exact
     table = compare(reference, found, tolerance_mm=limit_mm, exact_a=a, exact_b=b, check_part=False)
     depth = table["depth_mm"].to_numpy(dtype=np.float64)
+    rows = table[["height_mm", "depth_x_mm", "depth_y_mm", "depth_mm"]].to_numpy(np.float64).tolist()
     places = [
-        f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "")
-        for z, x, y, deep in zip(
-            table["height_mm"], table["depth_x_mm"], table["depth_y_mm"], depth, strict=True
-        )
+        f"z = {z:.9g} mm" + (f", x = {x:.6g}, y = {y:.6g}" if deep > 0.0 else "") for z, x, y, deep in rows
     ]
     return Differences(depth, table["topology_agrees"].to_numpy(dtype=np.bool_), places)
 
@@ -212,16 +226,10 @@ class Figure:
 
     Parameters
     ----------
-    check
-        Name of the check.
-    model
-        Solid or reference model that was cut, or what was looked at.
-    layer
-        Index of the layer, :data:`NO_LAYER` for none in particular.
-    value, limit
-        In the unit that the text names.
-    text
-        What the value is.
+    check, model, layer
+        Name of the check, what was cut or looked at, and index of the layer, :data:`NO_LAYER` for none in particular.
+    value, limit, text
+        Figure and limit in the unit that the text names, which says what the value is.
 
     Examples
     --------

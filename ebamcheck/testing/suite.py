@@ -19,12 +19,9 @@ class SlicerSuite:
 
     Attributes
     ----------
-    slicer
-        The slicer under test, its class or an instance.
-    settings
-        Choices of settings that are tested, one after another; default: the slicer's defaults.
-    models
-        Names of the reference models it cuts; None for all that are installed.
+    slicer, settings, models
+        The slicer under test, its class or an instance; choices of its settings that are tested, one after another; names of the
+        reference models that it cuts, None for all that are installed.
 
     Examples
     --------
@@ -42,8 +39,7 @@ class SlicerSuite:
     @classmethod
     def subjects(cls) -> list[Subject]:
         """One subject for each choice of settings; skips where this machine cannot run the slicer."""
-        models = installed_models(cls.models)
-        found = [Subject(cls.slicer, chosen, models) for chosen in cls.settings]
+        found = [Subject(cls.slicer, chosen, installed_models(cls.models)) for chosen in cls.settings]
         probe = found[0].slicer.probe()
         if not probe.available:
             pytest.skip(f"{found[0].slicer.name} is not available: {probe.why}")
@@ -62,10 +58,8 @@ class ControlSuite:
 
     Attributes
     ----------
-    control
-        Name of the control under test, as its entry point has it.
-    machine
-        Settings of the machine section under which it is tested.
+    control, machine
+        Name of the control under test, as its entry point has it, and settings of the machine section.
 
     Examples
     --------

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
@@ -13,7 +12,7 @@ from ebamcheck.checks.metal import LayerField
 from ebamcheck.kernels import Floats
 from ebamcheck.showing.colours import palette_image, png_address
 from ebamcheck.showing.markup import Markup, element, svg_file, text
-from ebamcheck.showing.pictures import ring_path
+from ebamcheck.showing.pictures import region_path
 
 WIDTH_PX, MARGIN_PX, TITLE_PX, SCALE_PX, BAR_PX = 880, 16, 28, 40, 240
 """Width of the picture, its margin, and the room for the title of a field and for its colour scale."""
@@ -120,7 +119,7 @@ def _image(pixels: NDArray[np.uint8], top_px: float, width_px: float, height_px:
 
 
 def _outline(section: BaseGeometry, place: Callable[[Floats], Floats]) -> Markup:
-    data = "".join(ring_path(part, place) for part in shapely.get_parts(section))
+    data = region_path(section, place)
     return element("path", d=data, fill="none", stroke="#222", stroke_width=1)
 
 

@@ -22,43 +22,30 @@ from ebamcheck.scan.islands.clipping import hatch_directions
 from ebamcheck.scan.islands.regions import Regions
 from ebamcheck.settings.config import Config
 
+# Share of the spacing by which a hatch line stops before the border of its island: the turn, or the round end of the bead, fills the rest
 TRIM = 0.3
-"""Share of the bead spacing by which a hatch line stops before the border of its island. There the turn to the next line
-lies, or the round end of the bead: lines that reach the border lay a seventh more than the part has. On a square of
-100 mm 0.2 to 0.4 leave the surface as flat; 0.3 needs the least spread of wire speeds."""
-
-SHORTEST_TRIMMED = 0.5
-"""Lines are not trimmed to under this times the bead width, and not lengthened either."""
+SHORTEST_TRIMMED = 0.5  # lines are not trimmed to under this times the bead width, and not lengthened either
 
 
 @dataclass(frozen=True, eq=False)
 class FilledLayer:
-    """Islands of one layer and their lines.
+    """Islands of one layer and their lines."""
 
-    `islands`, `kind`: (I,) polygons, none of which overlap, and the kind of each; `lines`: sorted by island; `chained`:
-    (I,) whether the lines of an island follow each other end to start; `covered`: share of the section that contour beads
-    and lines cover; `widest_gap_mm`: diameter of the largest circle that they leave bare.
-    """
-
-    islands: NDArray[np.object_]
-    kind: NDArray[np.str_]
-    lines: Vectors
-    chained: Bools
-    covered: float = 1.0
-    widest_gap_mm: float = 0.0
+    islands: NDArray[np.object_]  # (I,) polygons, none of which overlap
+    kind: NDArray[np.str_]  # (I,)
+    lines: Vectors  # sorted by island
+    chained: Bools  # (I,) whether the lines of an island follow each other end to start
+    covered: float = 1.0  # share of the section that contour beads and lines cover
+    widest_gap_mm: float = 0.0  # diameter of the largest circle that they leave bare
 
 
 def fill_layer(regions: Regions, found: cells.Cells, config: Config, layer: int) -> FilledLayer:
     """Fill the cells of the solids and the walls of a layer, and close the gaps that are left."""
     walls = [*regions.narrow_fills, *regions.bare_walls]
     lines, chained = fill_islands(found, walls, len(regions.narrow_fills), config, layer)
-    filled = FilledLayer(
-        islands=np.concatenate([found.polygons, cells.column(walls)]),
-        kind=np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_),
-        lines=lines,
-        chained=chained,
-    )
-    return close_gaps(filled, regions, config)
+    islands = np.concatenate([found.polygons, cells.column(walls)])
+    kind = np.concatenate([found.kind, np.full(len(walls), cells.THIN_WALL)]).astype(np.str_)
+    return close_gaps(FilledLayer(islands, kind, lines, chained), regions, config)
 
 
 def fill_islands(
@@ -73,24 +60,19 @@ def fill_islands(
     angle = hatch_directions(found, spacing, turn, config.scan.island_angle_deg)
     hatched, _ = hatch(found.polygons, angle, width, spacing)
     hatched = trimmed(hatched, TRIM * spacing, SHORTEST_TRIMMED * width)
-    count = len(found.polygons)
-    owner, start, end = [hatched.island], [hatched.start], [hatched.end]
+    count, beads = len(found.polygons), [hatched]
     for number, wall in enumerate(walls, count):
         lines = wall_lines(wall, width, spacing, to_the_end=number < count + narrow)
         if lines:
-            along = Vectors(
-                np.full(sum(len(line) - 1 for line in lines), number, np.int64),
-                np.concatenate([line[:-1] for line in lines]),
-                np.concatenate([line[1:] for line in lines]),
-            )
+            start = np.concatenate([line[:-1] for line in lines])
+            end = np.concatenate([line[1:] for line in lines])
         else:  # too short or too crooked for a centre line
             straight, _ = hatch(cells.column([wall]), 0.0, width, spacing)
-            along = Vectors(straight.island + number, straight.start, straight.end)
-        owner.append(along.island)
-        start.append(along.start)
-        end.append(along.end)
+            start, end = straight.start, straight.end
+        beads.append(Vectors(np.full(len(start), number, np.int64), start, end))
     chained = np.arange(count + len(walls)) >= count
-    return Vectors(np.concatenate(owner), np.concatenate(start), np.concatenate(end)), chained
+    columns = zip(*((b.island, b.start, b.end) for b in beads), strict=True)
+    return Vectors(*map(np.concatenate, columns)), chained
 
 
 def trimmed(lines: Vectors, by_mm: float, shortest_mm: float) -> Vectors:
@@ -107,21 +89,18 @@ def close_gaps(filled: FilledLayer, regions: Regions, config: Config) -> FilledL
     width, section = config.process.bead_width_mm, regions.section
     beads = _beads(regions, filled.lines)
     bare = bare_samples(section, beads, width)
-    chosen, widest_mm = spots_to_close(
-        bare_spots(section, bare, beads, width),
-        config.scan.gap_width * width,
-        section.area,
-        bare.covered,
-        config.scan.least_coverage,
-    )
+    spots, asked = bare_spots(section, bare, beads, width), config.scan
+    measured = section.area, bare.covered, asked.least_coverage
+    chosen, widest_mm = spots_to_close(spots, asked.gap_width * width, *measured)
     if not chosen:
         return replace(filled, covered=bare.covered, widest_gap_mm=widest_mm)
-    gaps = gap_beads(chosen, section, filled.islands, width, config.process.hatch_spacing_mm)
-    added = len(gaps.polygons)
-    line, start, end = line_rows(gaps.lines)
-    lines = joined(filled.lines, Vectors(gaps.island[line], start, end))
+    spacing = config.process.hatch_spacing_mm
+    beads_of, island, polygons = gap_beads(chosen, section, filled.islands, width, spacing)
+    added = len(polygons)
+    line, start, end = line_rows(beads_of)
+    lines = joined(filled.lines, Vectors(island[line], start, end))
     return FilledLayer(
-        islands=np.concatenate([filled.islands, gaps.polygons]),
+        islands=np.concatenate([filled.islands, polygons]),
         kind=np.concatenate([filled.kind, np.full(added, cells.GAP)]).astype(np.str_),
         lines=lines,
         chained=np.concatenate([filled.chained, np.ones(added, np.bool_)]),
@@ -135,52 +114,26 @@ def _beads(regions: Regions, lines: Vectors) -> Floats:
     return np.vstack([segments_of(shapely.boundary(regions.contour)), np.hstack([lines.start, lines.end])])
 
 
+# Spots under this times the squared bead width are left: a hundredth of a bead's own spot or two
 LEAST_SPOT = 0.02
-"""Spots under this times the squared bead width are left: a hundredth of a bead's own spot or two."""
-
+# So are, in sections of small parts, spots under this share of a part of mean area: a tenth of what the gate of the coverage leaves bare
 LEAST_SHARE = 0.002
-"""So are, in sections of small parts, spots under this share of a part of mean area: a tenth of what the gate of the
-coverage leaves bare."""
-
+# Share of half a bead width within which a gap bead must reach all of its spot: the rest is sagitta of the arcs and tolerance of the machine
 REACH = 0.97
-"""Share of half a bead width within which a gap bead must reach all of its spot: what is left is the
-sagitta of the arcs (0.5 % with :data:`ARC_SEGMENTS`) and the tolerance of the machine."""
-
-ARC_SEGMENTS = 8
-"""Chords in a quarter of a bead's round end."""
-
+ARC_SEGMENTS = 8  # chords in a quarter of a bead's round end
+# Share of a spot that a straight bead may leave; else the bead follows the spot's centre line
 LEFT_OVER = 0.02
-"""Share of a spot that a straight bead may leave; else the bead follows the spot's centre line."""
-
+# By how much more than its gate asks a layer is covered: the error of the coverage's samples
 COVERAGE_MARGIN = 0.002
-"""By how much more than its gate asks a layer is covered: the error of the coverage's samples."""
-
-PLACE = 0.25
-"""Reach of a gap's island around its bead, over the bead width: so small that two gaps find room side by side."""
-
-NO_AREA_MM2 = 1e-6
-"""Pieces smaller than this are rounding."""
-
-
-@dataclass(frozen=True, eq=False)
-class GapBeads:
-    """Gap beads of one layer.
-
-    `lines`, `island`: (N,) centre lines, and (N,) the island in which each lies: one of those given, or a new one;
-    `polygons`: (M,) the new islands, numbered after those given.
-    """
-
-    lines: NDArray[np.object_]
-    island: Ints
-    polygons: NDArray[np.object_]
+PLACE = 0.25  # reach of a gap's island around its bead, over the bead width: so small that two gaps find room side by side
+NO_AREA_MM2 = 1e-6  # pieces smaller than this are rounding
 
 
 def bare_spots(
     section: BaseGeometry, bare: BareSamples, segments: Floats, bead_width_mm: float
 ) -> list[shapely.Polygon]:
-    """Parts of a section that are further than half a bead width from every segment, (x0, y0, x1, y1) mm.
-
-    Spots that hold no sample, or are under :data:`LEAST_SPOT` or :data:`LEAST_SHARE`, are left out.
+    """Parts of a section further than half a bead width from every segment (x0, y0, x1, y1), mm, but for those that hold no sample or are under
+    :data:`LEAST_SPOT` or :data:`LEAST_SHARE`.
     """
     parts = np.asarray(valid_polygons(section), object)
     least_mm2 = min(LEAST_SPOT * bead_width_mm**2, LEAST_SHARE * section.area / max(1, parts.size))
@@ -204,11 +157,8 @@ def _boxes(bare: BareSamples, least_mm2: float) -> NDArray[np.object_]:
     if not count:
         return np.zeros(0, object)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    kept = [
-        place
-        for place, n in zip(ndimage.find_objects(labels), sizes, strict=True)
-        if place is not None and n * bare.step_mm**2 >= least_mm2
-    ]
+    places = zip(ndimage.find_objects(labels), sizes * bare.step_mm**2, strict=True)
+    kept = [place for place, area_mm2 in places if place is not None and area_mm2 >= least_mm2]
     if not kept:
         return np.zeros(0, object)
     low = np.array([(x.start - 1, y.start - 1) for y, x in kept]) * bare.step_mm + bare.origin
@@ -224,12 +174,9 @@ def spot_widths_mm(spots: Sequence[shapely.Polygon]) -> Floats:
 def spots_to_close(
     spots: Sequence[shapely.Polygon], width_mm: float, area_mm2: float, covered: float, least: float
 ) -> tuple[list[shapely.Polygon], float]:
-    """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered.
+    """Spots that get a bead: those at least `width_mm` wide, then the largest while too little is covered; and the width of the widest that stays.
 
-    `width_mm`: width from which a spot is closed in any case; `area_mm2`, `covered`: area of the section, and the share of
-    it that is covered without gap beads; `least`: share that is to be covered.
-
-    Returns `spots`: those to close; `widest_mm`: width of the widest that stays.
+    `area_mm2` is that of the section, `covered` its share that is covered without gap beads, `least` the share that is to be covered.
     """
     widths = spot_widths_mm(spots)
     by_area = np.argsort([-spot.area for spot in spots], kind="stable")
@@ -250,10 +197,10 @@ def gap_beads(
     islands: NDArray[np.object_],
     bead_width_mm: float,
     spacing_mm: float,
-) -> GapBeads:
-    """Lay a bead over each spot, within the section.
+) -> tuple[NDArray[np.object_], Ints, NDArray[np.object_]]:
+    """Lay a bead over each spot, within the section: what lies in an island is driven with it, the rest gets islands that overlap no other.
 
-    What lies in an island is driven with it. The rest gets islands of its own, which overlap no other.
+    Centre lines (N,), the island in which each lies (N,): one of those given, or a new one, and the new islands (M,), numbered after those given.
     """
     tree = shapely.STRtree(islands)
     parts = np.asarray(valid_polygons(section), object)
@@ -266,21 +213,19 @@ def gap_beads(
         local = shapely.box(*(np.array(spot.bounds) + np.array([-1, -1, 1, 1]) * 2.0 * bead_width_mm))
         region = _within(parts, around, local)
         near = {int(k): islands[k] for k in np.sort(tree.query(local))}
-        near |= {
-            len(islands) + int(k): new[k] for k in np.flatnonzero(shapely.intersects(local, _column(new)))
-        }
+        met = np.flatnonzero(shapely.intersects(local, cells.column(new)))
+        near |= {len(islands) + int(k): new[k] for k in met}
         free = shapely.difference(region, shapely.union_all(list(near.values())))
         over = _beads_over(spot, region, free, bead_width_mm, spacing_mm)
-        found = [
-            (k, p) for line in over for k, island in near.items() for p in _pieces(line, island, shortest_mm)
-        ]
+        held = [(k, _pieces(line, island, shortest_mm)) for line in over for k, island in near.items()]
+        found = [(k, piece) for k, pieces in held for piece in pieces]
         beside = [part for line in over for part in _pieces(line, free, shortest_mm)]
-        for place, held in _places(beside, free, PLACE * bead_width_mm):
-            found += [(len(islands) + len(new), part) for part in held]
+        for place, lying in _places(beside, free, PLACE * bead_width_mm):
+            found += [(len(islands) + len(new), part) for part in lying]
             new.append(place)
         owner += [k for k, _ in found]
         lines += [part for _, part in found]
-    return GapBeads(_column(lines), np.array(owner, np.int64), _column(new))
+    return cells.column(lines), np.array(owner, np.int64), cells.column(new)
 
 
 def _within(parts: NDArray[np.object_], tree: shapely.STRtree, box: shapely.Polygon) -> BaseGeometry:
@@ -298,15 +243,12 @@ def _pieces(line: shapely.LineString, region: BaseGeometry, shortest_mm: float) 
 def _places(
     lines: Sequence[shapely.LineString], free: BaseGeometry, reach_mm: float
 ) -> list[tuple[shapely.Polygon, list[shapely.LineString]]]:
-    """Islands of the gap beads of one spot, and the lines in each: what lies around them and is in no other island.
-
-    Lines whose surroundings meet share an island.
-    """
-    around = shapely.union_all(shapely.buffer(_column(lines), reach_mm, quad_segs=ARC_SEGMENTS))
+    """Islands of the gap beads of one spot, and the lines in each: what lies around them and is in no other; lines whose surroundings meet share one."""
+    around = shapely.union_all(shapely.buffer(cells.column(lines), reach_mm, quad_segs=ARC_SEGMENTS))
     parts = [p for p in valid_polygons(shapely.intersection(around, free)) if p.area > NO_AREA_MM2]
     held: list[list[shapely.LineString]] = [[] for _ in parts]
     for line in lines if parts else ():
-        held[int(np.argmax(shapely.length(shapely.intersection(_column(parts), line))))].append(line)
+        held[int(np.argmax(shapely.length(shapely.intersection(cells.column(parts), line))))].append(line)
     return [(part, inside) for part, inside in zip(parts, held, strict=True) if inside]
 
 
@@ -351,9 +293,8 @@ def _long_way(hull: Floats) -> Floats:
 
 def _deepest(parts: Sequence[shapely.Polygon], region: BaseGeometry) -> Floats:
     """Point of some polygons that lies furthest from the border of a region."""
-    points = np.vstack(
-        [shapely.get_coordinates([*(p.representative_point() for p in parts), p]) for p in parts]
-    )
+    inner = [p.representative_point() for p in parts]
+    points = np.vstack([shapely.get_coordinates([*inner, p]) for p in parts])
     depth = shapely.distance(shapely.points(points), shapely.boundary(region))
     return np.asarray(points[int(np.argmax(depth))], np.float64)
 
@@ -367,12 +308,6 @@ def _trimmed(hull: Floats, way: Floats, reach_mm: float) -> shapely.LineString:
     start, end = float((along + slack).min()), float((along - slack).max())
     middle = middle + shift * np.array([-way[1], way[0]])
     return shapely.LineString([middle + min(start, end) * way, middle + max(start, end) * way])
-
-
-def _column(geometries: Sequence[BaseGeometry]) -> NDArray[np.object_]:
-    found = np.empty(len(geometries), object)
-    found[:] = geometries
-    return found
 
 
 def line_rows(lines: NDArray[np.object_]) -> tuple[Ints, Floats, Floats]:

@@ -1,7 +1,6 @@
 """Parallel lines that fill islands: an exact scan-line clip of all islands at once.
 
-An island of depth D across its hatch gets the whole number of lines that comes nearest to the set
-spacing and leaves no gap, spread evenly: the first and last line lie half a pitch from its sides. Lines
+An island of depth D across its hatch gets the whole number of lines that comes nearest to the set spacing and leaves no gap, spread evenly. Lines
 end on its border, so that lines times pitch is its area, and neighbouring islands meet without a seam.
 """
 
@@ -19,11 +18,10 @@ from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.islands.lattice import minimum_rectangle
 
+# Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead
 WIDEST_PITCH = 0.9
-"""Largest distance of neighbouring beads over their width: a bead's edge must lie on the next bead."""
-
+# Lines shorter than this times the bead width start and stop on one spot; they are left out
 SHORTEST_LINE = 0.1
-"""Lines shorter than this times the bead width start and stop on one spot; they are left out."""
 
 
 def widest_pitch_mm(bead_width_mm: float, spacing_mm: float) -> float:
@@ -34,8 +32,6 @@ def widest_pitch_mm(bead_width_mm: float, spacing_mm: float) -> float:
 def lines_across(depth_mm: Floats, spacing_mm: float, widest_mm: float) -> Ints:
     """Lines that fill strips of the given depths (n,): nearest to the spacing, none wider apart than allowed.
 
-    Examples
-    --------
     >>> lines_across(np.array([0.5, 5.0, 5.5, 26.0]), 4.32, 5.4)
     array([1, 1, 2, 6])
     """
@@ -55,14 +51,9 @@ class Vectors:
 def hatch(
     islands: ArrayLike, angle_rad: ArrayLike, bead_width_mm: float, spacing_mm: float
 ) -> tuple[Vectors, Floats]:
-    """Fill islands with parallel lines, one after the other, alternating in direction.
+    """Fill islands (I,) with parallel lines at angles (I,), rad counter-clockwise from +X, one after the other, alternating; and the angles used.
 
-    An island narrower than the spacing is filled along its long side, whatever its angle: one line
-    there is better than many stubs across.
-
-    `islands`: (I,) shapely polygons; `angle_rad`: (I,) direction of the lines of each, counter-clockwise from +X.
-
-    Returns `vectors`: sorted by island, in scan order within each; `angle_rad`: (I,) the angles that were used.
+    An island narrower than the spacing is filled along its long side: one line there is better than many stubs across.
     """
     geometries = np.asarray(islands, object).reshape(-1)
     angles = np.array(np.broadcast_to(np.asarray(angle_rad, np.float64), geometries.shape))
@@ -98,10 +89,7 @@ def _scan(
     """Clip the lines of all islands."""
     points, (ring_starts, island_rings) = ring_columns(islands)
     widest_mm = widest_pitch_mm(bead_width_mm, spacing_mm)
-    island, start, end = scan_lines(
-        points, ring_starts, island_rings, angles, spacing_mm, widest_mm, shortest_mm
-    )
-    return Vectors(island, start, end)
+    return Vectors(*scan_lines(points, ring_starts, island_rings, angles, spacing_mm, widest_mm, shortest_mm))
 
 
 def scan_lines(
@@ -113,10 +101,9 @@ def scan_lines(
     widest: float,
     shortest: float,
 ) -> tuple[Ints, Floats, Floats]:
-    """Lines inside each island (rings closed by a repeated point), by the even-odd rule.
+    """Lines inside each island (rings closed by a repeated point), by the even-odd rule: island of each, start and end.
 
-    Works in coordinates turned by the island's angle about its first point, so that islands far from
-    the origin lose no digits.
+    Works in coordinates turned by the island's angle about its first point, so that islands far from the origin lose no digits.
     """
     first = ring_starts[island_rings]
     some = np.flatnonzero(np.diff(first) >= 3)

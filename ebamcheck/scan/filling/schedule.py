@@ -15,18 +15,14 @@ from ebamcheck.settings.process_window import TURN_SPACINGS
 
 @dataclass(frozen=True, eq=False)
 class IslandSchedule:
-    """Columns of the islands of a layer.
+    """Columns of the islands of a layer. An island may be driven from either side, with turns at the other ends of its lines: both count by their mean."""
 
-    `entry`, `leave`: (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry
-    options of :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first;
-    `beam_s`, `time_s`: (I,) time with the beam on, lines and turns, and with the jumps between its own lines. An island may
-    be driven from either side, with turns at the other ends of its lines: both count by their mean.
-    """
-
+    # (I, 4, 2) points at which an island may be entered, and where it is then left, mm: the four entry options of
+    # :func:`ebamcheck.scan.order.entries.in_sequence`; an option that is not open to an island repeats its first
     entry: Floats
     leave: Floats
-    beam_s: Floats
-    time_s: Floats
+    beam_s: Floats  # (I,) time with the beam on, lines and turns
+    time_s: Floats  # (I,) the same with the jumps between its own lines
 
     def __len__(self) -> int:
         """Return the number of islands."""
@@ -34,17 +30,15 @@ class IslandSchedule:
 
 
 def island_schedule(lines: Vectors, chained: Bools, config: Config) -> IslandSchedule:
-    """Work out how islands are driven.
+    """How islands are driven, by their lines, sorted by island, and whether (I,) these follow each other.
 
-    `lines`: lines sorted by island; an island without any takes no time and lies where its neighbour in number ends;
-    `chained`: (I,) whether the lines of an island follow each other.
+    An island without any line takes no time and lies where its neighbour in number ends.
     """
     count = len(chained)
     a, b = lines.start, lines.end
     if not len(a):
-        return IslandSchedule(
-            np.zeros((count, 4, 2)), np.zeros((count, 4, 2)), np.zeros(count), np.zeros(count)
-        )
+        places, times = np.zeros((count, 4, 2)), np.zeros(count)
+        return IslandSchedule(places, places, times, times)
     first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))])
     entry, leave = island_ends(a, b, first, chained)
     spacing = config.process.hatch_spacing_mm
@@ -68,19 +62,12 @@ def island_ends(start: Floats, end: Floats, first: Ints, chained: Bools) -> tupl
     return entry, leave
 
 
+# Cosine of the angle between a turn and a line beside it from which on the beam would melt its track again; parallel lines reach -cos(26 degrees)
 SHARPEST_TURN = -math.cos(math.radians(20.0))
-"""Cosine of the angle between a turn and a line beside it from which on the turn goes back on that line: the beam would melt its
-track again. Turns between parallel lines reach no more than -cos(26 degrees), those along a border at 60 degrees among them."""
-
+# A turn longer than the second keeps its middle the first away from every line of its island, in spacings: nearer it lays metal on metal
 BESIDE_SPACINGS, SHORT_SPACINGS = 0.25, 0.6
-"""The middle of a turn is at least this many spacings away from every line of its island, if the turn is longer than the second of
-them: nearer it would lay metal on metal. Between parallel lines, two thirds of a spacing apart, it is a third of one away."""
-
-SHORTEST_MM = 0.01
-"""A line or turn that is shorter has no direction that counts."""
-
-TINY = 1e-300
-"""Least divisor."""
+SHORTEST_MM = 0.01  # a line or turn that is shorter has no direction that counts
+TINY = 1e-300  # least divisor
 
 
 def gaps_mm(start: Floats, end: Floats) -> Floats:
@@ -92,15 +79,10 @@ def gaps_mm(start: Floats, end: Floats) -> Floats:
 
 
 def follows(island: Ints, start: Floats, end: Floats, spacing_mm: float) -> Bools:
-    """Which lines go on where the one before ended, by a turn or without one.
+    """Which lines (V,), in the order in which they are driven, go on where the one before ended: the beam stays on.
 
-    `island`: (V,) island of each line, in the order in which they are driven; `start`, `end`: (V, 2) mm; `spacing_mm`:
-    distance between parallel beads.
+    The turn is short, goes back on neither line, and over no line of its island; `spacing_mm` is the distance between parallel beads.
 
-    Returns (V,) true where the beam stays on: the turn is short, goes back on neither line, and over no line of its island.
-
-    Examples
-    --------
     >>> ends = np.array([[0.0, 0.0], [9.0, 4.0], [0.0, 20.0]]), np.array([[9.0, 0.0], [0.0, 4.0], [9.0, 20.0]])
     >>> follows(np.zeros(3, np.int64), *ends, 4.32).tolist()
     [False, True, False]
@@ -139,10 +121,8 @@ def _over_lines(on: Bools, island: Ints, start: Floats, end: Floats, spacing_mm:
     count = size[run[turn]]
     first = np.cumsum(count) - count
     line = np.arange(count.sum()) - np.repeat(first - (np.cumsum(size) - size)[run[turn]], count)
-    way, away = (
-        (end - start)[line],
-        np.repeat(0.5 * (end[turn - 1] + start[turn]), count, axis=0) - start[line],
-    )
+    way, middle = (end - start)[line], 0.5 * (end[turn - 1] + start[turn])
+    away = np.repeat(middle, count, axis=0) - start[line]
     along = (away * way).sum(axis=1) / np.maximum((way * way).sum(axis=1), TINY)
     aside = np.hypot(*(np.clip(along, 0.0, 1.0)[:, None] * way - away).T)
     over[turn] = np.minimum.reduceat(aside, first) < BESIDE_SPACINGS * spacing_mm
@@ -159,5 +139,5 @@ def turns_and_jumps_mm(island: Ints, start: Floats, end: Floats, spacing_mm: flo
     return np.where(on, gaps, 0.0), np.where(on, 0.0, gaps)
 
 
+# A line that starts within this of the end of the last one goes on without a jump or a wire start
 JOINED_MM = 1e-6
-"""A line that starts within this of the end of the last one goes on without a jump or a wire start."""

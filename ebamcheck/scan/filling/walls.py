@@ -1,18 +1,15 @@
 """Beads along thin walls: the centre line of a wall, and lines parallel to it, as many as fit side by side.
 
-The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two
-sides: an edge counts where its two border points lie much further apart along the border than straight
-across, which leaves out the spurs into corners. Where three branches meet, the two that go straightest on are
-one bead, and the third ends before it.
-
-A wall that changes its width has more beads where it is wide and one where it is narrow. A pointed end is
-left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
+The centre line is the part of the Voronoi diagram of points on the wall's border that separates its two sides: an edge counts where its two border
+points lie much further apart along the border than straight across. Where three branches meet, the two that go straightest on are one bead. A
+pointed end is left to the round end of its one bead, which stops where the wall is narrower than a share of the bead.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 
 import numpy as np
 import shapely
@@ -24,76 +21,42 @@ from shapely.geometry.base import BaseGeometry
 from ebamcheck.geometry.regions import NO_WIDTH_MM, mean_width_mm
 from ebamcheck.kernels import Bools, Floats, Ints
 
+# Border points per wall width: with three of them, out of step on its two sides, two of five blocks of a wall were zigzag
 SAMPLES_ACROSS = 9.0
-"""Border points per wall width. Where those of its two sides are out of step the centre line goes to and fro by a fraction of a
-percent of the width; with three of them that was more than it is simplified by, and two of five blocks of a wall were zigzag."""
-
-MOST_SAMPLES = 20_000
-"""Border points of one wall; a wall that would need more is sampled more coarsely."""
-
+MOST_SAMPLES = 20_000  # border points of one wall; a wall that would need more is sampled more coarsely
+# Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6 around a rounded end
 ARC_OVER_CHORD = 2.0
-"""Border length between two facing points over their distance, at least: 1.4 in a square corner, 1.6
-around a rounded end, 2 where a wall is as long as half its width."""
-
+# A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's greatest width, if less
 TAPER, TAPER_SHARE = 0.2, 0.1
-"""A bead stops where the wall's end is narrower than the first times the bead width, or the second times the wall's own
-greatest width, where that is less: its round end covers half a bead more, no spot that stays is wide enough for a
-gap bead, and no more than a hundredth of a wedge stays."""
-
-LEFT_SHARE = 0.02
-"""Share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper."""
-
-ALONE = 1.01
-"""Greatest width, over the bead's, of a wall that one bead fills: it reaches both sides."""
-
-LEAST_APART = 0.5
-"""No bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both."""
-
-LEAST_BEAD = 0.5
-"""No bead reaches less far than this times the bead width, unless the wall has no longer one."""
-
+LEFT_SHARE = 0.02  # share of a wall's area that its end may leave without a bead, at most: a leg of even width holds more, and is no taper
+ALONE = 1.01  # greatest width, over the bead's, of a wall that one bead fills: it reaches both sides
+LEAST_APART = 0.5  # no bead of a wall lies nearer to another one of it than this times the spacing: there one has the metal of both
+LEAST_BEAD = 0.5  # no bead reaches less far than this times the bead width, unless the wall has no longer one
+# Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions are wider than their walls
 LEAST_RUN = 1.0
-"""Length over the bead width for which a wall must be wider, or narrower, before its beads change in number: junctions
-are wider than their walls."""
-
+# Length, over the wall's width, by which a bead goes on beyond the centre line: beyond the end of a wall cut from other metal, else half-way to it
 WHOLE_END, ROUND_END = 2.0, 0.25
-"""Length, over the wall's width, by which a bead goes on beyond the end of the centre line, which lies half a width before
-that of the wall: to the end and beyond, where the wall is cut from other metal; else half-way, so that the round end of
-the bead covers the corners of the wall and hardly reaches over it."""
-
-STEP = 0.25
-"""Distance, over the bead width, of the points where the width of a wall is measured."""
-
-STRAIGHT_ON_DEG = 60.0
-"""Turn at a fork up to which one bead goes on through it."""
-
+STEP = 0.25  # distance, over the bead width, of the points where the width of a wall is measured
+STRAIGHT_ON_DEG = 60.0  # turn at a fork up to which one bead goes on through it
+# Length, over the bead width, of a piece of a bead that goes back on the one before, and cosine of the turn: no bead is wanted there
 HOOK, HOOK_COS = 0.25, -0.5
-"""Length, over the bead width, of a piece of a bead that goes back on the one before, and cosine of the turn: no bead is wanted there."""
-
+# Deviation of the centre line from its samples, over the wall's width, by which it is simplified
 STRAIGHTNESS = 0.02
-"""Deviation of the centre line from its samples, over the wall's width, by which it is simplified."""
-
+# Border points are joggled by some 1e-11 of their extent: without it, time grows with the square of the points on a straight side
 QHULL_OPTIONS = "Qbb Qc QJ"
-"""The border points are joggled by some 1e-11 of their extent before their diagram is drawn: without it, its time
-grows with the square of the points on a straight side, to 10 s for those of a hair of metal."""
-
 ARC_SEGMENTS = 16
+# Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius
 CHORD = math.cos(0.25 * math.pi / ARC_SEGMENTS)
-"""Chords in a quarter of the round around a bead's end, and the least distance of a chord, over the round's radius."""
-
-WEED_MM = 1e-4
-"""Corners of the Voronoi diagram joined by an edge shorter than this are one: where four arms meet, it has two forks instead."""
+WEED_MM = 1e-4  # corners of the Voronoi diagram joined by an edge shorter than this are one: where four arms meet, it has two forks instead
 
 
 def wall_lines(
     wall: shapely.Polygon, bead_width_mm: float, spacing_mm: float, to_the_end: bool = True
 ) -> list[Floats]:
-    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough.
+    """Polylines (k, 2), mm, along which beads fill a thin wall, side by side where it is wide enough; none for a wall that has no centre line.
 
-    Every line lies in the wall; a line reaches the end of the wall, or that of its taper, unless it is not `to_the_end`:
-    then the round end of its bead does, as where there is no other metal around the wall. No two are nearer
-    than :data:`LEAST_APART`, and none is shorter than :data:`LEAST_BEAD` where there is another one. The list
-    is empty only where the wall is so crooked, so short, or so much a hair, that it has no centre line.
+    Every line lies in the wall, and reaches its end, or that of its taper, unless it is not `to_the_end`: then the round end of its bead does, as where
+    there is no other metal around. No two are nearer than :data:`LEAST_APART`, none is shorter than :data:`LEAST_BEAD` where there is another one.
     """
     width = mean_width_mm(wall)
     if width <= NO_WIDTH_MM:
@@ -113,10 +76,7 @@ def wall_lines(
 
 
 def centre_line(wall: shapely.Polygon, width_mm: float) -> list[shapely.LineString]:
-    """Branches of the centre line of a wall of the given width, each from fork to fork or end to end.
-
-    A free end lies half a width before the end of the wall.
-    """
+    """Branches of the centre line of a wall of the given width, from fork to fork or end to end; a free end lies half a width before that of the wall."""
     points, place, around, ring = _border_samples(wall, width_mm)
     middle = points.mean(axis=0)  # Qhull joggles, and rounds, by the greatest coordinate
     try:
@@ -162,8 +122,7 @@ def _facing(points: Floats, place: Floats, around: Floats, ring: Ints, pairs: In
 
 def _weeded(corners: Floats, edges: Ints) -> Floats:
     """Ends of the edges (S, 2, 2) of a diagram, those of short edges one point, and the edges themselves left out."""
-    length = np.hypot(*(corners[edges[:, 0]] - corners[edges[:, 1]]).T)
-    short = edges[length < WEED_MM]
+    short = edges[np.hypot(*(corners[edges[:, 0]] - corners[edges[:, 1]]).T) < WEED_MM]
     joins = coo_array((np.ones(len(short), np.bool_), (short[:, 0], short[:, 1])), shape=(len(corners),) * 2)
     _, group = connected_components(joins, directed=False)
     _, first = np.unique(group, return_index=True)
@@ -176,12 +135,8 @@ def _ends(branch: shapely.LineString) -> tuple[tuple[float, ...], tuple[float, .
     return tuple(points[0]), tuple(points[-1])
 
 
-def _fork_counts(branches: list[shapely.LineString]) -> dict[tuple[float, ...], int]:
-    counts: dict[tuple[float, ...], int] = {}
-    for branch in branches:
-        for end in _ends(branch):
-            counts[end] = counts.get(end, 0) + 1
-    return counts
+def _fork_counts(branches: list[shapely.LineString]) -> Counter[tuple[float, ...]]:
+    return Counter(end for branch in branches for end in _ends(branch))
 
 
 def _without_spurs(branches: list[shapely.LineString], width_mm: float) -> list[shapely.LineString]:
@@ -192,8 +147,7 @@ def _without_spurs(branches: list[shapely.LineString], width_mm: float) -> list[
     kept = [b for b in branches if b.length >= width_mm or all(forks[e] > 1 for e in _ends(b)) or b.is_ring]
     if not kept:
         return [max(branches, key=lambda b: float(b.length))]
-    merged = shapely.line_merge(shapely.multilinestrings(kept))
-    return list(shapely.get_parts(merged))
+    return list(shapely.get_parts(shapely.line_merge(shapely.multilinestrings(kept))))
 
 
 def _sorted(branches: list[shapely.LineString]) -> list[shapely.LineString]:
@@ -225,9 +179,7 @@ def _straight_on(branches: list[shapely.LineString]) -> list[shapely.LineString]
         first = path[i] if side == 1 else path[i][::-1]
         second = path[j] if other == 0 else path[j][::-1]
         path[i], path[j] = np.vstack([first, second[1:]]), np.zeros((0, 2))
-        place |= {key: (i, 0) for key, (n, _) in place.items() if n == i} | {
-            key: (i, 1) for key, (n, _) in place.items() if n == j
-        }
+        place = {key: (i, int(n == j)) if n in (i, j) else (n, at) for key, (n, at) in place.items()}
     return [shapely.LineString(points) for points in path if len(points)]
 
 
@@ -267,22 +219,16 @@ def _side_by_side(
         done += [(line, [begun, False]) for k, (line, begun) in enumerate(growing) if k not in going_on]
         before = [growing[k] if k >= 0 else (points[:0], bool(run[0] == 0)) for k in going_on]
         offsets = [((n + 0.5) / count - 0.5) * local[run, None] * normal[run] for n in range(count)]
-        growing = [
-            (np.vstack([line, points[run] + offset]), begun)
-            for (line, begun), offset in zip(before, offsets, strict=True)
-        ]
+        grown = zip(before, offsets, strict=True)
+        growing = [(np.vstack([line, points[run] + offset]), begun) for (line, begun), offset in grown]
     done += [(line, [begun, True]) for line, begun in growing]
-    lines = [
-        _without_hooks(
-            shapely.simplify(shapely.LineString(line), STRAIGHTNESS * float(local.mean())), bead_width_mm
-        )
-        for line, _ in done
-    ]
+    coarse_mm = STRAIGHTNESS * float(local.mean())
     beyond_mm = (WHOLE_END if to_the_end else ROUND_END) * float(local.max())
-    return [
-        _extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm)
-        for line, (_, at) in zip(lines, done, strict=True)
-    ]
+    found = []
+    for points, at in done:
+        line = _without_hooks(shapely.simplify(shapely.LineString(points), coarse_mm), bead_width_mm)
+        found.append(_extended(line, [reached[0] and at[0], reached[1] and at[1]], beyond_mm))
+    return found
 
 
 def _without_hooks(line: shapely.LineString, bead_width_mm: float) -> shapely.LineString:

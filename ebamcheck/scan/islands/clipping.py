@@ -16,24 +16,16 @@ from ebamcheck.geometry.regions import equivalent_rectangles_mm, ring_columns, v
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.scan.islands.lattice import SQRT3, Lattice, minimum_rectangle
 
+# Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these
 WHOLE, THIN_WALL, GAP = "whole", "thin wall", "gap"
-"""Kinds of islands beside those of cells: a solid not divided, a thin wall, a spot left by all of these."""
-
+# Islands under this times the squared bead width are slivers: a bead hardly starts before it stops
 SLIVER_AREA = 1.0
-"""Islands under this times the squared bead width are slivers: a bead hardly starts before it stops."""
-
+# Islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours
 SLIVER_WIDTH = 0.5
-"""Islands narrower than this times the bead spacing are slivers: a line there lies on its neighbours."""
-
+# No island is a sliver with more than this share of a hexagon's area, or of its width: hexagons set small against the bead are wanted
 SLIVER_SHARE = 0.2
-"""No island is a sliver that has more than this share of a hexagon's area, or of its width: hexagons
-that are set small against the bead are what was asked for."""
-
-ON_BORDER_MM = 1e-9
-"""Faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it."""
-
-DEPTH_SHARE = 0.01
-"""Depth of a point in a face, over the root of its area, that is enough, and the precision of that of the deepest one."""
+ON_BORDER_MM = 1e-9  # faces of no area, which rounding leaves along a border, count as inside a solid up to so far from it
+DEPTH_SHARE = 0.01  # depth of a point in a face, over the root of its area, that is enough, and the precision of that of the deepest one
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +47,8 @@ def partition(
 ) -> Cells:
     """Divide solids into islands by a lattice; together they are the solids, and no two overlap.
 
-    A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of
-    :data:`SLIVER_AREA` and :data:`SLIVER_SHARE`) or the least width (:data:`SLIVER_WIDTH`, likewise), unless
-    its whole solid is.
+    A solid smaller than one hexagon stays whole. No other island is under the least area (the lesser of :data:`SLIVER_AREA` and :data:`SLIVER_SHARE`) or the
+    least width (:data:`SLIVER_WIDTH`, likewise), unless its whole solid is.
     """
     small = hexagon_area_mm2(lattice.side_mm)
     whole = [p for p in solids if p.area <= small]
@@ -74,10 +65,8 @@ def partition(
 
 def least_island_mm(lattice: Lattice, bead_width_mm: float, spacing_mm: float) -> tuple[float, float]:
     """Least area (mm2) and least width (mm) of an island."""
-    return (
-        min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * hexagon_area_mm2(lattice.side_mm)),
-        min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm),
-    )
+    area_mm2 = min(SLIVER_AREA * bead_width_mm**2, SLIVER_SHARE * hexagon_area_mm2(lattice.side_mm))
+    return area_mm2, min(SLIVER_WIDTH * spacing_mm, SLIVER_SHARE * lattice.width_mm)
 
 
 def undivided(solids: Sequence[shapely.Polygon]) -> Cells:
@@ -88,9 +77,8 @@ def undivided(solids: Sequence[shapely.Polygon]) -> Cells:
 def clip_lattice(solids: Sequence[shapely.Polygon], lattice: Lattice) -> tuple[NDArray[np.object_], Ints]:
     """Parts of every cell that lie in a solid, and the cell of each, in order of the cells.
 
-    Cells inside are kept as they are. Those on a border are cut together: their edges and the solid's border
-    are crossed once, and the parts are the faces between them. So two parts with a common border share its
-    points to the last bit, where a cut of each cell by itself leaves hairs between them.
+    Cells inside are kept as they are. Those on a border are cut together, so that two parts with a common border share its points to the last bit, where a
+    cut of each cell by itself leaves hairs between them.
     """
     pieces: list[NDArray[np.object_]] = [np.zeros(0, object)]
     owners: list[Ints] = [np.zeros(0, np.int64)]
@@ -137,10 +125,9 @@ def _inner_points(faces: NDArray[np.object_]) -> NDArray[np.object_]:
 
 
 def sliver_groups(pieces: NDArray[np.object_], area_mm2: float, width_mm: float) -> Ints:
-    """Group of every piece (I,): the smallest sliver joins the neighbour with the longest border, until none is left.
+    """Group of every piece (I,), named by its largest piece: the smallest sliver joins the neighbour with the longest border, until none is left.
 
-    A group is a sliver as long as it is under the least area or width, all of it; one that has no neighbour
-    is a whole solid. A group is named by its largest piece.
+    A group is a sliver as long as it is under the least area or width, all of it; one that has no neighbour is a whole solid.
     """
     area, border = shapely.area(pieces), shapely.length(pieces)
     largest = area.copy()
@@ -183,10 +170,7 @@ def rectangle_width_mm(area_mm2: float, border_mm: float) -> float:
 
 
 def _united(pieces: NDArray[np.object_], groups: Ints) -> tuple[list[shapely.Polygon], Ints]:
-    """Islands by group, and the piece that names each: common edges go, and every other point stays.
-
-    A group without area, a hair beside the solid, is no island.
-    """
+    """Islands by group, and the piece that names each: common edges go; a group without area, a hair beside the solid, is no island."""
     merged: list[shapely.Polygon] = []
     first: list[int] = []
     by_group = np.argsort(groups, kind="stable")
@@ -213,18 +197,12 @@ def centroids(islands: NDArray[np.object_]) -> Floats:
 # -- Which islands of a layer touch, and along which length ----------------------------------------------------
 
 
+# Borders nearer than this coincide: islands are cut from one region, so only rounding parts them
 TOUCH_MM = 1e-6
-"""Borders nearer than this coincide: islands are cut from one region, so only rounding parts them."""
 
 
 def shared_borders(islands: NDArray[np.object_]) -> tuple[Ints, Floats]:
-    """Pairs of islands with a common border, and its length.
-
-    `islands`: (I,) polygons that do not overlap.
-
-    Returns `pairs`: (P, 2) indices, the lesser first, sorted; `border_mm`: (P,) length of the common border; pairs that
-    meet in a point only are left out.
-    """
+    """Pairs (P, 2) of islands, the lesser first, sorted, with a common border, and its length (P,); those that meet in a point only are left out."""
     if islands.size < 2:
         return np.zeros((0, 2), np.int64), np.zeros(0)
     boxes = shapely.box(*(shapely.bounds(islands) + np.array([-1, -1, 1, 1]) * TOUCH_MM).T)
@@ -293,24 +271,18 @@ def common_lengths(
     return result
 
 
-LEAST_TURN_DEG = 15.0
-"""Directions closer than this count as one: a quarter of the usual turn, so that halves between always part."""
-
+LEAST_TURN_DEG = 15.0  # directions closer than this count as one: a quarter of the usual turn, so that halves between always part
+# A smaller turn from island to island that is asked for parts directions by this share of it
 LEAST_SHARE = 0.25
-"""A smaller turn from island to island that is asked for parts directions by this share of it."""
-
+# Turns that are tried, in this order, in steps of the angle that is set
 STEPS = np.concatenate([np.arange(12.0) + part for part in (0.0, 0.5, 0.25, 0.75)])
-"""Turns that are tried, in this order, in steps of the angle that is set."""
-
 ROUNDING_DEG = 1e-6
 
 
 def hatch_directions(found: Cells, spacing_mm: float, turn_deg: float, island_angle_deg: float) -> Floats:
-    """Direction of the lines of each island, (I,) rad.
+    """Direction of the lines of each island, (I,) rad; islands narrower than `spacing_mm` are filled along their long side.
 
-    `spacing_mm`: islands narrower than this are filled along their long side; `turn_deg`: direction of the first colour on
-    this layer; `island_angle_deg`: turn from colour to colour; at a multiple of 180 all islands have the direction of the
-    layer.
+    `turn_deg` is the direction of the first colour on this layer, `island_angle_deg` the turn from colour to colour; at a multiple of 180 there is but one.
     """
     width, _ = equivalent_rectangles_mm(found.polygons)
     narrow = width < spacing_mm

@@ -1,10 +1,7 @@
-"""The cells laid over a layer: hexagons by the paper's odd/even rule (section 4.1), squares and stripes as baselines.
+"""The cells laid over a layer: hexagons by the paper's odd/even rule (section 4.1), squares and stripes as baselines, as wide as those.
 
-The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more
-where that is even, so that n is always odd and one centre lies on the midpoint of L1; centres are
-``sqrt(3) d`` apart. Rows follow each other along L2 at ``1.5 d``, every other one shifted by half a step.
-
-Squares and stripes are as wide as those hexagons, ``sqrt(3) d``.
+The paper's rule, worked out: along the short side L1 stand ``n = round(L1 / d) + 1`` hexagons, one more where that is even, so that one centre lies on
+the midpoint of L1; centres are ``sqrt(3) d`` apart. Rows follow each other along L2 at ``1.5 d``, every other one shifted by half a step.
 """
 
 from __future__ import annotations
@@ -23,41 +20,26 @@ from ebamcheck.kernels import Floats, Ints
 from ebamcheck.settings.config import Config
 
 SQRT3 = math.sqrt(3.0)
-
+# The rule gives one hexagon where L1 < d/2; a single shifted one would then miss half of the rectangle
 LEAST_ACROSS = 3
-"""The rule gives one hexagon where L1 < d/2; a single shifted one would then miss half of the rectangle."""
-
+# Islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts
 ZONES = 60
-"""Islands that an ordinary layer is divided into: enough to spread the heat, few enough wire starts."""
-
+# Fewest and most beads across a hexagon: under 4 the ends of beads rule the island, over 12 its lines grow as long as those to be avoided
 BEADS_ACROSS = (4, 12)
-"""Fewest and most beads between two opposite sides of a hexagon: under 4 the ends of the beads rule the
-island, over 12 the scan lines grow as long as those that the partition is there to avoid."""
-
-ROUNDING = 1e-12
-"""Relative rounding of a length that must not cost a row of hexagons."""
-
-HEXAGON, SQUARE, STRIPE = "hexagon", "square", "stripe"
-"""Kinds of cells."""
-
-MOST_CELLS = 1_000_000
-"""More cells than this on one layer are a mistyped side."""
+ROUNDING = 1e-12  # relative rounding of a length that must not cost a row of hexagons
+HEXAGON, SQUARE, STRIPE = "hexagon", "square", "stripe"  # kinds of cells
+MOST_CELLS = 1_000_000  # more cells than this on one layer are a mistyped side
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """Cells of one layer.
+    """Cells of one layer."""
 
-    `kind`: ``"hexagon"``, ``"square"`` or ``"stripe"``; `side_mm`: side d of a hexagon; of the hexagon of the same width,
-    where the cells are others; `centres`: (H, 2) mm, row by row along the long side of the rectangle; `colour`: (H,) 0, 1
-    or 2 (0 or 1 for squares and stripes), such that no two cells with a common side have the same one; the hatch turns by
-    it; `cells`: (H,) polygons; cells with a common side share its two corners to the last bit.
-    """
-
-    kind: str
-    side_mm: float
-    centres: Floats
-    colour: Ints
+    kind: str  # ``hexagon``, ``square`` or ``stripe``
+    side_mm: float  # side d of a hexagon; of the hexagon of the same width, where the cells are others
+    centres: Floats  # (H, 2) mm, row by row along the long side of the rectangle
+    colour: Ints  # (H,) 0, 1 or 2, such that no two cells with a common side have the same one; the hatch turns by it
+    # (H,) polygons; cells with a common side share its two corners to the last bit
     cells: NDArray[np.object_]
 
     @property
@@ -69,31 +51,20 @@ class Lattice:
 def hexagons_across(short_mm: float, side_mm: float) -> int:
     """Hexagons along the short side, always odd (paper, section 4.1; halves round up).
 
-    Examples
-    --------
     >>> hexagons_across(100.0, 10.0), hexagons_across(110.0, 10.0)
     (11, 13)
     """
     count = math.floor(short_mm / side_mm + 0.5) + 1
-    if count % 2 == 0:
-        count += 1
-    return max(count, LEAST_ACROSS)
+    return max(count + 1 - count % 2, LEAST_ACROSS)
 
 
 def rows_along(long_mm: float, side_mm: float) -> int:
-    """Rows along the long side, the first one centred on its start: as many as reach its end.
-
-    A row covers its full width from half a side before its centres to half a side after them, and
-    shares the band between with its neighbour.
-    """
+    """Rows along the long side, the first one centred on its start: as many as reach its end."""
     return max(0, math.ceil((long_mm - 0.5 * side_mm) / (1.5 * side_mm) - ROUNDING)) + 1
 
 
 def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
-    """Lay hexagons of a given side over a rectangle; together they cover all of it.
-
-    Raises SettingsError if there would be more than :data:`MOST_CELLS`.
-    """
+    """Lay hexagons of a given side over all of a rectangle; raises SettingsError for more than :data:`MOST_CELLS`."""
     across = hexagons_across(rectangle.short_mm, side_mm)
     rows = rows_along(rectangle.long_mm, side_mm)
     _check_count(across, rows, rectangle, side_mm)
@@ -115,21 +86,13 @@ def hexagon_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
 
 
 def square_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
-    """Lay squares as wide as hexagons of a given side over a rectangle: a chessboard.
-
-    One centre lies on the midpoint of L1, as with hexagons; the first row begins at the start of L2.
-
-    Raises SettingsError as :func:`hexagon_lattice`.
-    """
+    """Lay squares as wide as hexagons of a given side over a rectangle, one centre on the midpoint of L1, as with hexagons; errors likewise."""
     across = _count_over(rectangle.short_mm, SQRT3 * side_mm)
     return _boxes(rectangle, side_mm, SQUARE, across + 1 - across % 2, SQRT3 * side_mm)
 
 
 def stripe_lattice(rectangle: Rectangle, side_mm: float) -> Lattice:
-    """Lay stripes as wide as hexagons of a given side across a rectangle, from one long side to the other.
-
-    Raises SettingsError as :func:`hexagon_lattice`.
-    """
+    """Lay stripes as wide as hexagons of a given side across a rectangle, from one long side to the other; errors likewise."""
     return _boxes(rectangle, side_mm, STRIPE, 1, max(rectangle.short_mm, SQRT3 * side_mm))
 
 
@@ -140,16 +103,10 @@ def _boxes(rectangle: Rectangle, side_mm: float, kind: str, across: int, length_
     row, column = (grid.ravel() for grid in np.mgrid[0:rows, 0:across])
     along, up = 2 * column - (across - 1), 2 * row + 1
     steps_mm = 0.5 * length_mm, 0.5 * SQRT3 * side_mm
-    corners = _place(
-        rectangle, steps_mm, along[:, None] + np.array([-1, 1, 1, -1]), up[:, None] + np.array([-1, -1, 1, 1])
-    )
-    return Lattice(
-        kind=kind,
-        side_mm=side_mm,
-        centres=_place(rectangle, steps_mm, along, up),
-        colour=((row + column) % 2).astype(np.int64),
-        cells=np.asarray(shapely.polygons(corners), object),
-    )
+    right, above = np.array([-1, 1, 1, -1]), np.array([-1, -1, 1, 1])
+    corners = _place(rectangle, steps_mm, along[:, None] + right, up[:, None] + above)
+    centres, colour = _place(rectangle, steps_mm, along, up), ((row + column) % 2).astype(np.int64)
+    return Lattice(kind, side_mm, centres, colour, np.asarray(shapely.polygons(corners), object))
 
 
 def _count_over(length_mm: float, cell_mm: float) -> int:
@@ -172,23 +129,20 @@ def _place(
     return rectangle.to_world(along_short * steps_mm[0], along_long * steps_mm[1] - 0.5 * rectangle.long_mm)
 
 
+# Lattices by the name of their partition, see `scan.partition`
 LATTICES: dict[str, Callable[[Rectangle, float], Lattice]] = {
     "hexagons": hexagon_lattice,
     "squares": square_lattice,
     "stripes": stripe_lattice,
 }
-"""Lattices by the name of their partition, see `scan.partition`."""
 
 
 def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> float:
     """Side of the hexagons from the area of a layer and its thickness (paper, introduction, point 2).
 
-    The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average
-    (2 A / P); then the width between two sides is rounded to a whole number of beads, since d and the
-    hatch go together: ``sqrt(3) d = m spacing``, m within :data:`BEADS_ACROSS`.
+    The layer is divided into about :data:`ZONES` islands, none wider than the layer is thick on average (2 A / P); then the width between two sides is
+    rounded to a whole number m of beads within :data:`BEADS_ACROSS`: ``sqrt(3) d = m spacing``.
 
-    Examples
-    --------
     >>> round(planned_side_mm(30_000.0, 800.0, 4.32), 2)  # 300 x 100 mm, six beads across
     14.96
     """
@@ -196,35 +150,26 @@ def planned_side_mm(area_mm2: float, perimeter_mm: float, spacing_mm: float) -> 
     if perimeter_mm > 0:
         width = min(width, 2.0 * area_mm2 / perimeter_mm)
     fewest, most = BEADS_ACROSS
-    beads = min(max(round(width / spacing_mm), fewest), most)
-    return beads * spacing_mm / SQRT3
+    return min(max(round(width / spacing_mm), fewest), most) * spacing_mm / SQRT3
 
 
 # -- Where the lattice lies on each layer: along the smallest rectangle, then shifted and turned from layer
-# to layer.
-#
-# Borders of islands are where beads start, stop and meet at an angle. Were they to lie over each other from
-# layer to layer, they would grow into walls of lack of fusion through the part. So each layer turns the
-# lattice on, which leaves borders of two layers at most points in common, not lines; and it shifts it, so
-# that layers whose turns are alike again do not repeat it. The lowest layer has the lattice of the paper.
+# to layer. Borders of islands that lay over each other would grow into walls of lack of fusion through the part. So each layer turns the lattice on,
+# which leaves borders of two layers at most points in common, and shifts it, so that layers whose turns are alike again do not repeat it. The lowest
+# layer has the lattice of the paper.
 
 
+# Real root of x^3 = x + 1, whose inverse and its square spread pairs of fractions evenly (M. Roberts, 2018: the sequence R2)
 PLASTIC = 1.324717957244746
-"""Real root of x^3 = x + 1. Multiples of its inverse and of its inverse squared spread pairs of fractions as
-evenly as can be, however many layers there are (M. Roberts, 2018: the sequence R2)."""
-
+# Rows of hexagons repeat along L2 after so many sides d; squares and stripes after less, so that they are shifted over their whole period, too
 ROWS_REPEAT = 3.0
-"""Rows of hexagons repeat along L2 after so many sides d; along L1 hexagons repeat after sqrt(3) d. Squares and
-stripes repeat after less, sqrt(3) d, so that they are shifted over their whole period, too."""
 
 
 def layer_place(points: ArrayLike, side_mm: float, config: Config, layer: int) -> Rectangle:
-    """Rectangle around a layer over which its cells are laid, shifted and turned as the settings say.
+    """Rectangle around the points (N, 2), mm, of a section's border over which the cells of a layer are laid, shifted and turned by the settings.
 
-    The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is
-    moved, and grown by as much as it moves, shifts the lattice and still holds every point.
-
-    `points`: (N, 2) mm, of the section's border; `side_mm`: side d of the hexagons; `layer`: index of the layer.
+    The rule of the lattice counts from the midpoint of L1 and from the start of L2. So a rectangle that is moved, and grown by as much as it moves,
+    shifts the lattice and still holds every point.
     """
     smallest = minimum_rectangle(points, config.scan.rectangle)
     turn = math.radians(layer * config.scan.lattice_angle_deg)
@@ -241,43 +186,26 @@ def shift_shares(layer: int) -> tuple[float, float]:
 
 
 def shifted(rectangle: Rectangle, along_short_mm: float, along_long_mm: float) -> Rectangle:
-    """Move the midpoint of L1 and the start of L2; the rectangle grows so that it holds what it held.
-
-    `along_short_mm`: shift along L1, either way; `along_long_mm`: shift against L2, at least 0.
-    """
-    x, y = rectangle.to_world(along_short_mm, -0.5 * along_long_mm)
-    return Rectangle(
-        float(x),
-        float(y),
-        rectangle.angle_rad,
-        rectangle.short_mm + 2.0 * abs(along_short_mm),
-        rectangle.long_mm + along_long_mm,
-    )
+    """Move the midpoint of L1 along it, and the start of L2 against it by at least 0; the rectangle grows so that it holds what it held."""
+    x, y = rectangle.to_world(along_short_mm, -0.5 * along_long_mm).tolist()
+    short_mm, long_mm = rectangle.short_mm + 2.0 * abs(along_short_mm), rectangle.long_mm + along_long_mm
+    return Rectangle(x, y, rectangle.angle_rad, short_mm, long_mm)
 
 
-PAPER_STEPS = 10
-"""The paper turns the envelope in steps of pi/10 (equation 11)."""
-
-AT_ONCE = 1_000_000
-"""Corners times directions of a hull that are worked out together, about."""
-
-TIE = 1e-12
-"""Relative difference of area under which two rectangles count as equal; the first one is kept."""
+PAPER_STEPS = 10  # the paper turns the envelope in steps of pi/10 (equation 11)
+AT_ONCE = 1_000_000  # corners times directions of a hull that are worked out together, about
+TIE = 1e-12  # relative difference of area under which two rectangles count as equal; the first one is kept
 
 
 @dataclass(frozen=True)
 class Rectangle:
-    """A rectangle that may be turned.
+    """A rectangle that may be turned; of a smallest one L1 <= L2, and the direction lies in [0, pi)."""
 
-    `x_mm`, `y_mm`: centre; `angle_rad`: direction of the side L1, counter-clockwise from +X; in [0, pi) for a smallest
-    rectangle; `short_mm`, `long_mm`: lengths L1 and L2 of the sides; L1 <= L2 for a smallest rectangle.
-    """
-
-    x_mm: float
+    x_mm: float  # centre
     y_mm: float
-    angle_rad: float
-    short_mm: float
-    long_mm: float
+    angle_rad: float  # direction of the side L1, counter-clockwise from +X
+    short_mm: float  # length L1
+    long_mm: float  # length L2
 
     @property
     def area_mm2(self) -> float:
@@ -297,12 +225,9 @@ class Rectangle:
 
 
 def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "exact") -> Rectangle:
-    """Find the enclosing rectangle of least area.
+    """Find the rectangle of least area around points (N, 2), mm; raises GeometryError for no point, or one that is not finite.
 
-    `points`: (N, 2) mm; only their convex hull matters; `method`: ``"paper"`` tries the rotations 0, pi/10, 2 pi/10, ...
-    (equation 11); ``"exact"`` every direction of an edge of the convex hull, among which the minimum lies.
-
-    Raises GeometryError if there is no point, or one that is not finite.
+    ``paper`` tries the rotations 0, pi/10, 2 pi/10, ... (equation 11); ``exact`` every direction of an edge of the hull, where the minimum lies.
     """
     column = np.asarray(points, np.float64).reshape(-1, 2)
     if not len(column) or not np.isfinite(column).all():
@@ -318,17 +243,13 @@ def minimum_rectangle(points: ArrayLike, method: Literal["paper", "exact"] = "ex
         lengths = np.hypot(edges[:, 0], edges[:, 1])
         directions = edges[lengths > 0] / lengths[lengths > 0, None]
         parts = np.array_split(directions, max(1, len(hull) * len(directions) // AT_ONCE))
-        boxes = np.concatenate(
-            [_envelopes(hull, part if len(part) else np.array([[1.0, 0.0]])) for part in parts]
-        )
-    return _rectangle(*_smallest(boxes))
+        any_way = np.array([[1.0, 0.0]])
+        boxes = np.concatenate([_envelopes(hull, part if len(part) else any_way) for part in parts])
+    return _smallest(boxes)
 
 
 def rectangle_along(points: ArrayLike, angle_rad: float) -> Rectangle:
-    """Enclosing rectangle whose side L1 has a given direction, also where it is the longer one.
-
-    `points`: (N, 2) mm, at least one, all of them finite; `angle_rad`: direction of L1, counter-clockwise from +X.
-    """
+    """Rectangle around points (N, 2), mm, at least one, all finite, whose side L1 has a given direction, also where it is the longer one."""
     direction = np.array([[math.cos(angle_rad), math.sin(angle_rad)]])
     ux, uy, amin, amax, bmin, bmax = _envelopes(np.asarray(points, np.float64).reshape(-1, 2), direction)[0]
     a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)
@@ -351,16 +272,11 @@ def _envelopes(hull: Floats, directions: Floats) -> Floats:
     return np.column_stack([directions, *extents])
 
 
-def _smallest(boxes: Floats) -> tuple[float, float, float, float, float, float]:
-    """The box of least area; among equal ones the first."""
+def _smallest(boxes: Floats) -> Rectangle:
+    """The box of least area, among equal ones the first, its sides named by their length and its direction in [0, pi)."""
     areas = (boxes[:, 3] - boxes[:, 2]) * (boxes[:, 5] - boxes[:, 4])
     k = int(np.flatnonzero(areas <= areas.min() * (1.0 + TIE))[0])
-    ux, uy, amin, amax, bmin, bmax = (float(v) for v in boxes[k])
-    return ux, uy, amin, amax, bmin, bmax
-
-
-def _rectangle(ux: float, uy: float, amin: float, amax: float, bmin: float, bmax: float) -> Rectangle:
-    """Name the sides by their length and bring the direction into [0, pi)."""
+    ux, uy, amin, amax, bmin, bmax = boxes[k].tolist()
     a, b = 0.5 * (amin + amax), 0.5 * (bmin + bmax)
     x, y = ux * a - uy * b, uy * a + ux * b
     angle = math.atan2(uy, ux)

@@ -1,14 +1,9 @@
 """The regions of one layer: what the contour bead takes, what is left to fill, and where walls are thin.
 
-From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead
-unless set):
-
-- the centre line of the **contour bead** is the contour inset by c; the bead covers c - w/2 .. c + w/2;
-- the **fill** is the contour inset by c + s/2: a bead owns half a spacing on either side of its centre
-  line, the contour bead as well as every other. A hatch line along the contour then lies one spacing
-  from the contour bead, and one that ends there ends inside the contour bead, since s/2 <= w/2: no gap;
-- a **bare wall** is narrower than a contour bead can go around (its inset vanishes): one bead along it;
-- a **narrow fill** lies between two contour beads with no room for a partition: beads along the wall.
+From the contour inwards, with bead width w, bead spacing s (times w) and contour offset c (half a bead unless set): the centre line of the contour
+bead is the contour inset by c. The fill is the contour inset by c + s/2, since a bead owns half a spacing on either side: a hatch line along the
+contour then lies one spacing from the contour bead, and one that ends there ends inside it, since s/2 <= w/2. A bare wall is narrower than a contour
+bead can go around: one bead along it. A narrow fill lies between two contour beads with no room for a partition: beads along the wall.
 """
 
 from __future__ import annotations
@@ -19,45 +14,26 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.geometry.regions import (
-    ARC_SEGMENTS,
-    JOIN_MM,
-    inset,
-    mean_width_mm,
-    split_thin,
-    valid_polygons,
-)
+from ebamcheck.geometry.regions import ARC_SEGMENTS, JOIN_MM, inset, mean_width_mm, split_thin, valid_polygons
 from ebamcheck.settings.config import Config
 
+# Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them
 THIN_WALL_BEADS = 3.0
-"""Walls of up to so many bead widths are thin: two contour beads and a bead between them fill them."""
-
-CRUMB = 0.25
-"""Bare pieces under this times the squared bead width are corners that a round bead never fills."""
-
-CORNER = 0.5
-"""Narrow pieces of the fill under this times the squared opening width are corners of a solid (down to
-about 35 degrees), not walls."""
-
+CRUMB = 0.25  # bare pieces under this times the squared bead width are corners that a round bead never fills
+CORNER = 0.5  # narrow pieces of the fill under this times the squared opening width are corners of a solid (down to about 35 degrees), not walls
+# Deviation, over the bead width, by which the border of the fill is simplified: its points serve a surface that the fill does not reach
 FILL_TOLERANCE = 0.002
-"""Deviation, over the bead width, by which the border of the fill is simplified: a contour has points for
-the sake of its surface, which the fill does not reach."""
 
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """The regions of one layer, all of them inside the section.
+    """The regions of one layer, all of them inside the section."""
 
-    `section`: the solid region; `contour`: region whose border is the centre line of the contour bead; `solids`: fill to be
-    partitioned; `narrow_fills`: fill between two contour beads, to be filled along the wall; `bare_walls`: parts of the
-    section where no contour bead fits.
-    """
-
-    section: BaseGeometry
-    contour: BaseGeometry
-    solids: list[shapely.Polygon]
-    narrow_fills: list[shapely.Polygon]
-    bare_walls: list[shapely.Polygon]
+    section: BaseGeometry  # the solid region
+    contour: BaseGeometry  # its border is the centre line of the contour bead
+    solids: list[shapely.Polygon]  # fill to be partitioned
+    narrow_fills: list[shapely.Polygon]  # fill between two contour beads, to be filled along the wall
+    bare_walls: list[shapely.Polygon]  # parts of the section where no contour bead fits
 
 
 def contour_region(section: BaseGeometry, config: Config) -> BaseGeometry:

@@ -1,44 +1,31 @@
 """Where islands are entered, how far the gun jumps between them, and when each is scanned.
 
-An island has up to four ends at which it may be entered. The nearest one is often the one beside what was laid a minute
-ago, hundreds of kelvins warmer than the far side of the same island. So the rise at every end is worked out: old heat
-by the modes of the section at that very place, young heat by the Green's functions of
-:mod:`ebamcheck.heat.near_field`. Ends are then chosen for all islands at once, by dynamic programming over the
-order: the least sum of the powers of the rises (as :func:`high_mean` counts them) plus a price on travel, the least that
-keeps the travel allowed. Heat changes little by the ends chosen before, so that a few rounds settle it; the best of them
-is kept, that of the nearest ends among them.
+An island has up to four ends at which it may be entered; the nearest is often the one beside what was laid a minute ago. So the rise at every end is
+worked out, and ends are chosen for all islands at once, by dynamic programming over the order: the least sum of the powers of the rises
+(:func:`high_mean`) plus a price on travel, the least that keeps the travel allowed. Heat changes little by the ends chosen before: a few rounds settle it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ebamcheck.heat.field import Field
 from ebamcheck.heat.island_heat import IslandHeat, old_at_entries, young_at_entries
 from ebamcheck.heat.near_field import OPTIONS
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
-from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, island_ends
+from ebamcheck.scan.filling.schedule import JOINED_MM, IslandSchedule, gaps_mm, island_ends
 
-NEAREST = -1
-"""Entry option of an island that is entered from its corner nearest to where the last one ended."""
-
-HIGH = 12
-"""Exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler."""
-
-ROUNDS = 3
-"""Rounds of choosing ends, each with the heat of islands as driven by those of the round before."""
-
+NEAREST = -1  # entry option of an island that is entered from its corner nearest to where the last one ended
+HIGH = 12  # exponent of :func:`high_mean`: a maximum alone would see no gain until the very hottest island is cooler
+ROUNDS = 3  # rounds of choosing ends, each with the heat of islands as driven by those of the round before
+# Prices of a millimetre, in powers of the greatest rise, that the search begins with: by the dearest travel alone counts, by the cheapest heat
 DEAREST, CHEAPEST = 1e15, 1e-15
-"""Prices of a millimetre between which the least is looked for that keeps the travel allowed, in powers of the greatest
-rise: by the dearest only the travel counts, by the cheapest only the heat."""
-
-HALVINGS = 50
-"""Halvings of the range of prices, on a scale of decades: to 4 %."""
-
-TIE = 1e-12
-"""Sums closer than this share are equal: rounding must not decide between ends that mirror each other."""
+HALVINGS = 50  # halvings of the range of prices, on a scale of decades: to 4 %
+TIE = 1e-12  # sums closer than this share are equal: rounding must not decide between ends that mirror each other
 
 # -- The way from island to island.
 
@@ -113,9 +100,8 @@ def in_sequence(
 ) -> tuple[Ints, Bools]:
     """Rows (V,) of the lines of islands in scan order, and whether each is driven from its end to its start.
 
-    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are
-    driven in either sequence and either direction, as its entry option says (:data:`NEAREST`: that nearest to where the
-    last island ended); those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
+    `start` and `end` (V, 2) are sorted by island, `first` (I + 1,) is the first line of each. The lines of an island are driven in either sequence
+    and direction, as its entry option says; those of a `chained` one (bent lines along a wall) only forwards, or all backwards.
     """
     order = order[np.diff(first)[order] > 0]
     if not len(order):
@@ -123,19 +109,14 @@ def in_sequence(
     options = completed_options(options, order, *island_ends(start, end, first, chained))
     lines, option = np.diff(first)[order], options[order]
     place = np.arange(lines.sum()) - np.repeat(np.cumsum(lines) - lines, lines)
-    rows = np.where(
-        np.repeat(option >= 2, lines),
-        np.repeat(first[order + 1] - 1, lines) - place,
-        np.repeat(first[order], lines) + place,
-    )
+    onward, back = np.repeat(first[order], lines) + place, np.repeat(first[order + 1] - 1, lines) - place
+    rows = np.where(np.repeat(option >= 2, lines), back, onward)
     return rows, np.repeat((option == 1) | (option == 2), lines)
 
 
 def jumps_mm(start: Floats, end: Floats, new_layer: Bools) -> Floats:
     """Jump before each line (V,), mm: 0 for the first of a layer and for lines that go on."""
-    jumps = np.zeros(len(start))
-    if len(start) > 1:
-        jumps[1:] = np.hypot(*(start[1:] - end[:-1]).T)
+    jumps = gaps_mm(start, end)
     jumps[new_layer | (jumps <= JOINED_MM)] = 0.0
     return jumps
 
@@ -151,13 +132,9 @@ def high_mean(entry_k: Floats) -> float:
 def cool_options(
     heat: IslandHeat, schedule: IslandSchedule, order: Ints, rapid_mm_s: float, longest_mm: float
 ) -> Ints:
-    """Choose the entry option of each island.
+    """Choose the entry option (I,) of each island of an order.
 
-    `order`: (I,) islands in scan order; `longest_mm`: travel between islands that is allowed; that by the nearest options,
-    where it is longer already.
-
-    Returns (I,) entry options by island, as in :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`. Travel, and
-    :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel that is allowed.
+    Travel, and :func:`high_mean` of the rises at the entries, are no more than by the nearest options, but for travel up to `longest_mm`, which is allowed.
     """
     best = options = nearest_options(order, schedule.entry, schedule.leave)
     if len(order) < 2:
@@ -197,11 +174,7 @@ def _young_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats, opti
 
 
 def affordable(rise_k: Floats, order: Ints, entry: Floats, leave: Floats, longest_mm: float) -> Ints:
-    """Entry options (I,) of the least high mean whose travel is allowed; those of the least travel if none is.
-
-    `rise_k`: (I, 4) rises at the ends; `entry`, `leave`: (I, 4, 2) as in
-    :class:`~ebamcheck.scan.filling.schedule.IslandSchedule`.
-    """
+    """Entry options (I,) of the least high mean of rises (I, 4) whose travel is allowed; those of the least travel if none is."""
     top_k = float(rise_k.min(axis=1).max())
     share = np.maximum(rise_k, 0.0) / (top_k if top_k > 0.0 else 1.0)
     low, high = np.log(CHEAPEST), np.log(DEAREST)
@@ -255,3 +228,63 @@ def options_by_price(
             travel += jump if jump > JOINED_MM else 0.0
             option = by
     return options, travel
+
+
+# -- Simulation of an order: how warm each island is when the beam enters it.
+
+
+def entry_temperatures(
+    heat: IslandHeat, area_mm2: Floats, order: Ints, start_s: Floats, end_s: Floats
+) -> tuple[Floats, Floats]:
+    """Simulate an order with times (I,) by island: the mean temperature rise (I,) of each island when the beam enters it, K, and its excess uniformity
+    (I,): the spread of the temperature over the layer when the beam leaves it, without its own heat, over the mean temperature.
+    """
+    mean, share = heat.modes.mean, area_mm2 / area_mm2.sum()
+    entry_k, excess = np.zeros(len(start_s)), np.zeros(len(start_s))
+    for island, before, after in _steps(heat, order, start_s, end_s):
+        entry_k[island] = before.surface() @ mean[:, island]
+        before.age(end_s[island] - start_s[island])
+        others, average = before.surface() @ mean, share @ (after.surface() @ mean)
+        spread = np.sqrt(share @ (others - share @ others) ** 2)
+        excess[island] = spread / average if average > 0.0 else 0.0
+    return (entry_k if heat.near is None else _entered_k(heat, order, start_s, end_s)), excess
+
+
+def entered(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
+    """Entry temperatures (I,) by island alone, K, and the amplitudes (K, N) at the end."""
+    entry_k, state = np.zeros(len(start_s)), heat.start_k
+    for island, before, after in _steps(heat, order, start_s, end_s):
+        entry_k[island] = before.surface() @ heat.modes.mean[:, island]
+        state = after.state
+    return (entry_k if heat.near is None else _entered_k(heat, order, start_s, end_s)), state
+
+
+def entry_points(
+    heat: IslandHeat, schedule: IslandSchedule, order: Ints, start_s: Floats, end_s: Floats
+) -> tuple[Floats, Floats]:
+    """Mean temperature rise of each island, and that under the beam, when the beam enters it by the nearest end, (I,) K."""
+    options = nearest_options(order, schedule.entry, schedule.leave)
+    old_k = old_at_entries(heat, order, start_s, end_s)
+    columns = heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options
+    means_k, points_k = young_at_entries(*columns, False)
+    return old_k + means_k, old_k + points_k[np.arange(len(options)), options]
+
+
+def _entered_k(heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats) -> Floats:
+    options = np.zeros(len(start_s), np.int64)
+    young = young_at_entries(heat.fresh, heat.modes.source_k_s, order, start_s, end_s, options, False)
+    return old_at_entries(heat, order, start_s, end_s) + young[0]
+
+
+def _steps(
+    heat: IslandHeat, order: Ints, start_s: Floats, end_s: Floats
+) -> Iterator[tuple[int, Field, Field]]:
+    """Go through an order: island, the heat when it is entered, and when it is left."""
+    modes, clock = heat.modes, 0.0
+    field = Field(heat.start_k.copy(), modes.plane_rate, modes.depth_rate, modes.in_layer)
+    for island in order.tolist():
+        field.age(start_s[island] - clock)
+        before = field.copy()
+        field.add(modes.mean[:, [island]], modes.source_k_s[[island]], end_s[[island]] - start_s[[island]])
+        clock = end_s[island]
+        yield island, before, field

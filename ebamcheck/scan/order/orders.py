@@ -1,28 +1,18 @@
-"""Orders in which the islands of a layer are scanned, by name.
+"""Orders in which the islands of a layer are scanned, by name: entry points of the group ``ebamcheck.orders``.
 
-The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is
-the smallest". That has three readings, all of them here:
-
-=============== ==============================================================================
-``nearest-any`` distance to the nearest processed centroid (min-min); ``nearest`` is this one
-``nearest-last`` distance to the centroid processed last
-``nearest-sum`` sum of the distances to all processed centroids
-=============== ==============================================================================
-
-Whichever is taken, it contradicts the paper's aim (its conclusion: "increase the molding time interval
-of adjacent regions"), since the nearest island is a neighbour that is still hot. ``farthest`` does the
-opposite; ``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th
-island of it at first, ``random`` is a seeded shuffle. Distance has no memory of time; ``least-heat`` and
-``thermal`` have: they ask a heat model (:mod:`ebamcheck.heat`) which island is coolest when the beam gets
-there, the latter with a price on the way there (:mod:`ebamcheck.scan.order.search`), and at the end of the island that is
-coolest (:mod:`ebamcheck.scan.order.entries`); the others enter at the nearest. All of them are entry points of the
-group ``ebamcheck.orders``, as are those of other distributions.
+The paper's sentence (section 4.2) takes next the island whose distance "to all processed centroids is the smallest": to the nearest of them
+(``nearest-any``, which ``nearest`` is), to the last one (``nearest-last``), or in sum (``nearest-sum``). All of them contradict the paper's aim
+("increase the molding time interval of adjacent regions"), since the nearest island is a neighbour that is still hot. ``farthest`` does the opposite;
+``raster`` is what a machine does without a strategy, ``stride`` leaves out all but every n-th island of it at first, ``random`` is a seeded shuffle.
+Distance has no memory of time; ``least-heat`` and ``thermal`` ask a heat model which island is coolest when the beam gets there, the latter with a
+price on the way there, and at its coolest end; the others enter at the nearest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -40,56 +30,28 @@ from ebamcheck.scan.order.entries import NEAREST, clocked, cool_options
 from ebamcheck.scan.order.search import greedy_order, thermal_order, touching
 from ebamcheck.settings.config import Config
 
-LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3
-"""Rules of :func:`greedy`."""
-
+LAST, ANY, SUM, FARTHEST = 0, 1, 2, 3  # rules of :func:`greedy`
 NO_LINES = Vectors(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
-
+# Distances closer than this are equal: a lattice is full of ties, which rounding must not decide
 TIE_MM = 1e-6
-"""Distances closer than this are equal: a lattice is full of ties, which rounding must not decide."""
 
 
 @dataclass(frozen=True, eq=False)
 class LayerIslands:
-    """What an order may know of the islands of one layer but their heat, which is a value of its own.
+    """What an order may know of the islands of one layer but their heat, which is a value of its own."""
 
-    Parameters
-    ----------
-    centroid
-        (I, 2) mm.
-    area_mm2
-        (I,).
-    neighbours
-        (P, 2) pairs of islands with a common border.
-    layer
-        Index of the layer.
-    seed
-        Seed of the run; :meth:`random` mixes the layer into it.
-    config
-        Settings.
-    height_mm
-        Height of the layer over the base plate.
-    section
-        Solid region of the layer.
-    polygons
-        (I,) the islands.
-    schedule
-        When and where each is scanned. Without it, orders that ask for times or heat cannot be used.
-    lines
-        Lines of the islands, sorted by island; None: each counts as a blob of its area.
-    """
-
-    centroid: Floats
-    area_mm2: Floats
-    neighbours: Ints
-    layer: int = 0
-    seed: int = 0
+    centroid: Floats  # (I, 2) mm
+    area_mm2: Floats  # (I,)
+    neighbours: Ints  # (P, 2) pairs of islands with a common border
+    layer: int = 0  # index of the layer
+    seed: int = 0  # of the run; :meth:`random` mixes the layer into it
     config: Config = field(default_factory=Config)
-    height_mm: float = 0.0
-    section: BaseGeometry = field(default_factory=shapely.Polygon)
-    polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))
+    height_mm: float = 0.0  # of the layer over the base plate
+    section: BaseGeometry = field(default_factory=shapely.Polygon)  # solid region of the layer
+    polygons: NDArray[np.object_] = field(default_factory=lambda: np.zeros(0, object))  # (I,) the islands
+    # When and where each is scanned; without it, orders that ask for times or heat cannot be used
     schedule: IslandSchedule | None = None
-    lines: Vectors | None = None
+    lines: Vectors | None = None  # of the islands, sorted by island; None: each counts as a blob of its area
 
     def __len__(self) -> int:
         """Return the number of islands."""
@@ -111,9 +73,8 @@ class LayerIslands:
     def cold_heat(self) -> IslandHeat:
         """Set up the heat model of the layer, which begins as on a cold part."""
         schedule = self.known_schedule
-        modes = island_heat(
-            self.section, self.polygons, schedule.beam_s, schedule.time_s, self.config, self.height_mm
-        )
+        times = schedule.beam_s, schedule.time_s
+        modes = island_heat(self.section, self.polygons, *times, self.config, self.height_mm)
         return self.with_fresh_heat(modes)
 
     def with_fresh_heat(self, modes: IslandHeat) -> IslandHeat:
@@ -123,13 +84,9 @@ class LayerIslands:
         return with_fresh_heat(modes, entry, columns, self.section, self.polygons, self.config)
 
 
+# From the islands of a layer, :class:`LayerIslands`, a permutation (I,) of their indices. One whose attribute `needs_heat` is true is called with the
+# :class:`IslandHeat` with which the layer begins, too; the islands of one whose `cool_entries` is true are entered at their coolest ends near enough.
 Order = Callable[..., Ints]
-"""An order: from the islands of a layer, :class:`LayerIslands`, a permutation (I,) of their indices.
-
-One with an attribute `needs_heat` that is true is called with a second value, the :class:`IslandHeat` with which the layer
-begins: that left by the layers below, where it is carried. The layers of others are planned without it. The islands of one
-with an attribute `cool_entries` that is true are entered at their coolest ends that are near enough, in place of the nearest.
-"""
 
 
 @dataclass(frozen=True)
@@ -146,19 +103,15 @@ class HeatOrder:
 
 
 def scan_order(name: str | Order, islands: LayerIslands, heat: IslandHeat | None = None) -> Ints:
-    """Order the islands of a layer by an order or its name, (I,) indices.
+    """Order the islands of a layer by an order or its name, (I,) indices; raises SettingsError if there is no order of that name.
 
-    `heat`: heat with which the layer begins; None: that of a cold part, set up where the order needs it.
-
-    Raises SettingsError if there is no order of that name.
+    `heat` is that with which the layer begins; None: that of a cold part, set up where the order needs it.
     """
     order = named_order(name)
     if len(islands) < 2:
         return np.arange(len(islands))
-    if needs_heat(order):
-        found = np.asarray(order(islands, islands.cold_heat() if heat is None else heat), np.int64)
-    else:
-        found = np.asarray(order(islands), np.int64)
+    known = [islands.cold_heat() if heat is None else heat] if needs_heat(order) else []
+    found = np.asarray(order(islands, *known), np.int64)
     if not np.array_equal(np.sort(found), np.arange(len(islands))):
         raise SettingsError(
             f"scan.order {name!r} did not return every island of layer {islands.layer + 1} once: "
@@ -193,24 +146,14 @@ def _seeded_start(islands: LayerIslands) -> int:
     return int(islands.random().integers(len(islands)))
 
 
-def nearest_any(islands: LayerIslands) -> Ints:
-    """Next the island nearest to any processed one."""
-    return greedy(islands.centroid, _seeded_start(islands), ANY)
+def _by_distance(islands: LayerIslands, rule: int) -> Ints:
+    return greedy(islands.centroid, _seeded_start(islands), rule)
 
 
-def nearest_last(islands: LayerIslands) -> Ints:
-    """Next the island nearest to the one processed last."""
-    return greedy(islands.centroid, _seeded_start(islands), LAST)
-
-
-def nearest_sum(islands: LayerIslands) -> Ints:
-    """Next the island with the least sum of distances to all processed ones."""
-    return greedy(islands.centroid, _seeded_start(islands), SUM)
-
-
-def farthest(islands: LayerIslands) -> Ints:
-    """Next the island farthest from its nearest processed one (max-min)."""
-    return greedy(islands.centroid, _seeded_start(islands), FARTHEST)
+nearest_any = partial(_by_distance, rule=ANY)  # next the island nearest to any processed one
+nearest_last = partial(_by_distance, rule=LAST)  # next the island nearest to the one processed last
+nearest_sum = partial(_by_distance, rule=SUM)  # next that with the least sum of distances to all processed
+farthest = partial(_by_distance, rule=FARTHEST)  # next that farthest from its nearest processed one (max-min)
 
 
 def raster(islands: LayerIslands) -> Ints:
@@ -258,8 +201,7 @@ def thermal(islands: LayerIslands, heat: IslandHeat) -> Ints:
 
 def longest_travel_mm(islands: LayerIslands) -> float:
     """Travel between islands that `thermal` may take: its share of that of `farthest`."""
-    rapid = islands.config.machine.rapid_mm_s
-    *_, travel_mm = clocked(islands.known_schedule, farthest(islands), rapid)
+    *_, travel_mm = clocked(islands.known_schedule, farthest(islands), islands.config.machine.rapid_mm_s)
     return islands.config.scan.travel_share * travel_mm
 
 

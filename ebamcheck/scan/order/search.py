@@ -1,10 +1,8 @@
 """Orders by heat: greedy plans, of which the coolest is improved by moves of islands that make it cooler.
 
-The score of an island is its temperature at the time it would be entered, plus the travel to it and the start of the
-wire, each at its price in kelvin. Its temperature is its mean, or that under the beam where it would be entered
-(:mod:`~ebamcheck.heat.near_field`), whichever is more. No island follows one that it touches while another is left.
-A low price of travel makes cool but long ways, so plans for several prices are made. Moves are tried on the table of
-:mod:`ebamcheck.heat.influence`, which gives an entry temperature without the modes.
+The score of an island is its mean temperature at the time it would be entered, or that under the beam where it would be entered, whichever is more, plus
+the travel to it and the start of the wire, each at its price in kelvin. No island follows one that it touches while another is left. A low price of travel
+makes cool but long ways, so plans for several prices are made.
 """
 
 from __future__ import annotations
@@ -24,39 +22,24 @@ from ebamcheck.scan.order.entries import (
     EntryOptions,
     clocked,
     entry_options,
+    entry_points,
     high_mean,
     nearest_option,
 )
-from ebamcheck.scan.order.simulation import entry_points
 from ebamcheck.threads import run_each
 
+# Prices of travel of the greedy plans: in temperature rises of an island by its own heat, over widths of an island
 PRICES = (0.005, 0.01, 0.0025, 0.02)
-"""Prices of travel of the greedy plans: in temperature rises of an island by its own heat, over widths of an island."""
-
-FEW_ISLANDS = 8
-"""Islands whose plan moves improve whatever the settings say: it takes no time, and comes near the best of all orders."""
-
-STARTS = 2
-"""First islands of the greedy plans for each price, where no moves follow."""
-
-MOST_WORK = 4e9
-"""Multiplications in the greedy plans of a layer, which limits their number on a layer of thousands of islands."""
-
+FEW_ISLANDS = 8  # islands whose plan moves improve whatever the settings say: it takes no time, and comes near the best of all orders
+STARTS = 2  # first islands of the greedy plans for each price, where no moves follow
+MOST_WORK = 4e9  # multiplications in the greedy plans of a layer, which limits their number on a layer of thousands of islands
+# Moves that improve a plan, over its islands; and moves times islands, so that a layer of 300 gets 3300
 MOVES_AN_ISLAND, MOST_MOVES = 800, 1e6
-"""Moves that improve a plan, over its islands; and moves times islands, so that a layer of 300 gets 3300."""
-
+# Worsening taken at first by a move, as a share of the first cost: over the islands, and at most; without it the hottest entry is 4 % warmer
 WARMTH, MOST_WARMTH = 0.2, 0.005
-"""Worsening taken at first by a move, as a share of the first cost: over the islands, since a move of one of many changes
-little; at most. Moves that must improve leave the hottest entry 4 % warmer."""
-
-HOTTEST_EVERY = 10
-"""One move in so many starts at the hottest island; the others anywhere."""
-
-TOUCH_SHARE = 100.0
-"""Price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it."""
-
-TIE_K = 1e-6
-"""Temperatures closer than this are equal: rounding must not decide between islands that mirror each other."""
+HOTTEST_EVERY = 10  # one move in so many starts at the hottest island; the others anywhere
+TOUCH_SHARE = 100.0  # price of an island that touches the one before, over the first cost: no gain in heat or travel is worth it
+TIE_K = 1e-6  # temperatures closer than this are equal: rounding must not decide between islands that mirror each other
 
 
 def thermal_order(
@@ -72,9 +55,8 @@ def thermal_order(
 ) -> Ints:
     """Islands (I,) in scan order: the coolest greedy plan whose travel is not too long, improved by moves.
 
-    `beside` (I, I) tells which islands touch, `width_mm` is the width of one, `longest_mm` the travel that is allowed (the
-    shortest plan is taken where none keeps it), `start_travel_mm` the travel that counts as much as a start of the wire,
-    and `steps` the most moves.
+    `beside` (I, I) tells which islands touch, `width_mm` is the width of one, `longest_mm` the travel that is allowed (else the shortest plan is taken),
+    `start_travel_mm` the travel that counts as much as a start of the wire, and `steps` the most moves.
     """
     count = len(schedule)
     price_k_mm = float(own_rise(heat, schedule).mean()) / width_mm
@@ -84,9 +66,12 @@ def thermal_order(
     starts = [0] if moves else sorted({count * n // STARTS for n in range(STARTS)})
     affordable = max(1, int(MOST_WORK / (count**2 * len(heat.modes.plane_rate))))
     tries = [(price * price_k_mm, first) for price in PRICES for first in starts][:affordable]
-    plans = run_each(
-        lambda t: greedy_order(heat, schedule, beside, rapid_mm_s, t[1], t[0], t[0] * start_travel_mm), tries
-    )
+
+    def greedy(price: tuple[float, int]) -> Ints:
+        k_mm, first = price
+        return greedy_order(heat, schedule, beside, rapid_mm_s, first, k_mm, k_mm * start_travel_mm)
+
+    plans = run_each(greedy, tries)
 
     def rank(order: Ints) -> tuple[int, float, float]:
         return ranked(heat, schedule, beside, rapid_mm_s, order, longest_mm)
@@ -97,17 +82,10 @@ def thermal_order(
     _, end_s, travel_mm = clocked(schedule, best, rapid_mm_s)
     # Twice the time of a way that is too long: none met in the search takes longer.
     latest_s = float(end_s.max()) + max(travel_mm, longest_mm) / rapid_mm_s
-    layer = Layer(
-        influence(heat, schedule.time_s, latest_s),
-        entry_options(schedule),
-        beside,
-        schedule.time_s,
-        rapid_mm_s,
-    )
-    places = random.integers(0, count, (moves, 2))
-    leniency = (
-        min(WARMTH / count, MOST_WARMTH) * random.exponential(size=moves) * np.linspace(1.0, 0.0, moves)
-    )
+    table = influence(heat, schedule.time_s, latest_s)
+    layer = Layer(table, entry_options(schedule), beside, schedule.time_s, rapid_mm_s)
+    places, warmth = random.integers(0, count, (moves, 2)), min(WARMTH / count, MOST_WARMTH)
+    leniency = warmth * random.exponential(size=moves) * np.linspace(1.0, 0.0, moves)
     logs = new_log(count), new_log(count)
     tried = improved(layer, best, longest_mm, price_k_mm, places, leniency, *logs)
     return min(best, tried, key=rank)
@@ -199,9 +177,8 @@ def greedy_order(
 ) -> Ints:
     """Order islands by heat from a first one on, for one price of travel (K/mm) and of a wire start (K)."""
     count, columns = len(schedule), (schedule.entry, schedule.leave, schedule.time_s, rapid_mm_s)
-    layer = _Heated(
-        heat.modes, heat.modes.late(heat.fresh.horizon_s), heat.fresh, beside, *columns, price_k_mm, start_k
-    )
+    late = heat.modes.late(heat.fresh.horizon_s)
+    layer = _Heated(heat.modes, late, heat.fresh, beside, *columns, price_k_mm, start_k)
     plan = _Greedy(
         np.empty(count, np.int64), np.empty(count), np.empty(count), np.zeros(count, np.int64),
         np.zeros(count, np.bool_), np.empty(count), np.empty(count), np.empty(count),
@@ -346,8 +323,7 @@ def improved(
 ) -> Ints:
     """Best order met by moves between places (S, 2): exchanges, shifts and turned stretches by turns.
 
-    A move is kept if it worsens the cost by less than its `leniency` (S,), a share of the first cost: simulated annealing
-    (Kirkpatrick, Gelatt & Vecchi 1983).
+    A move is kept if it worsens the cost by less than its `leniency` (S,), a share of the first cost (annealing: Kirkpatrick, Gelatt & Vecchi 1983).
     """
     count = len(order)
     kept, tried = order.copy(), order.copy()
@@ -388,12 +364,9 @@ def improved(
             tried[b + 1 : a + 1] = kept[b:a]
             tried[b] = kept[a]
         for n in range(low):
-            other.start_s[n], other.option[n], other.travel_mm[n] = (
-                log.start_s[n],
-                log.option[n],
-                log.travel_mm[n],
-            )
-            other.entry_k[n], other.touches[n] = log.entry_k[n], log.touches[n]
+            other.start_s[n], other.option[n] = log.start_s[n], log.option[n]
+            other.travel_mm[n], other.touches[n] = log.travel_mm[n], log.touches[n]
+            other.entry_k[n] = log.entry_k[n]
         time_from(low, tried, layer, other)
         rest = price * max(0.0, other.travel_mm[-1] - longest) + touch_price * other.touches[-1]
         if rest >= allowed:
@@ -442,8 +415,7 @@ def powers_from(
 ) -> float:
     """Sum of the twelfth powers of the entry temperatures, those from a place on worked out; any sum beyond `most` if it is more.
 
-    The rise of an island when the beam enters it is its mean, or that of its entry if it is more. The two places that were
-    moved come first, then the hottest: most moves are given up after a few.
+    The rise of an island when the beam enters it is its mean, or that of its entry if it is more. The places that were moved come first, then the hottest.
     """
     # Taken out of their tuples once for all places: each column that is taken out is counted as one more in use.
     fresh, nodes, start, time, options = (
@@ -467,10 +439,8 @@ def powers_from(
         low, high = rise[island, count, at], rise[island, count, at + 1]
         temperature = float(low + (high - low) * part)
         for earlier in range(place):
-            low, high = (
-                rise[island, order[earlier], node[earlier]],
-                rise[island, order[earlier], node[earlier] + 1],
-            )
+            other, at = order[earlier], node[earlier]
+            low, high = rise[island, other, at], rise[island, other, at + 1]
             temperature += low + (high - low) * share[earlier]
         excess = 0.0
         for earlier in range(place - 1, -1, -1):

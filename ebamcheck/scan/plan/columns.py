@@ -1,25 +1,4 @@
-"""The plan of a stack: islands, the order in which they are scanned, every line of the beam; in Parquet files with one row a layer:
-
-=============================  ==============  ========================================================
-column                         type            meaning
-=============================  ==============  ========================================================
-``height_mm``                  double          absolute z of the layer
-``contour``, ``section``       binary          regions of the contour beads, and those that are to be
-                                               metal, in well-known binary; ``section`` may be missing
-``metrics``                    struct          figures of the layer, as ``scan.csv`` has them
-``island_rank``                list<int64>     place of each island in the layer's order, from 0
-``island_kind``                list<string>    hexagon, square, stripe, whole, thin wall or gap
-``island_polygon``             list<binary>    well-known binary
-``island_area_mm2``            list<double>    area
-``island_x_mm``, ``_y_mm``     list<double>    centroid
-``island_wait_s``              list<double>    wait before it
-``island_inner_wait_s``        list<double>    wait before each further bead of it
-``island_lines``               list<int64>     lines of each island
-``x0``, ``y0``, ``x1``, ``y1`` list<double>    ends of all lines, island by island, each in its sequence
-``angle``                      list<double>    directions of travel, degrees counter-clockwise from +X
-``border_first``, ``_second``  list<int64>     pairs of islands of the layer that have a common border
-``border_mm``                  list<double>    its length
-=============================  ==============  ========================================================
+"""The plan of a stack: islands, the order in which they are scanned, every line of the beam; in Parquet files with one row a layer.
 
 The schema's metadata hold ``ebamcheck`` (JSON: format, settings). Every number comes back in the same bits.
 """
@@ -58,8 +37,7 @@ from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns
 
-VECTOR_COLUMNS = ("island", "x0", "y0", "x1", "y1", "angle")
-
+# Columns of :attr:`ScanPlan.metrics` and what they are
 METRICS = {
     "layer": "index of the layer",
     "height_mm": "absolute height",
@@ -85,40 +63,32 @@ METRICS = {
     "enter_k": "temperature of the surface when the layer begins, absolute; NaN likewise",
     "leave_k": "the same when it is done, at most the boiling point, the end of the model's range, as the other temperatures",
 }
-"""Columns of :attr:`ScanPlan.metrics` and what they are."""
 
+# What the metadata tell of the file; a reader refuses any other version
 NAME, VERSION = "ebamcheck scan plan", 3
-"""What the metadata tell of the file; a reader refuses any other version."""
-
 HEADER_KEY = b"ebamcheck"
-LINE_COLUMNS = VECTOR_COLUMNS[1:]
-
+LINE_COLUMNS = ("x0", "y0", "x1", "y1", "angle")
 _OF_LAYER = ("height_mm", "section", "metrics")
 _NUMBER, _NUMBERS, _COUNTS = pa.float64(), pa.large_list(pa.float64()), pa.large_list(pa.int64())
 _REGION = pa.large_binary()
 _OF_ISLAND = {
-    "island_rank": _COUNTS,
-    "island_kind": pa.large_list(pa.string()),
-    "island_polygon": pa.large_list(_REGION),
+    "island_rank": _COUNTS,  # place of each island in the layer's order, from 0
+    "island_kind": pa.large_list(pa.string()),  # hexagon, square, stripe, whole, thin wall or gap
+    "island_polygon": pa.large_list(_REGION),  # well-known binary
     "island_area_mm2": _NUMBERS,
-    "island_x_mm": _NUMBERS,
+    "island_x_mm": _NUMBERS,  # centroid
     "island_y_mm": _NUMBERS,
-    "island_wait_s": _NUMBERS,
-    "island_inner_wait_s": _NUMBERS,
-    "island_lines": _COUNTS,
+    "island_wait_s": _NUMBERS,  # wait before it
+    "island_inner_wait_s": _NUMBERS,  # wait before each further bead of it
+    "island_lines": _COUNTS,  # how many it has
 }
+# Ends of all lines, island by island, each in its sequence; directions of travel, degrees counter-clockwise from +X
 _OF_LINE = dict.fromkeys(LINE_COLUMNS, _NUMBERS)
+# Pairs of islands of the layer that have a common border, and its length
 _OF_BORDER = {"border_first": _COUNTS, "border_second": _COUNTS, "border_mm": _NUMBERS}
 _LISTS = {**_OF_ISLAND, **_OF_LINE, **_OF_BORDER}
-
+# Colours of hatch lines and contour beads
 LINE, CONTOUR = "#555555", "#d55e00"
-"""Colours of hatch lines and contour beads."""
-
-
-def empty_vectors() -> pd.DataFrame:
-    """Return a table of no lines, with its columns and types."""
-    columns = {name: np.zeros(0, np.float64) for name in VECTOR_COLUMNS}
-    return pd.DataFrame({**columns, "island": np.zeros(0, np.int64)})
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -126,43 +96,14 @@ class Island:
     """One island: a region that is filled with parallel lines before the beam goes to the next."""
 
     plan: ScanPlan
-    index: int
-    """Number of the island in the plan."""
-    rank: int
-    """Its place in the order of its layer, from 0."""
-
-    @property
-    def layer(self) -> int:
-        """Index of its layer."""
-        return int(self.plan.island_layer[self.index])
-
-    @property
-    def kind(self) -> str:
-        """What it is: ``hexagon``, ``square``, ``stripe``, ``whole``, ``thin wall`` or ``gap``."""
-        return str(self.plan.island_kind[self.index])
-
-    @property
-    def area_mm2(self) -> float:
-        """Area."""
-        return float(self.plan.island_area_mm2[self.index])
-
-    @property
-    def centre_mm(self) -> tuple[float, float]:
-        """Centroid, X and Y."""
-        x, y = self.plan.island_centroid[self.index].tolist()
-        return x, y
-
-    @property
-    def polygon(self) -> BaseGeometry:
-        """Outline as a shapely polygon."""
-        found: BaseGeometry = self.plan.islands[self.index]
-        return found
-
-    @property
-    def wait_s(self) -> float:
-        """Wait before it."""
-        waits = self.plan.island_wait_s
-        return float(waits[self.index]) if len(waits) else 0.0
+    index: int  # number of the island in the plan
+    rank: int  # its place in the order of its layer, from 0
+    layer: int  # index of its layer
+    kind: str  # ``hexagon``, ``square``, ``stripe``, ``whole``, ``thin wall`` or ``gap``
+    area_mm2: float
+    centre_mm: tuple[float, float]  # centroid
+    polygon: BaseGeometry
+    wait_s: float  # wait before it
 
     @property
     def lines(self) -> pd.DataFrame:
@@ -198,16 +139,20 @@ class PlannedLayer:
     @property
     def islands(self) -> tuple[Island, ...]:
         """Islands in scan order."""
+        plan = self.plan
+        waits_s = plan.island_wait_s if len(plan.island_wait_s) else np.zeros(len(plan.islands))
+        columns = (plan.island_kind, plan.island_area_mm2, plan.island_centroid, plan.islands, waits_s)
+        order = plan.islands_of(self.index)
+        rows = zip(order.tolist(), *(column[order].tolist() for column in columns), strict=True)
         return tuple(
-            Island(self.plan, island, rank)
-            for rank, island in enumerate(self.plan.islands_of(self.index).tolist())
+            Island(plan, k, rank, self.index, kind, area_mm2, (x, y), polygon, wait_s)
+            for rank, (k, kind, area_mm2, (x, y), polygon, wait_s) in enumerate(rows)
         )
 
     @property
-    def contours(self) -> BaseGeometry:
+    def contours(self) -> Any:
         """Region whose borders are the centre lines of the contour beads."""
-        found: BaseGeometry = self.plan.contours[self.index]
-        return found
+        return self.plan.contours[self.index]
 
     @property
     def metrics(self) -> dict[str, float]:
@@ -226,12 +171,8 @@ class PlannedLayer:
         """Draw the islands on matplotlib axes in the colours of their order, with their lines and the contour beads."""
         from ebamcheck.showing.plotting import Lines, plot_areas
 
-        parts = [
-            (i.rank, part)
-            for i in self
-            for part in shapely.get_parts(i.polygon)
-            if part.geom_type == "Polygon"
-        ]
+        parts = [(island.rank, part) for island in self for part in shapely.get_parts(island.polygon)]
+        parts = [(rank, part) for rank, part in parts if part.geom_type == "Polygon"]
         ends = self.plan.vectors_of(self.index)[["x0", "y0", "x1", "y1"]].to_numpy()
         borders = shapely.get_parts(shapely.boundary(self.contours))
         return plot_areas(
@@ -258,65 +199,30 @@ class PlannedLayer:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ScanPlan(LayerColumns[PlannedLayer]):
-    """How a stack of layers is scanned, as columns. Islands are numbered through the stack.
+    """How a stack of layers is scanned, as columns. Islands are numbered through the stack; those of a layer do not overlap."""
 
-    Parameters
-    ----------
-    heights
-        (L,) absolute z of each layer, mm.
-    contours
-        (L,) shapely regions whose borders are the centre lines of the contour beads.
-    islands
-        (I,) shapely polygons, sorted by layer; the islands of a layer do not overlap.
-    island_layer
-        (I,) layer of each.
-    island_kind
-        (I,) ``"hexagon"``, ``"square"`` or ``"stripe"``, ``"whole"`` (a solid that is not divided),
-        ``"thin wall"``, or ``"gap"`` (a spot that all others leave bare).
-    island_area_mm2, island_centroid
-        (I,) and (I, 2) mm.
-    neighbours, border_mm
-        (P, 2) pairs of islands with a common border, the lesser first; (P,) its length.
-    order
-        (I,) islands in scan order, layer by layer.
-    vectors
-        Lines in scan order: ``island, x0, y0, x1, y1`` (mm) and ``angle``, the direction of travel
-        in degrees counter-clockwise from +X, in [0, 360).
-    metrics
-        One row a layer, columns as in :data:`METRICS`.
-    settings
-        Name of the order, seed and the settings that shaped the plan.
-    island_wait_s
-        (I,) wait before each island; empty: none.
-    inner_wait_s
-        (I,) wait before each further bead of an island, which begins where its lines lie apart; empty: none.
-    sections
-        (L,) shapely regions that are to be metal, by which every bead gets its wire; None: not known, and every bead
-        gets the wire of a bead by itself.
-    stands
-        Surface of what the lowest layer lies on, which its beads mend; None: level. No file holds it.
-    under
-        Section of what the lowest layer lies on, where that is preheated; None: the base plate. No file holds it.
-    beads
-        Curves along the contour beads that the plan was made with; None: not known. No file holds them.
-    """
-
-    heights: Floats
-    contours: NDArray[np.object_]
-    islands: NDArray[np.object_]
-    island_layer: Ints
+    heights: Floats  # (L,) absolute z of each layer, mm
+    contours: NDArray[np.object_]  # (L,) shapely regions bordered by the centre lines of the contour beads
+    islands: NDArray[np.object_]  # (I,) shapely polygons, sorted by layer
+    island_layer: Ints  # (I,) layer of each
+    # (I,) ``hexagon``, ``square``, ``stripe``, ``whole`` (a solid not divided), ``thin wall``, ``gap`` (what all others leave bare)
     island_kind: NDArray[np.str_]
-    island_area_mm2: Floats
-    island_centroid: Floats
-    neighbours: Ints
-    border_mm: Floats
-    order: Ints
+    island_area_mm2: Floats  # (I,)
+    island_centroid: Floats  # (I, 2) mm
+    neighbours: Ints  # (P, 2) pairs of islands with a common border, the lesser first
+    border_mm: Floats  # (P,) its length
+    order: Ints  # (I,) islands in scan order, layer by layer
+    # Lines in scan order: `island, x0, y0, x1, y1` (mm) and `angle`, of travel, degrees counter-clockwise from +X, in [0, 360)
     vectors: pd.DataFrame
-    metrics: pd.DataFrame
-    settings: dict[str, Any] = field(default_factory=dict)
-    island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
+    metrics: pd.DataFrame  # one row a layer, columns as in :data:`METRICS`
+    settings: dict[str, Any] = field(default_factory=dict)  # name of the order, seed, what shaped the plan
+    island_wait_s: Floats = field(default_factory=lambda: np.zeros(0))  # (I,) wait before each; empty: none
+    # (L,) shapely regions that are to be metal, by which every bead gets its wire; None: each gets the wire of a bead by itself
     sections: NDArray[np.object_] | None = None
+    # (I,) wait before each further bead of an island, which begins where its lines lie apart; empty: none
     inner_wait_s: Floats = field(default_factory=lambda: np.zeros(0))
+    # No file holds these: the surface that the beads of the lowest layer mend (None: level), the section under it where that is preheated
+    # (None: the base plate), and the curves along the contour beads (None: not known)
     stands: Surface | None = None
     under: BaseGeometry | None = None
     beads: Curves | None = None
@@ -352,28 +258,14 @@ class ScanPlan(LayerColumns[PlannedLayer]):
         return np.asarray(begins[1:][np.diff(begins) == 0], np.int64)
 
     def to_parquet(self, path: str | Path) -> None:
-        """Write one row a layer, with its islands and lines as list columns; the file appears whole or not at all.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be written.
-        """
-        header = {"format": f"{NAME} {VERSION}", "settings": self.settings}
-        table = pa.table(_columns(self)).replace_schema_metadata(
-            {HEADER_KEY: json.dumps(header, sort_keys=True).encode()}
-        )
+        """Write one row a layer; the file appears whole or not at all. Raises SettingsError if it cannot be written."""
+        header = json.dumps({"format": f"{NAME} {VERSION}", "settings": self.settings}, sort_keys=True)
+        table = pa.table(_columns(self)).replace_schema_metadata({HEADER_KEY: header.encode()})
         write_table(table, Path(path), use_dictionary=["island_kind.list.element"])
 
     @classmethod
     def from_parquet(cls, path: str | Path) -> ScanPlan:
-        """Read a plan, every number in the bits it was written with.
-
-        Raises
-        ------
-        InputError
-            If the file is missing, damaged, not Parquet, no plan or one of another version, or its columns do not match.
-        """
+        """Read a plan; raises InputError for a file that is missing, damaged, no plan, one of another version, or does not match."""
         path = Path(path)
         table, settings = _table(path, None)
         layers = _layers(table)
@@ -445,11 +337,8 @@ def _columns(plan: ScanPlan) -> dict[str, pa.Array]:
         "lines": lines,
     }
     metrics = {name: pa.array(plan.metrics[name].to_numpy()) for name in plan.metrics.columns}
-    columns = {
-        "height_mm": pa.array(plan.heights),
-        "contour": _well_known(plan.contours),
-        "metrics": pa.StructArray.from_arrays(list(metrics.values()), list(metrics)),
-    }
+    columns = {"height_mm": pa.array(plan.heights), "contour": _well_known(plan.contours)}
+    columns["metrics"] = pa.StructArray.from_arrays(list(metrics.values()), list(metrics))
     if plan.sections is not None:
         columns["section"] = _well_known(plan.sections)
     lists: dict[str, Column] = {f"island_{name}": (values, starts) for name, values in of_island.items()}
@@ -460,8 +349,7 @@ def _columns(plan: ScanPlan) -> dict[str, pa.Array]:
 
 
 def _well_known(regions: NDArray[np.object_]) -> pa.LargeBinaryArray:
-    """Regions in well-known binary."""
-    return pa.array(list(shapely.to_wkb(regions)), pa.large_binary())
+    return pa.array(list(shapely.to_wkb(regions)), _REGION)
 
 
 # -- columns of a table ------------------------------------------------------------------------------
@@ -482,10 +370,10 @@ def _settings(path: Path, metadata: Mapping[bytes, bytes]) -> dict[str, Any]:
         said, settings = str(header.get("format", "")), dict(header.get("settings", {}))
     except (AttributeError, TypeError, ValueError) as error:
         raise InputError(f"{path}: is not a scan plan: its header cannot be read: {error}") from None
-    if said == f"{NAME} {VERSION}":
-        return settings
-    if re.fullmatch(rf"{NAME} \d{{1,9}}", said):
-        version = int(said.removeprefix(NAME))
+    if found := re.fullmatch(rf"{NAME} (\d{{1,9}})", said):
+        version = int(found[1])
+        if version == VERSION:
+            return settings
         age = "an earlier" if version < VERSION else "a later"
         raise InputError(
             f"{path}: is a scan plan of format {version}, of {age} version of this program, which reads format {VERSION}: "
@@ -519,9 +407,7 @@ def _ranks(of_layer: Ints, starts: Ints, island_layer: Ints, path: Path) -> Ints
     """Place of each island in the order of the stack, from those within its layer."""
     rank = starts[island_layer] + of_layer
     sizes = np.diff(starts)[island_layer]
-    if ((of_layer < 0) | (of_layer >= sizes)).any() or np.bincount(rank, minlength=rank.size).max(
-        initial=0
-    ) > 1:
+    if ((of_layer < 0) | (of_layer >= sizes)).any() or np.unique(rank).size < rank.size:
         raise InputError(f"{path}: the ranks of the islands of a layer are not those from 0 on, each once")
     return rank
 

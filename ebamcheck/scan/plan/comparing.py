@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,10 +17,14 @@ from ebamcheck.geometry.regions import layer_section
 from ebamcheck.heat.island_heat import IslandHeat, island_heat
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.plugins import registry
-from ebamcheck.scan.order.entries import modes_at_entries, nearest_options, rises_at_entries
+from ebamcheck.scan.order.entries import (
+    entry_temperatures,
+    modes_at_entries,
+    nearest_options,
+    rises_at_entries,
+)
 from ebamcheck.scan.order.orders import LayerIslands, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.order.search import touching, touching_successors
-from ebamcheck.scan.order.simulation import entry_temperatures
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.scan.plan.laying import LaidLayer, lay_islands
 from ebamcheck.scan.plan.stacking import simulate_order, stack_plans
@@ -27,10 +32,9 @@ from ebamcheck.scan.plan.whole_part import OrderedLayer
 from ebamcheck.settings.config import Config
 
 RANDOM = "random"
+SEEDS = 20  # seeds over which the figures of `random` are averaged
 
-SEEDS = 20
-"""Seeds over which the figures of `random` are averaged."""
-
+# Columns of a comparison and what they are
 FIGURES = {
     "order": "name of the order",
     "seeds": "plans that were averaged",
@@ -46,7 +50,6 @@ FIGURES = {
     "starts": "wire starts",
     "time_s": "time of the layer without contour beads",
 }
-"""Columns of a comparison and what they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,30 +69,18 @@ class OrderResult:
     def figures(self) -> dict[str, float]:
         """Figures as :data:`FIGURES` names them."""
         row = self.plan.metrics.iloc[0]
-        some = len(self.entry_k) > 0
-        return {
-            "islands": float(row["islands"]),
-            "entry_max_k": float(self.entry_k.max()) if some else np.nan,
-            "entry_sd_k": float(self.entry_k.std()) if some else np.nan,
-            "entry_point_max_k": float(self.point_k.max()) if some else np.nan,
-            "touching": float(self.touching.mean()) if some else np.nan,
-            "excess_uniformity": float(self.excess.mean()) if some else np.nan,
-            "interval_p10_s": float(row["interval_p10_s"]),
-            "interval_min_s": float(row["interval_min_s"]),
-            "travel_mm": self.travel_mm,
-            "starts": float(row["starts"]),
-            "time_s": float(row["time_s"]),
-        }
+        of_plan = ("islands", "interval_p10_s", "interval_min_s", "starts", "time_s")
+        found = dict.fromkeys(FIGURES, math.nan) | {name: float(row[name]) for name in of_plan}
+        found["travel_mm"] = self.travel_mm
+        if len(self.entry_k):
+            found |= {"entry_max_k": float(self.entry_k.max()), "entry_sd_k": float(self.entry_k.std())}
+            found |= {"entry_point_max_k": float(self.point_k.max()), "touching": float(self.touching.mean())}
+            found["excess_uniformity"] = float(self.excess.mean())
+        return {name: found[name] for name in FIGURES if name not in ("order", "seeds")}
 
 
 def compared_orders() -> tuple[str, ...]:
-    """Names of the orders that are compared unless others are named: each that is installed once, by its fullest name.
-
-    Examples
-    --------
-    >>> "nearest" in compared_orders(), "nearest-any" in compared_orders()
-    (False, True)
-    """
+    """Names of the orders that are compared unless others are named: each that is installed once, by its fullest name."""
     installed = registry.load_plugins(registry.ORDERS)
     return tuple({id(order): name for name, order in installed.items()}.values())
 
@@ -110,10 +101,8 @@ def compare_orders(
     ----------
     polygons, config, layer, height_mm
         As for :func:`ebamcheck.plan_scan`; the height is that over the base plate.
-    orders
-        Names; all of the house if None.
-    seeds
-        Seeds over which `random` is averaged; the other orders take the seed of the settings.
+    orders, seeds
+        Names, all of the house if None, and seeds over which `random` is averaged; others take that of the settings.
 
     Returns
     -------
@@ -122,10 +111,8 @@ def compare_orders(
 
     Raises
     ------
-    SettingsError
-        If an order is unknown, or there is no seed.
-    GeometryError
-        If a coordinate is not finite.
+    SettingsError, GeometryError
+        If an order is unknown, or there is no seed; if a coordinate is not finite.
 
     Examples
     --------
@@ -167,9 +154,8 @@ class OrderComparison:
         heat = None
         if len(islands):
             schedule = islands.known_schedule
-            modes = island_heat(
-                section, laid.islands, schedule.beam_s, schedule.time_s, config, height_mm, fine=True
-            )
+            times = schedule.beam_s, schedule.time_s
+            modes = island_heat(section, laid.islands, *times, config, height_mm, fine=True)
             heat = islands.with_fresh_heat(modes)
         return cls(laid, islands, heat, config)
 
@@ -197,10 +183,8 @@ class OrderComparison:
         rank = np.empty(count, np.int64)
         rank[order] = np.arange(count)
         if self.heat is None:
-            nothing = np.zeros(0)
-            return OrderResult(
-                plan, rank, nothing, nothing, nothing, nothing, nothing, np.zeros(0, np.bool_), 0.0
-            )
+            nothing, none = np.zeros(0), np.zeros(0, np.bool_)
+            return OrderResult(plan, rank, nothing, nothing, nothing, nothing, nothing, none, 0.0)
         # An island without lines is passed in no time.
         end_s = simulated["end_s"].ffill().fillna(0.0)
         start_s = simulated["start_s"].fillna(end_s)
@@ -221,7 +205,6 @@ class OrderComparison:
         schedule = islands.known_schedule
         if (options < 0).any():
             options = nearest_options(order, schedule.entry, schedule.leave)
-        rises_k = rises_at_entries(
-            self.heat, modes_at_entries(self.heat, schedule), order, start_s, end_s, options
-        )
+        modes = modes_at_entries(self.heat, schedule)
+        rises_k = rises_at_entries(self.heat, modes, order, start_s, end_s, options)
         return np.asarray(rises_k[np.arange(len(order)), options], np.float64)

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.heat import HeatModel
 from ebamcheck.heat.island_heat import IslandHeat
 from ebamcheck.heat.part_heat import Beads, uneven
-from ebamcheck.kernels import Bools, Floats, Ints
-from ebamcheck.scan.filling.fill import fill_layer
+from ebamcheck.kernels import Floats, Ints
+from ebamcheck.scan.filling.fill import FilledLayer, fill_layer
 from ebamcheck.scan.filling.hatch import Vectors
 from ebamcheck.scan.filling.schedule import follows, island_schedule, turns_and_jumps_mm
 from ebamcheck.scan.islands import clipping as cells
@@ -27,23 +26,25 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import ProcessSettings
 
 
-@dataclass(frozen=True, eq=False)
-class LaidLayer:
-    """One layer before its islands are put in order: islands numbered from 0, and their lines sorted by island."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LaidLayer(FilledLayer):
+    """One layer before its islands, numbered from 0, are put in order; columns of a plan of it in :class:`ScanPlan`."""
 
     layer: int
     height_mm: float
     side_mm: float
     regions: Regions
-    islands: NDArray[np.object_]
-    kind: NDArray[np.str_]
     centroid: Floats
     neighbours: Ints
     border_mm: Floats
-    lines: Vectors
-    chained: Bools
-    covered: float
-    widest_gap_mm: float
+
+    def driven(self, order: Ints, options: Ints) -> Vectors:
+        """Lines of islands in an order, each entered by its option, see :func:`~ebamcheck.scan.order.entries.in_sequence`."""
+        lines, count = self.lines, len(self.islands)
+        first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
+        rows, turned = in_sequence(lines.start, lines.end, first, order, self.chained, options)
+        a, b, swap = lines.start[rows], lines.end[rows], turned[:, None]
+        return Vectors(lines.island[rows], np.where(swap, b, a), np.where(swap, a, b))
 
     def choices(self, config: Config, seed: int, plate_mm: float = 0.0) -> LayerIslands:
         """What an order may know of the layer; `plate_mm` is the height of the base plate."""
@@ -68,23 +69,18 @@ def lay_islands(
     """Divide one valid section into islands and fill them; `contour` as of :func:`layer_regions`."""
     regions = layer_regions(section, config, contour)
     side = _side_mm(regions, config)
-    found = _partition(regions, side, config, layer)
-    filled = fill_layer(regions, found, config, layer)
+    filled = fill_layer(regions, _partition(regions, side, config, layer), config, layer)
     neighbours, border = shared_borders(filled.islands)
+    centroid = cells.centroids(filled.islands)
     return LaidLayer(
+        **vars(filled),
         layer=layer,
         height_mm=height_mm,
         side_mm=side,
         regions=regions,
-        islands=filled.islands,
-        kind=filled.kind,
-        centroid=cells.centroids(filled.islands),
+        centroid=centroid,
         neighbours=neighbours,
         border_mm=border,
-        lines=filled.lines,
-        chained=filled.chained,
-        covered=filled.covered,
-        widest_gap_mm=filled.widest_gap_mm,
     )
 
 
@@ -104,40 +100,31 @@ def _partition(regions: Regions, side_mm: float, config: Config, layer: int) -> 
         return cells.undivided(regions.solids)
     place = layer_place(shapely.get_coordinates(regions.section), side_mm, config, layer)
     lattice = LATTICES[config.scan.partition](place, side_mm)
-    return cells.partition(
-        regions.solids, lattice, config.process.bead_width_mm, config.process.hatch_spacing_mm
-    )
+    process = config.process
+    return cells.partition(regions.solids, lattice, process.bead_width_mm, process.hatch_spacing_mm)
 
 
-PIECE_BEADS = 1.0
-"""Length of the pieces in which contours are heated, over the width of a bead: no mode changes within less."""
-
+PIECE_BEADS = 1.0  # length of the pieces in which contours are heated, over the width of a bead: no mode changes within less
+# A move with the beam off of at most this many bead spacings stays at the layer's height; a longer one rises, as the program has it
 NEAR_SPACINGS = 2.0
-"""A move with the beam off of at most this many bead spacings stays at the layer's height; a longer one rises, as the
-program has it."""
 
 
 @dataclass(frozen=True, eq=False)
 class ContourBeads:
-    """The contour beads of a layer, which no order of its islands changes.
+    """The contour beads of a layer, which no order of its islands changes."""
 
-    `rings`: (R,) their centre lines, from their least points on, in the canonical sequence of rings; `pieces`: (K, P) modes
-    in the middles of their pieces, less their means over the section; `count`: (R,) pieces of each; `length_mm`: (R,)
-    lengths with what overlaps the start; `apart_mm`: (R - 1,) shortest ways from each to the next.
-    """
-
-    rings: list[shapely.LinearRing]
-    pieces: Floats
-    count: Ints
-    length_mm: Floats
-    apart_mm: Floats
+    rings: list[shapely.LinearRing]  # (R,) centre lines from their least points on, in the canonical sequence
+    pieces: Floats  # (K, P) modes in the middles of their pieces, less their means over the section
+    count: Ints  # (R,) pieces of each
+    length_mm: Floats  # (R,) lengths with what overlaps the start
+    apart_mm: Floats  # (R - 1,) shortest ways from each to the next
 
 
 def contour_beads(laid: LaidLayer, config: Config, heat: IslandHeat | None) -> ContourBeads:
     """Put the contours of a layer in sequence; `heat` as for :func:`bead_sequence`."""
     rings = _rings(laid)
-    count = np.array([_pieces(ring.length, config) for ring in rings], np.int64)
-    ring_mm = np.array([ring.length for ring in rings])
+    ring_mm, piece_mm = np.array([ring.length for ring in rings]), PIECE_BEADS * config.process.bead_width_mm
+    count = np.maximum(1, np.rint(ring_mm / piece_mm)).astype(np.int64)
     ring_mm += np.minimum(config.process.overlap_mm, ring_mm)
     apart_mm = shapely.distance(np.array(rings[:-1], object), np.array(rings[1:], object))
     pieces = _along(rings, count, None if heat is None else heat.model)
@@ -152,38 +139,35 @@ def bead_sequence(
     order: Ints,
     options: Ints,
 ) -> tuple[Beads, float]:
-    """Put contours and islands in sequence, as the program drives them.
+    """Contours, and islands in an order, in the sequence in which the program drives them; and the jumps between islands, mm.
 
-    `contours`: contours of the layer; `heat`: heat model of the islands, whose modes the beads are read in; None where
-    there are none; `order`: islands in scan order; without any, the contours alone are taken; `options`: entry option of
-    each island, see :func:`~ebamcheck.scan.order.entries.in_sequence`.
-
-    Returns the beads, and the jumps between islands, mm.
+    `heat` is the model of the islands, in whose modes the beads are read; None where there are none. Without an `order` the contours alone are taken.
     """
     speed, rapid = config.process.travel_speed_mm_s, config.machine.rapid_mm_s
     count, ring_mm, rings = contours.count, contours.length_mm, len(contours.rings)
-    path = _island_path(laid, order, options, config)
+    island, start, end, bead_mm = _island_path(laid, order, options, config)
     columns, times = [contours.pieces], [np.repeat(ring_mm / speed / np.maximum(count, 1), count)]
     shares = [np.repeat(mean_power(ring_mm, config.process), count)]
     if heat is not None and len(order):
-        columns.append(uneven(heat.modes.mean[:, path.island], heat.model))
-        times.append(path.bead_mm / speed)
-        shares.append(mean_power(path.bead_mm, config.process))
-    move_mm = np.concatenate([_to_rings(contours, path.start), np.hypot(*(path.start[1:] - path.end[:-1]).T)])
+        columns.append(uneven(heat.modes.mean[:, island], heat.model))
+        times.append(bead_mm / speed)
+        shares.append(mean_power(bead_mm, config.process))
+    move_mm = np.concatenate([_to_rings(contours, start), np.hypot(*(start[1:] - end[:-1]).T)])
     up_and_down_mm = 2.0 * config.machine.safe_height_mm
-    rises = _rises(move_mm, config)
-    rises[:1] = up_and_down_mm
+    far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
+    far[:1] = True
+    rises = np.where(far, up_and_down_mm, 0.0)
     inner = np.zeros(len(move_mm), np.bool_)
-    inner[rings:] = np.diff(path.island, prepend=-1) == 0
+    inner[rings:] = np.diff(island, prepend=-1) == 0
     beads = Beads(
         pieces=np.ascontiguousarray(np.concatenate(columns, axis=1)),
-        first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(path.island)]))]),
+        first=np.concatenate([[0], np.cumsum(np.concatenate([count, np.ones_like(island)]))]),
         move_s=(move_mm + rises) / rapid,
         rise_s=(up_and_down_mm - rises) / rapid,
         time_s=np.concatenate(times),
         on=np.concatenate(shares),
         rings=rings,
-        islands=path.island,
+        islands=island,
         inner=inner,
     )
     between = np.flatnonzero(~inner[rings:])[1:] + rings
@@ -203,44 +187,25 @@ def mean_power(bead_mm: Floats, process: ProcessSettings) -> Floats:
     return np.asarray(1.0 - 0.5 * (1.0 - process.ramp_power) * ramped, np.float64)
 
 
-@dataclass(frozen=True, eq=False)
-class _IslandPath:
+def _island_path(
+    laid: LaidLayer, order: Ints, options: Ints, config: Config
+) -> tuple[Ints, Floats, Floats, Floats]:
     """Beads of islands in sequence (n,): island, where each starts and ends, and its length with the turns in it, mm."""
-
-    island: Ints
-    start: Floats
-    end: Floats
-    bead_mm: Floats
-
-
-def _island_path(laid: LaidLayer, order: Ints, options: Ints, config: Config) -> _IslandPath:
-    lines, count = laid.lines, len(laid.islands)
     if not len(order):
-        return _IslandPath(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
-    first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
-    rows, turned = in_sequence(lines.start, lines.end, first, order, laid.chained, options)
-    island, swap = lines.island[rows], turned[:, None]
-    a = np.where(swap, lines.end[rows], lines.start[rows])
-    b = np.where(swap, lines.start[rows], lines.end[rows])
-    spacing = config.process.hatch_spacing_mm
+        return np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
+    lines, spacing = laid.driven(order, options), config.process.hatch_spacing_mm
+    island, a, b = lines.island, lines.start, lines.end
     turn, _ = turns_and_jumps_mm(island, a, b, spacing)
     begins = np.flatnonzero(~follows(island, a, b, spacing))
     ends = np.append(begins[1:], len(island)) - 1
     bead_mm = np.add.reduceat(np.hypot(*(b - a).T) + turn, begins)
-    return _IslandPath(island[begins], a[begins], b[ends], bead_mm)
-
-
-def _rises(move_mm: Floats, config: Config) -> Floats:
-    """Way up and down on moves with the beam off, mm."""
-    far = move_mm > NEAR_SPACINGS * config.process.hatch_spacing_mm
-    return np.where(far, 2.0 * config.machine.safe_height_mm, 0.0)
+    return island[begins], a[begins], b[ends], bead_mm
 
 
 def _to_rings(contours: ContourBeads, entry: Floats) -> Floats:
     """Shortest ways to each contour and from the last one to the first island, mm; to the first bead none is known."""
-    to_island = [
-        shapely.distance(ring, shapely.Point(entry[0])) for ring in contours.rings[-1:] if len(entry)
-    ]
+    last = contours.rings[-1:] if len(entry) else []
+    to_island = [shapely.distance(ring, shapely.Point(entry[0])) for ring in last]
     none_known = np.zeros(min(1, len(contours.rings) + len(entry)))
     return np.concatenate([none_known, contours.apart_mm, np.array(to_island, np.float64)])
 
@@ -255,10 +220,6 @@ def _rings(laid: LaidLayer) -> list[shapely.LinearRing]:
         least = int(np.lexsort((points[:, 1], points[:, 0]))[0])
         turned.append(shapely.LinearRing(np.roll(points, -least, axis=0)))
     return sorted(turned, key=lambda ring: ring.coords[0])
-
-
-def _pieces(length_mm: float, config: Config) -> int:
-    return max(1, round(length_mm / (PIECE_BEADS * config.process.bead_width_mm)))
 
 
 def _along(rings: list[shapely.LinearRing], count: Ints, model: HeatModel | None) -> Floats:

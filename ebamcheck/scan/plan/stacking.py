@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,18 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.backend import Progress
 from ebamcheck.geometry.regions import layer_section
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats
 from ebamcheck.layers.stack import Layers
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.scan.islands import clipping as cells
 from ebamcheck.scan.order.entries import jumps_mm
 from ebamcheck.scan.order.orders import needs_heat
-from ebamcheck.scan.plan.columns import METRICS, ScanPlan, empty_vectors
+from ebamcheck.scan.plan.columns import LINE_COLUMNS, METRICS, ScanPlan
 from ebamcheck.scan.plan.whole_part import OrderedLayer, PowerOf, Stack, ordered_layers
 from ebamcheck.settings.config import Config
 
+# Metrics that the heat model of a layer gives; NaN where it was not asked
 HEAT = ("body_mean_k", "entry_max_k", "wait_s", "ring_wait_s", "power_share", "enter_k", "leave_k")
-"""Metrics that the heat model of a layer gives; NaN where it was not asked."""
 
 
 def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, seed: int) -> ScanPlan:
@@ -50,17 +50,10 @@ def stack_plans(planned: Sequence[OrderedLayer], config: Config, order: str, see
         vectors=_vector_table(by_layer),
         metrics=pd.DataFrame(columns=list(METRICS)),
         settings=_settings(config, order, seed),
-        island_wait_s=_joined([_waits_s(p, inner=False) for p in planned], np.zeros(0)),
-        inner_wait_s=_joined([_waits_s(p, inner=True) for p in planned], np.zeros(0)),
+        island_wait_s=_joined([p.waits_s("island_wait_s") for p in planned], np.zeros(0)),
+        inner_wait_s=_joined([p.waits_s("inner_wait_s") for p in planned], np.zeros(0)),
     )
     return replace(plan, metrics=_measured(plan, planned, config))
-
-
-def _waits_s(layer: OrderedLayer, inner: bool) -> Floats:
-    """Waits before the islands of a layer, or before each further bead of them."""
-    if layer.heat is None:
-        return np.zeros(len(layer.order))
-    return layer.heat.inner_wait_s if inner else layer.heat.island_wait_s
 
 
 def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any]:
@@ -68,21 +61,14 @@ def _joined(columns: Sequence[NDArray[Any]], empty: NDArray[Any]) -> NDArray[Any
 
 
 def _vector_table(by_layer: Sequence[tuple[OrderedLayer, Any]]) -> pd.DataFrame:
-    if not by_layer:
-        return empty_vectors()
-    start = np.concatenate([p.lines.start for p, _ in by_layer])
-    end = np.concatenate([p.lines.end for p, _ in by_layer])
-    option = end - start
-    return pd.DataFrame(
-        {
-            "island": np.concatenate([p.lines.island + b for p, b in by_layer]),
-            "x0": start[:, 0],
-            "y0": start[:, 1],
-            "x1": end[:, 0],
-            "y1": end[:, 1],
-            "angle": np.degrees(np.arctan2(option[:, 1], option[:, 0])) % 360.0,
-        }
-    )
+    nothing = np.zeros((0, 2))
+    start = _joined([p.lines.start for p, _ in by_layer], nothing)
+    end = _joined([p.lines.end for p, _ in by_layer], nothing)
+    x, y = (end - start).T
+    columns = np.column_stack([start, end, np.degrees(np.arctan2(y, x)) % 360.0])
+    table = pd.DataFrame(columns, columns=list(LINE_COLUMNS))
+    table.insert(0, "island", _joined([p.lines.island + b for p, b in by_layer], np.zeros(0, np.int64)))
+    return table
 
 
 def _settings(config: Config, order: str, seed: int) -> dict[str, Any]:
@@ -103,7 +89,7 @@ def _measured(plan: ScanPlan, planned: Sequence[OrderedLayer], config: Config) -
     simulated = simulate_order(plan, config)
     end = np.full(len(plan.islands), np.nan)
     end[simulated["island"]] = simulated["end_s"]
-    interval = neighbour_intervals_s(end, plan.neighbours)
+    interval = np.abs(end[plan.neighbours[:, 0]] - end[plan.neighbours[:, 1]])
     pair_layer = plan.island_layer[plan.neighbours[:, 0]]
     of_layer = simulated["layer"].to_numpy()
 
@@ -159,15 +145,11 @@ def plan_scan(
     polygons
         Solid regions of the layer as shapely geometries, mm; overlapping ones unite, invalid ones are
         made valid. No polygon gives a plan without islands.
-    config
-        Settings; the default ones if None.
-    order, seed
-        Name of the order (an entry point of ``ebamcheck.orders``) and seed of its random choices; those of
-        the settings if None.
-    layer
-        Index of the layer, which turns and shifts the hatch and the cells, and seeds the start.
-    height_mm
-        Its height over the base plate.
+    config, order, seed
+        Settings, the default ones if None; name of the order (an entry point of ``ebamcheck.orders``) and seed of its
+        random choices, those of the settings if None.
+    layer, height_mm
+        Index of the layer, which turns and shifts hatch and cells, and seeds the start; its height over the base plate.
 
     Returns
     -------
@@ -176,10 +158,8 @@ def plan_scan(
 
     Raises
     ------
-    SettingsError
-        If the order is unknown, or the hexagons are far too small for the layer.
-    GeometryError
-        If a coordinate is not finite.
+    SettingsError, GeometryError
+        If the order is unknown, or the hexagons are far too small for the layer; if a coordinate is not finite.
 
     Examples
     --------
@@ -208,11 +188,9 @@ def plan_stack(
 ) -> ScanPlan:
     """Plan a stack of layers, each as :func:`plan_scan` does, on all threads; open paths bound no region and are not filled.
 
-    An order that asks the heat model begins each layer with the heat that those under it have left, unless
-    `scan.carry_heat` is off. Whatever the order, each layer is simulated with that heat for its power and waits, unless
-    `process.interpass` is off. `power_of` gives the power along beads by the wire that they get
-    (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each bead has the power of its layer. `contours` are the regions
-    of the contour beads, where they are known.
+    An order that asks the heat model begins each layer with the heat that those under it have left, unless `scan.carry_heat` is off. Whatever the
+    order, each layer is simulated for its power and waits, unless `process.interpass` is off. `power_of` gives the power along beads by their wire
+    (:func:`ebamcheck.pipeline.stages.power_by_wire`); without it each has that of its layer. `contours` are the regions of the contour beads, if known.
     """
     config = config or Config()
     name, number = order or config.scan.order, config.scan.seed if seed is None else seed
@@ -230,26 +208,14 @@ def plan_stack(
     return stack_plans(planned, config, name, number)
 
 
+# Quantile of the intervals between neighbours that is reported: the tenth that is the most rushed
 EARLY = 0.1
-"""Quantile of the intervals between neighbours that is reported: the tenth that is the most rushed."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Schedule:
-    """Lines of a plan as they are driven, (V,) each: `turn` and `jump` before a line with the beam on and off, mm."""
-
-    island: Ints
-    start: Floats
-    end: Floats
-    length: Floats
-    turn: Floats
-    jump: Floats
-    new_layer: Bools
-    begin_s: Floats
-    end_s: Floats
-
-
-def _scheduled(plan: ScanPlan, config: Config) -> _Schedule:
+def scheduled(plan: ScanPlan, config: Config) -> pd.DataFrame:
+    """Lines of a plan with their `length_mm`, turn and jump before each with the beam on and off, `turn_mm` and `jump_mm`, whether each begins a
+    `new_layer`, and when it is driven, `begin_s` and `end_s`, every layer from time 0.
+    """
     table = plan.vectors
     island = table["island"].to_numpy()
     start, end = table[["x0", "y0"]].to_numpy(), table[["x1", "y1"]].to_numpy()
@@ -263,36 +229,29 @@ def _scheduled(plan: ScanPlan, config: Config) -> _Schedule:
     total = np.cumsum(laying + to_it)
     group = np.cumsum(new_layer) - 1
     offset = (total - laying)[new_layer][group] if len(length) else total
-    ends = total - offset
-    return _Schedule(island, start, end, length, turn, jump, new_layer, ends - laying, ends)
+    driven = {"length_mm": length, "turn_mm": turn, "jump_mm": jump, "new_layer": new_layer}
+    return table.assign(**driven, begin_s=total - offset - laying, end_s=total - offset)
 
 
 def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
-    """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0.
+    """Simulate a plan: lines and turns at travel speed, jumps at rapid speed, every layer from time 0, without contour beads and pauses.
 
-    Contour beads and the pause between layers are not part of it.
-
-    Returns one row an island, in scan order: ``island``, ``layer``, ``rank`` in its layer, ``start_s`` (beam on its first
-    line), ``end_s``, ``travel_mm`` (jump before it), ``inner_travel_mm`` (jumps between its own lines), ``length_mm`` of
-    its lines, ``turn_mm`` of the turns between them and ``starts`` of the wire. An island without lines has NaN times.
+    One row an island, in scan order: `island`, `layer`, `rank` in its layer, `start_s` (beam on its first line), `end_s`, `travel_mm` (jump before it),
+    `inner_travel_mm` (jumps between its lines), `length_mm` of them, `turn_mm` of the turns between, `starts` of the wire; NaN times without lines.
     """
-    scheduled = _scheduled(plan, config)
-    island, jump = scheduled.island, scheduled.jump
+    driven = {str(name): values.to_numpy() for name, values in scheduled(plan, config).items()}
+    island, jump = driven["island"], driven["jump_mm"]
     new_island = np.diff(island, prepend=-1) != 0
 
-    count = len(plan.order)
+    count, order = len(plan.order), plan.order
     first = np.flatnonzero(new_island)
     last = np.flatnonzero(np.diff(island, append=-1) != 0)
     start_s, end_s, before = np.full(count, np.nan), np.full(count, np.nan), np.zeros(count)
-    start_s[island[first]], end_s[island[first]] = scheduled.begin_s[first], scheduled.end_s[last]
+    start_s[island[first]], end_s[island[first]] = driven["begin_s"][first], driven["end_s"][last]
     before[island[first]] = jump[first]
-    by_island = {
-        "inner_travel_mm": np.where(new_island, 0.0, jump),
-        "length_mm": scheduled.length,
-        "turn_mm": scheduled.turn,
-        "starts": (jump > 0) | scheduled.new_layer,
-    }
-    order = plan.order
+    by_island = {name: driven[name] for name in ("length_mm", "turn_mm")}
+    by_island["inner_travel_mm"] = np.where(new_island, 0.0, jump)
+    by_island["starts"] = (jump > 0) | driven["new_layer"]
     totals = {name: np.bincount(island, values, minlength=count)[order] for name, values in by_island.items()}
     return pd.DataFrame(
         {
@@ -302,36 +261,7 @@ def simulate_order(plan: ScanPlan, config: Config) -> pd.DataFrame:
             "start_s": start_s[order],
             "end_s": end_s[order],
             "travel_mm": before[order],
-            **totals,
+            **{name: totals[name] for name in ("inner_travel_mm", "length_mm", "turn_mm")},
             "starts": totals["starts"].astype(np.int64),
         }
     )
-
-
-def beam_lines(plan: ScanPlan, config: Config) -> tuple[Floats, Floats, Floats]:
-    """Straight lines that the beam heats, in the order in which it does: lines and the turns to them.
-
-    Returns `ends`: (n, 4) x0, y0, x1, y1, mm; `begin_s`, `end_s`: (n,) from 0 in every layer.
-    """
-    scheduled = _scheduled(plan, config)
-    turn = np.flatnonzero(scheduled.turn > 0.0)
-    turn_s = scheduled.turn[turn] / config.process.travel_speed_mm_s
-    ends = np.vstack(
-        [
-            np.hstack([scheduled.start, scheduled.end]),
-            np.hstack([scheduled.end[turn - 1], scheduled.start[turn]]),
-        ]
-    )
-    begin = np.concatenate([scheduled.begin_s, scheduled.begin_s[turn] - turn_s])
-    end = np.concatenate([scheduled.end_s, scheduled.begin_s[turn]])
-    # A turn is driven before the line that it leads to.
-    order = np.argsort(np.concatenate([np.arange(len(scheduled.length)), turn - 0.5]), kind="stable")
-    return ends[order], begin[order], end[order]
-
-
-def neighbour_intervals_s(end_s: Floats, neighbours: Ints) -> Floats:
-    """Time between the ends of every two neighbouring islands, (P,) s.
-
-    `end_s`: (I,) by island; `neighbours`: (P, 2) pairs of islands.
-    """
-    return np.asarray(np.abs(end_s[neighbours[:, 0]] - end_s[neighbours[:, 1]]), np.float64)

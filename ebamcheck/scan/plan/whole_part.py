@@ -1,8 +1,4 @@
-"""Layers put in order from below, each beginning with what those under it have left.
-
-A layer's contours heat it first, at the time at which they are laid; then come its islands. Times count the beads, the
-moves between them with rise and return, and the waits; power and waits are chosen by :mod:`ebamcheck.heat.interpass`.
-"""
+"""Layers put in order from below, each beginning with what those under it have left: its contours heat it first, then come its islands."""
 
 from __future__ import annotations
 
@@ -10,7 +6,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,64 +19,47 @@ from ebamcheck.heat.part_heat import BeadPower, Beads, PartHeat
 from ebamcheck.heat.preheating import preheated
 from ebamcheck.kernels import Floats, Ints
 from ebamcheck.scan.filling.hatch import Vectors
-from ebamcheck.scan.order.entries import in_sequence
 from ebamcheck.scan.order.orders import LayerIslands, Order, chosen_options, needs_heat, scan_order
 from ebamcheck.scan.plan.laying import ContourBeads, LaidLayer, bead_sequence, contour_beads, lay_islands
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import thread_count, worker_threads
 
-AHEAD = 8
-"""Layers that are laid out and whose modes are found side by side, while those before them are put in order."""
-
+AHEAD = 8  # layers that are laid out and whose modes are found side by side, while those before them are put in order
 _Prepared = TypeVar("_Prepared")
 
-WHOLE_PART = {
-    "layer": "index of the layer",
-    "height_mm": "its height over the base plate",
-    "islands": "islands",
-    "body_mean_k": "mean temperature rise of the body under it when it begins",
-    "entry_max_k": "greatest mean temperature rise of an island when the beam enters it",
-    "entry_sd_k": "standard deviation of it over the islands",
-    "travel_mm": "jumps between islands",
-    "time_s": "time of the layer, with contours, moves and the waits within it",
-    "wait_s": "wait before the layer",
-    "power_share": "share of the beam's power",
-    "enter_k": "temperature of the surface when it begins, absolute",
-    "leave_k": "the same when it is done",
-    "stored_j": "heat in the body at its end",
-}
-"""Columns of a row of :func:`scan_part` and what they are."""
+# Columns of a row of :func:`scan_part`: index of the layer, its height over the base plate, its islands, and figures of :class:`LayerHeat`
+WHOLE_PART = (
+    "layer", "height_mm", "islands", "body_mean_k", "entry_max_k", "entry_sd_k", "travel_mm", "time_s", "wait_s",
+    "power_share", "enter_k", "leave_k", "stored_j",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class LayerHeat:
-    """A layer simulated on the heat model; figures as in :data:`WHOLE_PART`."""
+    """A layer simulated on the heat model."""
 
-    body_mean_k: float
-    entry_max_k: float
-    entry_sd_k: float
-    travel_mm: float
-    time_s: float
-    wait_s: float
-    power_share: float
-    enter_k: float
-    leave_k: float
-    stored_j: float
+    body_mean_k: float  # mean temperature rise of the body under it when it begins
+    entry_max_k: float  # greatest mean temperature rise of an island when the beam enters it
+    entry_sd_k: float  # standard deviation of it over the islands
+    travel_mm: float  # jumps between islands
+    time_s: float  # time of the layer, with contours, moves and the waits within it
+    wait_s: float  # wait before the layer
+    power_share: float  # share of the beam's power
+    enter_k: float  # temperature of the surface when it begins, absolute
+    leave_k: float  # the same when it is done
+    stored_j: float  # heat in the body at its end
     ring_wait_s: float
-    island_wait_s: Floats
-    """(I,) wait before each island"""
-    inner_wait_s: Floats
-    """(I,) wait before each further bead of an island"""
-    mean_k: Floats
-    """(B,) mean temperature of the surface when each bead is entered, contours first, absolute"""
-    preheat_passes: int = 0
-    """Passes of the preheating scan before it"""
+    island_wait_s: Floats  # (I,) wait before each island
+    inner_wait_s: Floats  # (I,) wait before each further bead of an island
+    mean_k: Floats  # (B,) mean temperature of the surface when each bead is entered, contours first, absolute
+    preheat_passes: int = 0  # passes of the preheating scan before it
 
 
 @dataclass(frozen=True, eq=False)
 class ReadyIslands:
-    """Islands of a layer, their heat model as it begins on a cold part, None where there are none, and the layer's contours."""
+    """Islands of a layer that is laid, their heat model as it begins on a cold part, None where there are none, and its contours."""
 
+    laid: LaidLayer
     islands: LayerIslands
     cold: IslandHeat | None
     contours: ContourBeads
@@ -101,33 +79,27 @@ class OrderedLayer:
     @cached_property
     def lines(self) -> Vectors:
         """Lines in scan order, every island entered by its option."""
-        lines, count = self.laid.lines, len(self.order)
-        first = np.concatenate([[0], np.cumsum(np.bincount(lines.island, minlength=count))]).astype(np.int64)
-        columns = lines.start, lines.end, first, self.order, self.laid.chained, self.options
-        rows, turned = in_sequence(*columns)
-        a, b, swap = lines.start[rows], lines.end[rows], turned[:, None]
-        return Vectors(lines.island[rows], np.where(swap, b, a), np.where(swap, a, b))
+        return self.laid.driven(self.order, self.options)
+
+    def waits_s(self, which: str) -> Floats:
+        """Waits (I,) of the heat by their name, `island_wait_s` or `inner_wait_s`; none where it was not simulated."""
+        found: Floats = np.zeros(len(self.order)) if self.heat is None else getattr(self.heat, which)
+        return found
 
 
+# Gives the power along the beads of a layer by the layer in order and its height, mm; asked for each layer once, from below
 PowerOf = Callable[[OrderedLayer, float], BeadPower]
-"""What gives the power along the beads of a layer, in their sequence, by the layer in order and its height, mm; asked for each
-layer once, from below, since the wire that beads get depends on the layers under them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stack:
-    """Layers to be put in order.
+    """Layers to be put in order."""
 
-    `sections`: valid sections, from below; `heights_mm`: (L,) their heights, rising; `numbers`: indices in the part, which
-    turn hatch and cells and seed random choices; `plate_mm`: height of the base plate; `contours`: regions of the contour
-    beads, where they are known.
-    """
-
-    sections: Sequence[BaseGeometry]
-    heights_mm: Floats
-    numbers: Sequence[int]
-    plate_mm: float = 0.0
-    contours: Sequence[BaseGeometry] | None = None
+    sections: Sequence[BaseGeometry]  # valid, from below
+    heights_mm: Floats  # (L,), rising
+    numbers: Sequence[int]  # indices in the part, which turn hatch and cells and seed random choices
+    plate_mm: float = 0.0  # height of the base plate
+    contours: Sequence[BaseGeometry] | None = None  # regions of the contour beads, where they are known
 
     def __len__(self) -> int:
         """Return the number of layers."""
@@ -138,11 +110,6 @@ class Stack:
         """Heights over the layer below, (L,), for the lowest that of the next; none where there is but one layer."""
         steps = np.diff(self.heights_mm)
         return [*steps[:1].tolist(), *steps.tolist()]
-
-    @cached_property
-    def _bottoms_mm(self) -> list[float]:
-        """Heights over the base plate on which layers lie, (L,)."""
-        return list(accumulate(self._steps_mm, initial=0.0))
 
     def laid(self, layer: int, config: Config) -> LaidLayer:
         """One layer with its islands and lines."""
@@ -156,7 +123,7 @@ class Stack:
 
     def bottom_mm(self, layer: int, config: Config) -> float:
         """Z over the base plate on which one layer lies, by the sum of those under it."""
-        return self._bottoms_mm[layer] if self._steps_mm else layer * config.layer_height_mm
+        return sum(self._steps_mm[:layer]) if self._steps_mm else layer * config.layer_height_mm
 
 
 def ordered_layers(
@@ -168,39 +135,25 @@ def ordered_layers(
     simulated: bool = True,
     power_of: PowerOf | None = None,
 ) -> Iterator[OrderedLayer]:
-    """Put layers in order, from below.
+    """Put layers in order, from below; each is yielded as soon as it is done.
 
-    `carry`: let each order know the heat that is left below; else it is that of a cold part; `simulated`: simulate each
-    layer on the heat model, and find its waits and power. Always done where heat is carried; `power_of`: gives the power
-    along beads; None: each has that of its layer.
-
-    Yields as soon as it is done.
+    `carry` lets each order know the heat that is left below, else it is that of a cold part; `simulated` simulates each layer for its waits and power,
+    which is always done where heat is carried; `power_of` gives the power along beads, else each has that of its layer.
     """
     if not (carry or simulated):
         yield from _prepared(stack, lambda k: _cold(stack, k, config, order, seed))
         return
     part, last = PartHeat(HeatColumn(config)), None
-    for k, (laid, ready) in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
+    for k, ready in enumerate(_prepared(stack, lambda k: laid_layer(stack, k, config, seed))):
         part, passes = preheated(part, stack.sections, k, stack.bottom_mm(k, config), config)
-        done, part, last = ordered_on(
-            part,
-            last,
-            laid,
-            ready,
-            stack.thickness_mm(k, config),
-            config,
-            order,
-            carry,
-            last is None,
-            power_of,
-        )
+        how = stack.thickness_mm(k, config), config, order, carry, last is None, power_of
+        done, part, last = ordered_on(part, last, ready, *how)
         yield done if done.heat is None else replace(done, heat=replace(done.heat, preheat_passes=passes))
 
 
 def ordered_on(
     part: PartHeat,
     last: SimulatedLayer | None,
-    laid: LaidLayer,
     ready: ReadyIslands,
     thickness_mm: float,
     config: Config,
@@ -209,49 +162,36 @@ def ordered_on(
     lowest: bool,
     power_of: PowerOf | None = None,
 ) -> tuple[OrderedLayer, PartHeat, SimulatedLayer | None]:
-    """Put one layer in order on the heat that those under it have left, and simulate it.
+    """Put one layer in order on the heat of the `part` that those under it have left, and simulate it; `last` is how the layer under it was simulated.
 
-    `part`, `last`: heat of the part when the layer under this one is done, and how that was simulated, where it is known;
-    `thickness_mm`: height of the layer; `carry`: let the order know the heat; `lowest`: whether nothing lies under it, so
-    that there is nothing to wait for; `power_of`: as for :func:`ordered_layers`.
-
-    Returns the layer; and the heat of the part when it is done, and how it was simulated: those before where it has no
-    metal.
+    `carry` lets the order know the heat; `lowest`: nothing lies under it, so that there is nothing to wait for; `power_of` as for :func:`ordered_layers`.
+    Returns the layer, and part and simulation when it is done: those before where it has no metal.
     """
-    islands, cold, contours = ready.islands, ready.cold, ready.contours
+    laid, islands, cold = ready.laid, ready.islands, ready.cold
     with one_blas_thread():
         part = part.under(None if cold is None else cold.model)
         shape = LayerShape.of(islands.section, thickness_mm)
-        begins = None if cold is None else _warmed(cold, ready, laid, part, last) if carry else cold
+        begins = None if cold is None else _warmed(cold, ready, part, last) if carry else cold
         found = scan_order(order, islands, begins)
         options = chosen_options(order, islands, found, begins)
         if islands.section.area <= 0.0:
             return OrderedLayer(laid, islands, found, options), part, last
-        beads, travel_mm = bead_sequence(laid, contours, config, cold, found, options)
+        beads, travel_mm = bead_sequence(laid, ready.contours, config, cold, found, options)
         if power_of is not None:
             power = power_of(OrderedLayer(laid, islands, found, options), thickness_mm)
             beads = replace(beads, power=power)
         guess = 0.0 if last is None else last.power_share
         done = cooled_layer(LayerJob(beads, shape, islands.height_mm, lowest), part, config, guess)
-    return (
-        OrderedLayer(laid, islands, found, options, _figures(done, travel_mm, beads, len(found), config)),
-        done.after,
-        done,
-    )
+    heat = _figures(done, travel_mm, beads, len(found), config)
+    return OrderedLayer(laid, islands, found, options, heat), done.after, done
 
 
 def scan_part(
-    sections: Sequence[BaseGeometry],
-    heights_mm: Floats,
-    config: Config,
-    order: str | Order,
-    seed: int,
+    sections: Sequence[BaseGeometry], heights_mm: Floats, config: Config, order: str | Order, seed: int
 ) -> Generator[dict[str, Any], None, None]:
-    """Order all layers of a part with the heat of those under them.
+    """Order all layers of a part with the heat of those under them; a row of :data:`WHOLE_PART` for each as soon as it is done.
 
-    `sections`: valid sections of the layers, from below; `heights_mm`: (L,) their heights over the base plate, rising.
-
-    Yields one row a layer as :data:`WHOLE_PART` names them, as soon as it is done.
+    `sections` are valid, from below; `heights_mm` (L,) are their heights over the base plate, rising.
     """
     stack = Stack(sections, heights_mm, range(len(sections)))
     nothing = {**dict.fromkeys(WHOLE_PART, np.nan), "travel_mm": 0.0, "time_s": 0.0}
@@ -293,17 +233,15 @@ def _cold(stack: Stack, k: int, config: Config, order: str | Order, seed: int) -
 
 
 @one_blas_thread()
-def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> tuple[LaidLayer, ReadyIslands]:
+def laid_layer(stack: Stack, k: int, config: Config, seed: int) -> ReadyIslands:
     """Divide one layer into islands, set up its heat model, and put its contours in sequence."""
     laid = stack.laid(k, config)
     islands = laid.choices(config, seed, stack.plate_mm)
     cold = islands.cold_heat() if len(islands) else None
-    return laid, ReadyIslands(islands, cold, contour_beads(laid, config, cold))
+    return ReadyIslands(laid, islands, cold, contour_beads(laid, config, cold))
 
 
-def _warmed(
-    cold: IslandHeat, ready: ReadyIslands, laid: LaidLayer, part: PartHeat, last: SimulatedLayer | None
-) -> IslandHeat:
+def _warmed(cold: IslandHeat, ready: ReadyIslands, part: PartHeat, last: SimulatedLayer | None) -> IslandHeat:
     """Heat with which the islands of a layer begin: its contours are laid on what the part has left.
 
     Power and wait are those of the layer below, since those of this one depend on its order.
@@ -311,7 +249,8 @@ def _warmed(
     config, ahead = ready.islands.config, part.copy()
     share, wait_s = (1.0, 0.0) if last is None else (last.power_share, last.wait_s)
     ahead.rest(wait_s)
-    beads, _ = bead_sequence(laid, ready.contours, config, cold, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    none = np.zeros(0, np.int64)
+    beads, _ = bead_sequence(ready.laid, ready.contours, config, cold, none, none)
     ahead.column.lay(LayerShape.of(ready.islands.section, config.layer_height_mm))
     for ring in range(len(beads)):
         ahead.rest(float(beads.move_s[ring]))

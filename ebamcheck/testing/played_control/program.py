@@ -1,7 +1,6 @@
-"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come.
+"""What a played control holds, and its program: the text that waits is run block by block, layers grow, heights come, named faults happen.
 
-Layers take the time of their text over a speed; waits of the main program are shortened likewise, to no less than the time in
-which a server can answer. The faults of :data:`FAULTS` happen at the layers at which they were asked for.
+Layers take the time of their text over a speed; waits are shortened likewise, to no less than the time in which a server can answer.
 """
 
 from __future__ import annotations
@@ -62,8 +61,8 @@ class Panel:
     rights: str = "operate"  # `operate`, `refused`, or `lost`: what becomes of writes from outside
     swap_next: bool = False  # whether the next upload is kept as another file
     break_next: bool = False  # whether the server goes away in the middle of the next upload
+    # R parameters that another client writes over as soon as they are written, once, and what it writes
     overwritten: dict[int, float] = field(default_factory=dict)
-    """R parameters that another client writes over as soon as they are written, once, and what it writes."""
 
     def get(self, number: int) -> float:
         """Return an R parameter."""
@@ -93,10 +92,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Growth:
-    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution.
-
-    The noise follows from seed and layer, so that a build comes out the same again.
-    """
+    """How high a layer comes out: its planned height times ``1 + drift + noise n``, with n of the normal distribution, which seed and layer give."""
 
     drift: float = 0.0
     noise: float = 0.0
@@ -154,16 +150,15 @@ class PlayedProgram:
     ) -> None:
         own = control(config.machine.control)
         if not own.waiting:
-            raise SettingsError(
-                f"machine.control {config.machine.control!r}: no main program is written that waits between layers"
-            )
+            why = "no main program is written that waits between layers"
+            raise SettingsError(f"machine.control {config.machine.control!r}: {why}")
         self._text = str(own.load("waiting")(config, top_mm, {})[1])
         self.panel, self.config, self.opcua = Panel(), config, opcua
         self._growth, self._speed, self._told = growth, speed, told
         self._faults = {layer: list(names) for layer, names in faults.items()}
         self._first = config.machine.live_r
+        # Called for what the server is to do: be away for a time, and be full for another
         self.act: Callable[[float, float], object] = lambda away_s, full_s: None
-        """Called for what the server is to do: be away for a time, and be full for another."""
         self.bed_mm, self.laid = 0.0, list[PlayedLayer]()
         self._known: dict[int, float] = {}
         self._calls, self._time_s = 0, 0.0
@@ -171,8 +166,7 @@ class PlayedProgram:
         self._operator: float | None = None
         self._since = time.monotonic()
         self.stopped = False
-        self.ended = False
-        """Whether the program came to its end: the part is built."""
+        self.ended = False  # whether the program came to its end: the part is built
 
     def run(self) -> None:
         """Play until the part is built, or the program stops for good."""
@@ -219,10 +213,8 @@ class PlayedProgram:
 
     def _command(self) -> None:
         """The operator, once the program waits again."""
-        if (
-            self._operator is not None
-            and self.panel.get(self._r("waited")) > 2.0 * self.config.machine.live_poll_s
-        ):
+        waited_s = self.panel.get(self._r("waited"))
+        if self._operator is not None and waited_s > 2.0 * self.config.machine.live_poll_s:
             self.panel.set(self._r("begin_at"), self._operator)
             self._operator = None
 
@@ -241,10 +233,8 @@ class PlayedProgram:
             self._operator = float(layer)
             raise Reset
         time.sleep(seconds)
-        grown_mm = self._growth.grown_mm(layer - 1, planned_mm)
-        row = PlayedLayer(
-            layer, name, hashlib.sha256(content).hexdigest(), self.bed_mm, planned_mm, grown_mm, wait_s
-        )
+        grown_mm, sha256 = self._growth.grown_mm(layer - 1, planned_mm), hashlib.sha256(content).hexdigest()
+        row = PlayedLayer(layer, name, sha256, self.bed_mm, planned_mm, grown_mm, wait_s)
         self.bed_mm += grown_mm
         self.laid.append(row)
         self._told(row)
@@ -285,10 +275,8 @@ class PlayedProgram:
         if self._has(layer, "sessions"):
             self.act(0.5, FAULT_S)
         self._before(layer + 1)
-        if self._has(layer, "count"):
-            self.panel.set(self._r("done"), layer + 7.0)
-            time.sleep(SHOWN_S)
-            self.panel.set(self._r("done"), float(layer))
+        for shown in (layer + 7.0, float(layer)) if self._has(layer, "count") else ():
+            self.panel.set(self._r("done"), shown)
             time.sleep(SHOWN_S)
         if self._has(layer, "stray"):
             self.panel.set(self._r("released"), layer + 1.0)
@@ -323,12 +311,8 @@ def top_of(text: str) -> float:
     >>> top_of("%_N_A_SPF\\n; Z 1.0\\nN10 G0 Z21.5\\nN20 G0 Z1.5\\nN30 G1 X1 F600\\n")
     1.5
     """
-    return min(
-        float(z)
-        for line in text.split("\n")
-        if line[:1] == "N"
-        for z in re.findall(r" Z(-?\d+\.?\d*)", line.partition(";")[0])
-    )
+    blocks = (line.partition(";")[0] for line in text.split("\n") if line[:1] == "N")
+    return min(float(z) for block in blocks for z in re.findall(r" Z(-?\d+\.?\d*)", block))
 
 
 def planned_s(text: str, rapid_mm_s: float) -> float:

@@ -82,21 +82,23 @@ class PlayedServer:
             await server.load_private_key(self._access.private_key)
             server.set_certificate_validator(self._known_certificate)
         await server.register_namespace("SinumerikVarProvider")
+
+        async def variable(place: str, name: str, value: Any, setter: Any) -> Any:
+            node_id = ua.NodeId.from_string(place)
+            node = await server.nodes.objects.add_variable(node_id, name, value)
+            await node.set_writable()
+            server.set_attribute_value_setter(node_id, setter)
+            return node
+
         self._nodes: dict[int, Any] = {}
-        for number in range(self._machine.live_r, self._machine.live_r + 1 + max(OFFSETS.values())):
-            node_id = ua.NodeId.from_string(self._opcua.r_node.replace("{r}", str(number)))
-            node = await server.nodes.objects.add_variable(node_id, f"R{number}", self.panel.get(number))
-            await node.set_writable()
-            server.set_attribute_value_setter(node_id, self._setter(number))
-            self._nodes[number] = node
-        for role in (role for role in TEXT_ROLES if role in self._opcua.nodes):
-            node_id = ua.NodeId.from_string(self._opcua.nodes[role])
-            node = await server.nodes.objects.add_variable(node_id, role, self.panel.texts.get(role, ""))
-            await node.set_writable()
-            server.set_attribute_value_setter(node_id, self._text_setter(role))
-        methods = await server.nodes.objects.add_object(
-            ua.NodeId.from_string(self._opcua.methods_node), "Methods"
-        )
+        for n in range(self._machine.live_r, self._machine.live_r + 1 + max(OFFSETS.values())):
+            place = self._opcua.r_node.replace("{r}", str(n))
+            self._nodes[n] = await variable(place, f"R{n}", self.panel.get(n), self._setter(n))
+        for role, place in self._opcua.nodes.items():
+            if role in TEXT_ROLES:
+                await variable(place, role, self.panel.texts.get(role, ""), self._text_setter(role))
+        node_id = ua.NodeId.from_string(self._opcua.methods_node)
+        methods = await server.nodes.objects.add_object(node_id, "Methods")
         text, data, flag = ua.VariantType.String, ua.VariantType.ByteString, ua.VariantType.Boolean
         upload, download = map(ua.NodeId.from_string, (self._opcua.upload_node, self._opcua.download_node))
         await methods.add_method(upload, "CopyFileToServer", self._upload, [text, data, flag], [])
@@ -144,9 +146,8 @@ class PlayedServer:
             return
         InternalSession.max_connections = 0 if full_s else self._sessions
         url = urlsplit(self._opcua.url)
-        server.bserver = BinaryServer(
-            server.iserver, url.hostname or "127.0.0.1", url.port or 4840, server.limits
-        )
+        host, port = url.hostname or "127.0.0.1", url.port or 4840
+        server.bserver = BinaryServer(server.iserver, host, port, server.limits)
         server.bserver.set_policies(server._policies)
         await server.bserver.start()
         if full_s:
@@ -219,12 +220,11 @@ class PlayedServer:
 
     async def _known_certificate(self, certificate: Any, description: Any) -> None:
         from asyncua.common.utils import ServiceError
-        from cryptography import x509
-        from cryptography.hazmat.primitives.serialization import Encoding
 
         assert self._access is not None
         known = x509.load_pem_x509_certificate(self._access.client_certificate.read_bytes())
-        if certificate.public_bytes(Encoding.DER) != known.public_bytes(Encoding.DER):
+        der = serialization.Encoding.DER
+        if certificate.public_bytes(der) != known.public_bytes(der):
             raise ServiceError(_status("BadCertificateUntrusted").value)
 
 
