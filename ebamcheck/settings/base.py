@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import math
+import sys
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
@@ -66,10 +71,38 @@ Share = Annotated[float, Between(0.001, 1.0)]  # part of a whole, which is 1
 Temperature = Annotated[float, Between(1.0, 1e4)]  # temperature, K: no metal is liquid at 10,000 K
 
 
+@cache
+def _source(module: str) -> ast.Module:
+    return ast.parse(inspect.getsource(sys.modules[module]))
+
+
+@cache
+def explanations(kind: type[BaseModel]) -> dict[str, str]:
+    """What each setting of a section is, by name: the text under its annotation; those that say nothing are left out."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if issubclass(base, BaseModel) and base is not BaseModel:
+            classes = (one for one in ast.walk(_source(base.__module__)) if isinstance(one, ast.ClassDef))
+            made = next(one for one in classes if one.name == base.__name__)
+            for line, under in itertools.pairwise(made.body):
+                if isinstance(line, ast.AnnAssign) and isinstance(under, ast.Expr):
+                    found[ast.unparse(line.target)] = inspect.cleandoc(ast.literal_eval(under.value))
+    found |= {name: info.description for name, info in kind.model_fields.items() if info.description}
+    return {name: text for name, text in found.items() if name in kind.model_fields}
+
+
+def _described(schema: dict[str, Any], kind: type[BaseModel]) -> None:
+    """Tell in a JSON schema what each setting is."""
+    for name, text in explanations(kind).items():
+        schema["properties"][name]["description"] = text
+
+
 class Section(BaseModel):
     """Base of every section: unknown keys are refused, values do not change, defaults are checked."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, validate_default=True, json_schema_extra=_described
+    )
 
 
 # Other names of each unit

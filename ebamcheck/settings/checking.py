@@ -6,16 +6,13 @@ file, a plate, a table of tolerances, the command line or the arguments of a fun
 
 from __future__ import annotations
 
-import ast
-import inspect
-import itertools
+import json
 import math
-import sys
+import re
 import textwrap
 import tomllib
 import types
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 
@@ -25,7 +22,7 @@ from pydantic.fields import FieldInfo
 
 from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import EbamcheckError, SettingsError
-from ebamcheck.settings.base import Between, Section
+from ebamcheck.settings.base import Between, Section, explanations
 from ebamcheck.settings.stages import MachineChoice
 from ebamcheck.showing.short_text import did_you_mean
 
@@ -295,51 +292,6 @@ def _range(metadata: Sequence[Any]) -> str:
     return (" " + " and ".join(words)).replace(" up and up to", " to") if words else ""
 
 
-@cache
-def explanations(kind: type[BaseModel]) -> dict[str, str]:
-    """What each setting of a section is, by name: the text under its annotation; those that say nothing are left out."""
-    found: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if issubclass(base, BaseModel) and base is not BaseModel:
-            made = _classes(base.__module__).get(base.__qualname__)
-            # One that is defined within something else is not at the top of its module.
-            tree: Any = made or ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-            for line, under in itertools.pairwise(tree.body):
-                if (
-                    isinstance(line, ast.AnnAssign)
-                    and isinstance(under, ast.Expr)
-                    and isinstance(under.value, ast.Constant)
-                ):
-                    found[ast.unparse(line.target)] = inspect.cleandoc(str(under.value.value))
-    found |= {name: info.description for name, info in kind.model_fields.items() if info.description}
-    return {name: text for name, text in found.items() if name in kind.model_fields}
-
-
-@cache
-def _classes(module: str) -> dict[str, ast.ClassDef]:
-    """Classes of the top level of a module by name, its source read once for all of them."""
-    found = ast.parse(inspect.getsource(sys.modules[module])).body
-    return {made.name: made for made in found if isinstance(made, ast.ClassDef)}
-
-
-def explained_schema(kind: type[BaseModel]) -> dict[str, Any]:
-    """JSON schema of settings, with what each of them is."""
-    schema = kind.model_json_schema()
-    known = {one.__name__: one for one in _below(kind.__mro__[-3])}  # above it are BaseModel and object
-    for name, part in ((kind.__name__, schema), *schema.get("$defs", {}).items()):
-        for key, text in explanations(known[name]).items():
-            if key in part.get("properties", {}):
-                part["properties"][key]["description"] = text
-    return schema
-
-
-def _below(kind: type[BaseModel]) -> list[type[BaseModel]]:
-    return [kind, *(below for one in kind.__subclasses__() for below in _below(one))]
-
-
-WIDTH = 100
-
-
 def values_as_toml(config: Config) -> str:
     """Settings as TOML without a word of explanation, which takes a while to find: for a file that programs read."""
     lines = ["# Settings of ebamcheck: `ebamcheck config` explains every key.", ""]
@@ -359,63 +311,35 @@ def as_toml(config: Config) -> str:
     return "\n".join(lines)
 
 
-# Lines of sections that were written last. Sections do not change, and settings that differ in one share the others
-_written: dict[tuple[int, bool], tuple[Section, list[str]]] = {}
-
-MOST_WRITTEN = 64
-
-
 def _of_section(name: str, section: Section, explained: bool = True) -> list[str]:
-    """Lines of one section; those of the same object are written once."""
-    known = _written.get((id(section), explained))
-    if known is not None and known[0] is section:
-        return known[1]
-    lines = [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}"] if explained else []
+    """Lines of one section."""
+    kind = type(section)
+    lines = [f"# {first_line(kind)}"] if explained else []
     lines.append(f"[{name}]")
     tables: list[str] = []
-    said = explanations(type(section)) if explained else {}
-    for key in type(section).model_fields:
+    for key in kind.model_fields:
         value = getattr(section, key)
-        lines += _explained(said.get(key, ""))
-        lines += told_beside(name, key) if explained else []
+        lines += explained_in_comments(name, kind, key) if explained else []
         if isinstance(value, dict):
             tables += _tables(f"{name}.{key}", value)
             lines += [f"# [{name}.{key}.NAME]"] if explained and not value else []
         elif value is None:
             lines += [f"# {key} ="] if explained else []
         else:
-            lines.append(f"{key} = {_same_text(f'{name}.{key}', value)}")
-    if section.model_extra:
-        named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
-        import tomlkit
-
-        tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
-    while len(_written) >= MOST_WRITTEN:
-        del _written[next(iter(_written))]
-    made = [*lines, "", *tables]
-    _written[id(section), explained] = section, made
-    return made
+            lines.append(f"{key} = {value_text(value)}")
+    named = {key: table.model_dump(mode="json") for key, table in (section.model_extra or {}).items()}
+    return [*lines, "", *tables, *_tables(name, named)]
 
 
-@cache
-def _explained(description: str) -> tuple[str, ...]:
-    return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
+def first_line(kind: type[Section]) -> str:
+    """What a section is."""
+    return (kind.__doc__ or "").strip().splitlines()[0]
 
 
-# Value and text of each key as it was written last: a section that differs in one value shares the others
-_texts: dict[str, tuple[Any, str]] = {}
-
-
-def _same_text(key: str, value: Any) -> str:
-    known = _texts.get(key)
-    if known is None or known[0] is not value:
-        known = _texts[key] = value, value_text(value)
-    return known[1]
-
-
-def told_beside(section: str, key: str) -> list[str]:
-    """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
-    lines = []
+def explained_in_comments(section: str, kind: type[Section], key: str) -> list[str]:
+    """Comments that explain a setting, with an example of what needs one; the placeholders stand before the first template."""
+    said = explanations(kind).get(key, "")
+    lines = textwrap.wrap(said, 100, initial_indent="# ", subsequent_indent="# ")
     if section == "machine" and key == next(iter(TEMPLATES)):
         lines.append("# Placeholders, filled in where they stand in braces in the blocks of these templates:")
         lines += [f"#   {{{name}}}  {meaning}" for name, meaning in PLACEHOLDERS.items()]
@@ -424,25 +348,33 @@ def told_beside(section: str, key: str) -> list[str]:
     return lines
 
 
-def _tables(path: str, values: dict[str, Any]) -> list[str]:
-    plain = {name: value for name, value in values.items() if not isinstance(value, dict)}
+def _tables(path: str, values: Mapping[str, Any]) -> list[str]:
+    plain = {name: value for name, value in values.items() if not isinstance(value, Mapping)}
     tables = {path: plain} if plain else {}
-    tables |= {f"{path}.{name}": table for name, table in values.items() if name not in plain}
+    tables |= {f"{path}.{_key(name)}": values[name] for name in values if name not in plain}
     lines = []
     for name, table in tables.items():
-        rows = [f"{k} = {value_text(v)}" for k, v in table.items() if v is not None]
+        rows = [f"{_key(k)} = {value_text(v)}" for k, v in table.items() if v is not None]
         lines += [f"[{name}]", *rows, ""]
     return lines
 
 
 def value_text(value: Any) -> str:
     """Value of a key as TOML."""
-    import tomlkit
-
-    if isinstance(value, tuple):
-        return str(tomlkit.array("[" + ", ".join(value_text(v) for v in value) + "]").as_string())
     if isinstance(value, Section):
-        table = tomlkit.inline_table()
-        table.update(value.model_dump(mode="json"))
-        return str(table.as_string())
-    return str(tomlkit.item(value).as_string())
+        value = value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(k)} = {value_text(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(value_text, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, int | float) else _quoted(str(value))
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

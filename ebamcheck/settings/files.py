@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from tomlkit.items import Item
 from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
-from ebamcheck.settings.checking import WIDTH, as_toml, explanations, told_beside, value_text
+from ebamcheck.settings.checking import as_toml, explained_in_comments, first_line, value_text
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.showing.short_text import did_you_mean
 
@@ -90,10 +89,7 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
         value = getattr(section, key)
         if key in table:
             continue
-        said = textwrap.wrap(
-            explanations(type(section)).get(key, ""), WIDTH, initial_indent="# ", subsequent_indent="# "
-        )
-        explained = "".join(f"{line}\n" for line in [*said, *told_beside(name, key)])
+        explained = "".join(f"{line}\n" for line in explained_in_comments(name, type(section), key))
         if value is None or isinstance(value, dict):
             # What is not set stands as a comment, with the next key that is.
             empty = f"# {key} =" if value is None else f"# [{name}.{key}.NAME]"
@@ -108,7 +104,7 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
         item.trivia.trail += waiting
     if is_new:
         # Last: keys that are appended to a table take up its indent.
-        table.trivia.indent = f"\n# {(type(section).__doc__ or '').strip().splitlines()[0]}\n"
+        table.trivia.indent = f"\n# {first_line(type(section))}\n"
         root.append(name, table)
 
 
