@@ -19,10 +19,7 @@ from ebamcheck.errors import SettingsError
 
 @dataclass(frozen=True)
 class Between:
-    """Range of a number, both ends allowed: outside of it there is no machine, no material and no sense.
-
-    Truth values, texts, NaN and infinities are refused, too, and every message tells the range.
-    """
+    """Range of a number, both ends allowed, that every message tells; truth values, texts, NaN and infinities are refused, too."""
 
     least: float
     greatest: float
@@ -30,6 +27,9 @@ class Between:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Check a number before pydantic does, whose messages name one end alone."""
         whole = source is int
+        told = (
+            f"give a {'whole number' if whole else 'number'} from {self.least:.10g} to {self.greatest:.10g}"
+        )
         number = (
             core_schema.int_schema(ge=math.ceil(self.least), le=math.floor(self.greatest))
             if whole
@@ -37,26 +37,20 @@ class Between:
         )
 
         def checked(value: Any) -> Any:
+            wrong = ""
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise self._error(whole, "is no number")
-            if not math.isfinite(value):
-                raise self._error(whole, "is not finite")
-            if not self.least <= value <= self.greatest:
-                raise self._error(whole, "is out of range")
-            if whole and value != int(value):
-                raise self._error(whole, "is no whole number")
+                wrong = "is no number"
+            elif not math.isfinite(value):
+                wrong = "is not finite"
+            elif not self.least <= value <= self.greatest:
+                wrong = "is out of range"
+            elif whole and value != int(value):
+                wrong = "is no whole number"
+            if wrong:
+                raise PydanticCustomError("range", f"{wrong}: {told}")
             return value
 
         return core_schema.no_info_before_validator_function(checked, number)
-
-    def _error(self, whole: bool, what: str) -> PydanticCustomError:
-        values = {
-            "what": what,
-            "kind": "whole number" if whole else "number",
-            "least": f"{self.least:.10g}",
-            "greatest": f"{self.greatest:.10g}",
-        }
-        return PydanticCustomError("range", "{what}: give a {kind} from {least} to {greatest}", values)
 
 
 NotNegative = Annotated[float, Between(0.0, 1e9)]  # a number for which no narrower range is known

@@ -24,10 +24,9 @@ class Merged:
     """What became of a settings file."""
 
     text: str = ""
+    # Keys that were added, each with its value; and keys that are none, or not any more, each with what may be meant
     added: list[str] = field(default_factory=list)
-    """Keys that were added, each with its value, as ``process.bead_width_mm = 6.0``."""
     unknown: list[str] = field(default_factory=list)
-    """Keys that no version takes, or not any more, each with what may be meant."""
 
 
 def write_new(path: Path, config: Config) -> None:
@@ -56,22 +55,19 @@ def merged(text: str, path: Path) -> Merged:
         document: Any = tomlkit.parse(text)
     except TOMLKitError as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from None
+    within = ("tool", "ebamcheck") if path.name == "pyproject.toml" else ()
     root = document
-    for key in ("tool", "ebamcheck") if path.name == "pyproject.toml" else ():
-        if key not in root:
-            root[key] = tomlkit.table()
-        root = root[key]
+    for key in within:
+        root = root.setdefault(key, tomlkit.table())
     found = Merged(unknown=_unknown(root))
     before = validated(_known(root), str(path))
-    default = Config()
-    for name in Config.model_fields:
-        section: Section = getattr(default, name)
+    for name, section in Config():
         if type(section).model_fields:
             _complete(root, name, section, found)
     found.text = tomlkit.dumps(document)
     after: Any = tomlkit.parse(found.text)
-    if path.name == "pyproject.toml":
-        after = after["tool"]["ebamcheck"]
+    for key in within:
+        after = after[key]
     if validated(_known(after), str(path)) != before:
         raise SettingsError(
             f"{path}: keys cannot be added to a file of this form: write its sections as [NAME]"
@@ -112,20 +108,13 @@ def _unknown(root: Mapping[str, Any]) -> list[str]:
     found = []
     for name, table in root.items():
         if name not in Config.model_fields:
-            found.append(f"{name}: unknown key{_near(name, Config)}")
+            found.append(f"{name}: unknown key{did_you_mean(name, Config.model_fields)}")
             continue
-        kind = Config.model_fields[name].annotation
-        if isinstance(kind, type) and issubclass(kind, Section) and kind.model_config.get("extra") != "allow":
-            found += [
-                f"{name}.{key}: unknown key{_near(key, kind)}"
-                for key in table
-                if key not in kind.model_fields
-            ]
+        kind: Any = Config.model_fields[name].annotation
+        if kind.model_config.get("extra") != "allow":
+            known = kind.model_fields
+            found += [f"{name}.{k}: unknown key{did_you_mean(k, known)}" for k in table if k not in known]
     return found
-
-
-def _near(key: str, kind: type[Section]) -> str:
-    return did_you_mean(key, kind.model_fields)
 
 
 def _known(root: Any) -> dict[str, Any]:
@@ -150,9 +139,6 @@ def _read(path: Path) -> str:
         raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None
 
 
-MISSING = "nothing"  # stands for the value of a setting that one side lacks
-
-
 def differences(one: Config, other: Config) -> list[str]:
     """Settings whose values differ, in their order: ``SECTION.NAME is VALUE, not OTHER VALUE``.
 
@@ -164,7 +150,7 @@ def differences(one: Config, other: Config) -> list[str]:
 
 def _differing(one: Mapping[str, Any], other: Mapping[str, Any], within: str) -> Iterator[str]:
     for name in dict.fromkeys([*one, *other]):
-        mine, its = one.get(name, MISSING), other.get(name, MISSING)
+        mine, its = one.get(name, "nothing"), other.get(name, "nothing")
         if isinstance(mine, Mapping) and isinstance(its, Mapping):
             yield from _differing(mine, its, f"{within}{name}.")
         elif mine != its:
