@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+
+Corners = TypeVar("Corners", NDArray[np.float32], NDArray[np.float64])
 
 READ = (".stl", ".obj", ".ply", ".3mf")  # suffixes of the mesh files that are read
 
@@ -56,12 +59,14 @@ def how_to_read(suffix: str) -> str:
     'holds exact surfaces (STEP), and slicers take a closed mesh:'
     """
     known = ", ".join(READ)
-    for name, suffixes in SOLIDS.items():
-        if suffix in suffixes:
-            return f"holds exact surfaces ({name}), and slicers take a closed mesh: {EXPORT}"
-    for name, suffixes in MESHES.items():
-        if suffix in suffixes:
-            return f"holds a mesh in a form ({name}) that is not read: convert it to one of {known}"
+    solid, mesh = (
+        next((name for name, suffixes in kinds.items() if suffix in suffixes), "")
+        for kinds in (SOLIDS, MESHES)
+    )
+    if solid:
+        return f"holds exact surfaces ({solid}), and slicers take a closed mesh: {EXPORT}"
+    if mesh:
+        return f"holds a mesh in a form ({mesh}) that is not read: convert it to one of {known}"
     if suffix in PROGRAMS:
         return f"is a program, not a part: `ebamcheck verify` checks it; parts are read from {known}"
     return f"unknown suffix {suffix!r}: parts are read from {known}"
@@ -87,13 +92,13 @@ def polygon_corners(
     return vertices[index[fans(sizes)]]
 
 
-def checked_finite(corners: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite."""
-    if not np.isfinite(corners).all():
-        facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
+def checked_finite(corners: Corners, name: str, first: int = 0) -> Corners:
+    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite; `first` is the first facet."""
+    wrong = np.argwhere(~np.isfinite(corners))
+    if len(wrong):
+        facet, corner, axis = wrong[0]
         raise InputError(
-            f"{name}: facet {facet}, vertex {corner}, {'xyz'[axis]} is {corners[facet, corner, axis]}: "
-            "coordinates must be finite"
+            f"{name}: facet {first + facet}, vertex {corner}, {'xyz'[axis]} is {corners[facet, corner, axis]}: coordinates must be finite"
         )
     return corners
 
