@@ -1,9 +1,5 @@
 """The Common Layer Interface: slice files (``.cli``) of machines and other programs, in the text form of version 2.0 (Brite-EuRam BE 2578).
-
-Files are written in millimetres, every coordinate in the shortest digits that read back to the same bits. The height of a layer is that
-of its cut; the format means the top of a layer, and other programs differ in which of the two they write. Labels of
-:class:`~ebamcheck.layers.stack.Layers` are written as user data and read back, with the number of polylines, by which a file that is
-cut off between two of them is recognised; cut edges are not written.
+The height of a layer is that of its cut; the format means the top of a layer, and other programs differ in which of the two they write.
 """
 
 from __future__ import annotations
