@@ -149,12 +149,9 @@ class Run:
     def __repr__(self) -> str:
         shut = [gate.name for gate in self.gates if not gate.passed]
         gates = f"{len(self.gates) - len(shut)} of {len(self.gates)} gates passed"
-        told = (
-            gates,
-            f"not {' and '.join(shut)}" if shut else "",
-            short_text.counted(len(self.findings), "finding"),
-        )
-        return short_text.line("Run", str(self.record["part"]["name"]), self.verdict, *told, str(self.path))
+        not_passed, findings = f"not {' and '.join(shut)}" if shut else "", len(self.findings)
+        told = (self.verdict, gates, not_passed, short_text.counted(findings, "finding"), str(self.path))
+        return short_text.line("Run", str(self.record["part"]["name"]), *told)
 
     def _repr_html_(self) -> str:
         """Show verdict, gates and findings in a notebook."""

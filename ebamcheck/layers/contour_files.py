@@ -355,11 +355,8 @@ def write_3mf(layers: Layers, path: str | Path) -> None:
         for a, b in itertools.pairwise(starts):
             made.AddPolygon([*range(a - starts[0], b - starts[0]), a - starts[0]])
     body = model.AddMeshObject()
-    vertices, faces = (
-        (mesh.vertices, mesh.faces)
-        if (mesh := layers.mesh) is not None
-        else _box(layers, bottom, float(tops[-1]))
-    )
+    mesh = layers.mesh
+    vertices, faces = (mesh.vertices, mesh.faces) if mesh else _box(layers, bottom, float(tops[-1]))
     body.SetGeometry(
         [lib3mf.Position.from_buffer_copy(row) for row in np.ascontiguousarray(vertices, np.float32)],
         [lib3mf.Triangle.from_buffer_copy(row) for row in np.ascontiguousarray(faces, np.uint32)],

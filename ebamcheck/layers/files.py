@@ -39,9 +39,8 @@ Reader = Callable[[str | Path], Layers]
 
 VERSION = "1"  # version of the table; a reader refuses any other
 LABELS = ("part", "direction", "backend", "settings")
-LARGEST_LIST = (
-    2**31 - 1
-)  # Arrow's lists count their items in 32 bits; a longer stack is written as several blocks
+# Arrow's lists count their items in 32 bits; a longer stack is written as several blocks
+LARGEST_LIST = 2**31 - 1
 
 _NUMBERS = pa.list_(pa.list_(pa.float64()))
 _VERTICES = pa.list_(pa.list_(pa.int32()))

@@ -22,9 +22,8 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 
 LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped layer height
-LARGEST_BLOCK = (
-    1024  # most layers of a block, however small their contours: rasters need memory for empty layers, too
-)
+# Most layers of a block, however small their contours: rasters need memory for empty layers, too
+LARGEST_BLOCK = 1024
 
 
 def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
@@ -140,9 +139,7 @@ LEVEL_MM = 0.01
 # Least share of a level facet's area that is seen from above: a small steep facet rises by little, too
 LEVEL_COS = float(np.cos(np.radians(0.5)))
 SAME_BORDER_MM = 1e-6  # a face this near to a border of layers lies on it
-THIN_MM = (
-    1e-6  # height over a cut of which the volume gives the area of the section: h + 0, and no facet's height
-)
+THIN_MM = 1e-6  # height over a cut whose volume gives the area of the section: h + 0, no facet's height
 OTHER_HEIGHTS = 0.25  # how far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for
 
 

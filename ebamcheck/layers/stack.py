@@ -258,8 +258,8 @@ class Layers(LayerColumns[Layer]):
     @cached_property
     def parents(self) -> Ints:
         """Smallest enclosing ring of each ring, (R,); -1 for none and for open paths."""
-        columns = self.points, self.ring_starts, self.layer_starts, self.ring_areas, self.ring_bounds
-        return rings.parents(*columns)
+        of_rings = self.ring_areas, self.ring_bounds
+        return rings.parents(self.points, self.ring_starts, self.layer_starts, *of_rings)
 
     def _per_layer(self, weights: NDArray[Any]) -> Floats:
         return np.bincount(self.ring_layer, weights, minlength=len(self)).astype(np.float64)
@@ -441,15 +441,11 @@ def from_rings(
 def from_paths(heights: ArrayLike, layers: Sequence[list[tuple[Any, bool]]], **labels: Any) -> Layers:
     """Build layers from lists of paths (n, 2), each with whether it is closed: such a one may repeat its first point at the end."""
     every = [(np.asarray(p, np.float64).reshape(-1, 2), closed) for layer in layers for p, closed in layer]
-    points, starts = (
-        np.concatenate([np.zeros((0, 2)), *(p for p, _ in every)]),
-        np.cumsum([0, *map(len, layers)]),
-    )
-    ring_starts, flat = (
-        np.cumsum([0, *(len(p) for p, _ in every)]),
-        np.asarray(heights, np.float64).reshape(-1),
-    )
-    return canonical(flat, points, ring_starts, starts, [closed for _, closed in every], **labels)
+    points = np.concatenate([np.zeros((0, 2)), *(p for p, _ in every)])
+    ring_starts = np.cumsum([0, *(len(p) for p, _ in every)])
+    layer_starts = np.cumsum([0, *map(len, layers)])
+    flat, closed = np.asarray(heights, np.float64).reshape(-1), [is_closed for _, is_closed in every]
+    return canonical(flat, points, ring_starts, layer_starts, closed, **labels)
 
 
 def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], **labels: Any) -> Layers:

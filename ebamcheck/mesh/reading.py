@@ -59,14 +59,12 @@ def how_to_read(suffix: str) -> str:
     'holds exact surfaces (STEP), and slicers take a closed mesh:'
     """
     known = ", ".join(READ)
-    solid, mesh = (
-        next((name for name, suffixes in kinds.items() if suffix in suffixes), "")
-        for kinds in (SOLIDS, MESHES)
-    )
-    if solid:
-        return f"holds exact surfaces ({solid}), and slicers take a closed mesh: {EXPORT}"
-    if mesh:
-        return f"holds a mesh in a form ({mesh}) that is not read: convert it to one of {known}"
+    for name, suffixes in SOLIDS.items():
+        if suffix in suffixes:
+            return f"holds exact surfaces ({name}), and slicers take a closed mesh: {EXPORT}"
+    for name, suffixes in MESHES.items():
+        if suffix in suffixes:
+            return f"holds a mesh in a form ({name}) that is not read: convert it to one of {known}"
     if suffix in PROGRAMS:
         return f"is a program, not a part: `ebamcheck verify` checks it; parts are read from {known}"
     return f"unknown suffix {suffix!r}: parts are read from {known}"

@@ -92,9 +92,8 @@ class Answer(BaseModel):
     lineage: tuple[str, ...] = ()
     defaults: dict[str, Any] | None = None
     probed: Probe = Probe(False)
-    bounds_mm: tuple[float, float] | None = (
-        None  # of a cube of 100 mm under default settings; None where it told no finite ones
-    )
+    # Of a cube of 100 mm under default settings; None where it told no finite ones
+    bounds_mm: tuple[float, float] | None = None
 
 
 def ask(point: EntryPoint, kind: str, values: Mapping[str, Any] | None = None) -> tuple[dict[str, Any], str]:

@@ -27,9 +27,8 @@ class Between:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Check a number before pydantic does, whose messages name one end alone."""
         whole = source is int
-        told = (
-            f"give a {'whole number' if whole else 'number'} from {self.least:.10g} to {self.greatest:.10g}"
-        )
+        kind = "whole number" if whole else "number"
+        told = f"give a {kind} from {self.least:.10g} to {self.greatest:.10g}"
         number = (
             core_schema.int_schema(ge=math.ceil(self.least), le=math.floor(self.greatest))
             if whole

@@ -50,10 +50,8 @@ FIGURES = ("rings", "open_paths", "points", "prepare_s", "slice_s")  # what a wo
 KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")  # signals that come from outside
 POLL_S = 0.05  # how often memory and time of the workers are looked at
 CHILDREN_S = 1.0  # how often processes that a worker has started are looked for
-CHUNK_BYTES, MOST_CHUNKS = (
-    1 << 16,
-    16,
-)  # what is read of one worker before its limits and the others are looked at
+# What is read of one worker before its limits and the others are looked at
+CHUNK_BYTES, MOST_CHUNKS = 1 << 16, 16
 LONGEST_LINE_BYTES = 1_000_000  # an event is a line of a few hundred bytes
 # More events than the first, and so much more for each second, are a flood: progress is some 1000 bytes a second
 FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000

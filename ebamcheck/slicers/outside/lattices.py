@@ -298,10 +298,10 @@ class Program:
         found = self.find()
         if found is None:
             named = os.environ.get(self.variable)
-            missing = (
+            why = (
                 f"{self.variable}={named} is no executable" if named else f"{self.command} is not on the PATH"
             )
-            return Probe(False, why=missing, hint=self.hint)
+            return Probe(False, why=why, hint=self.hint)
         try:
             version = _version(self, found)
         except BackendFailed as failure:
