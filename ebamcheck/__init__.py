@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ebamcheck.names_on_demand import on_demand
 from ebamcheck.version import __version__
 
 if TYPE_CHECKING:
@@ -33,39 +33,34 @@ if TYPE_CHECKING:
 
 # Public names and where they live; they load when first used, so that `import ebamcheck` is instant
 _PUBLIC = {
-    "Config": "ebamcheck.settings.config",
-    "Curves": "ebamcheck.curves",
-    "EbamcheckError": "ebamcheck.errors",
-    "Layers": "ebamcheck.layers.stack",
-    "Part": "ebamcheck.mesh.part",
-    "Run": "ebamcheck.runs",
-    "Slicing": "ebamcheck.slicers.slicing",
-    "check": "ebamcheck.runs",
-    "compare": "ebamcheck.comparison",
-    "compare_orders": "ebamcheck.scan",
-    "fit": "ebamcheck.curves",
-    "inspect": "ebamcheck.mesh.inspection",
-    "layer_heights": "ebamcheck.layers.heights",
-    "load": "ebamcheck.mesh.files",
-    "load_config": "ebamcheck.settings.config",
-    "plan_scan": "ebamcheck.scan",
-    "read_program": "ebamcheck.program",
-    "run": "ebamcheck.runs",
-    "save": "ebamcheck.saving",
-    "slice": "ebamcheck.slicers.slicing:slice_part",
-    "verify": "ebamcheck.verification.verify",
-    "write_program": "ebamcheck.program",
+    "Config": "settings.config",
+    "Curves": "curves",
+    "EbamcheckError": "errors",
+    "Layers": "layers.stack",
+    "Part": "mesh.part",
+    "Run": "runs",
+    "Slicing": "slicers.slicing",
+    "check": "runs",
+    "compare": "comparison",
+    "compare_orders": "scan",
+    "fit": "curves",
+    "inspect": "mesh.inspection",
+    "layer_heights": "layers.heights",
+    "load": "mesh.files",
+    "load_config": "settings.config",
+    "plan_scan": "scan",
+    "read_program": "program",
+    "run": "runs",
+    "save": "saving",
+    "slice": "slicers.slicing:slice_part",
+    "verify": "verification.verify",
+    "write_program": "program",
 }
 
 __all__ = [*sorted(_PUBLIC), "__version__"]
 
 
-def __getattr__(name: str) -> Any:
-    """Load a public name from its module when it is first used."""
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'ebamcheck' has no attribute {name!r}")
-    module, _, attribute = _PUBLIC[name].partition(":")
-    return getattr(import_module(module), attribute or name)
+__getattr__ = on_demand("ebamcheck", _PUBLIC)
 
 
 def __dir__() -> list[str]:

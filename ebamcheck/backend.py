@@ -1,10 +1,4 @@
-"""The protocol between the harness and a slicer.
-
-A slicer is a class found by the entry point group ``ebamcheck.backends``. It says what it is in class
-attributes, tells by :meth:`Slicer.probe` whether this machine can run it, and slices in two steps:
-:meth:`Slicer.prepare` pays once for a tree, an index or a graphics context, and the
-:class:`Prepared` it returns cuts any block of layers, as often as wanted.
-"""
+"""The protocol between the harness and a slicer: a class found by the entry point group ``ebamcheck.backends``."""
 
 from __future__ import annotations
 
@@ -43,13 +37,10 @@ class Probe:
     """Whether a slicer can run on this machine, and what it would run on."""
 
     available: bool
-    why: str = ""
-    """Why it is not available, in one line."""
-    hint: str = ""
-    """What to install or set, in one line."""
+    why: str = ""  # why it is not available, in one line
+    hint: str = ""  # what to install or set, in one line
     versions: Mapping[str, str] = field(default_factory=dict)
-    device: str = "CPU"
-    """What computes: the processor, or the renderer's name as OpenGL gives it."""
+    device: str = "CPU"  # what computes: the processor, or the renderer's name as OpenGL gives it
 
 
 class Prepared(Protocol):

@@ -1,8 +1,4 @@
-"""Tables of nested numpy columns in Parquet files, one row a layer: written as Arrow lists, and read back in the same bits.
-
-A column is an array of flat values and, for each level of lists, outermost first, where the lists start. Its Arrow type says how
-many levels there are. Whatever a table lacks, or holds otherwise, is refused by name.
-"""
+"""Tables of nested numpy columns in Parquet files, one row a layer: written as Arrow lists, and read back in the same bits."""
 
 from __future__ import annotations
 
@@ -52,11 +48,10 @@ def arrow_columns(columns: Mapping[str, Column], kinds: Mapping[str, pa.DataType
 def _arrow(kind: pa.DataType, values: NDArray[Any] | pa.Array, *starts: Ints) -> pa.Array:
     if not starts:
         return _flat(values) if isinstance(values, np.ndarray) else values
-    lists, offset = (
-        (pa.LargeListArray, np.int64) if pa.types.is_large_list(kind) else (pa.ListArray, np.int32)
-    )
+    large = pa.types.is_large_list(kind)
+    offsets = _flat(starts[0].astype(np.int64 if large else np.int32, copy=False))
     items = _arrow(kind.value_type, values, *starts[1:])
-    return lists.from_arrays(_flat(starts[0].astype(offset, copy=False)), items)
+    return (pa.LargeListArray if large else pa.ListArray).from_arrays(offsets, items)
 
 
 def _flat(column: NDArray[Any]) -> pa.Array:
@@ -116,20 +111,17 @@ def labels_of(
         )
     try:
         values = parsed_json(metadata[_key(what, "labels")])
-        labels = {name: _FORMS.get(name, str)(values[name]) for name in names}
+        forms: Mapping[str, Callable[[Any], Any]] = {
+            "direction": lambda given: tuple(map(float, given)),
+            "settings": dict,
+        }
+        return {name: forms.get(name, str)(values[name]) for name in names}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{where}: its labels cannot be read: {type(error).__name__}: {error}") from None
-    return labels
 
 
 def _key(what: str, name: str) -> bytes:
     return f"ebamcheck.{what}.{name}".encode()
-
-
-_FORMS: Mapping[str, Callable[[Any], Any]] = {
-    "direction": lambda given: tuple(map(float, given)),
-    "settings": dict,
-}
 
 
 class ReadTable(NamedTuple):
@@ -143,10 +135,7 @@ class ReadTable(NamedTuple):
         return _values(self._column(name, kind)).copy()
 
     def nested(self, name: str, kind: pa.DataType) -> tuple[NDArray[Any], list[Ints]]:
-        """Flat values of a column of lists, and the starts of the lists of each level.
-
-        Values are those of the table, where it has them as numpy does: copy what is kept.
-        """
+        """Flat values of a column of lists, those of the table where it has them as numpy does, and the starts of the lists of each level."""
         items, starts, empty = self._column(name, kind), [], 0
         while isinstance(items, pa.ListArray | pa.LargeListArray):
             offsets = np.from_dlpack(items.offsets).astype(np.int64)

@@ -35,11 +35,9 @@ class EbamcheckError(Exception):
 
     Examples
     --------
-    >>> try:
-    ...     raise SettingsError("layer height 0 mm: give a positive number of millimetres")
-    ... except EbamcheckError as error:
-    ...     print(error.exit_code.name, error)
-    USAGE layer height 0 mm: give a positive number of millimetres
+    >>> error = SettingsError("layer height 0 mm: give a positive number of millimetres")
+    >>> isinstance(error, EbamcheckError), error.exit_code.name
+    (True, 'USAGE')
     """
 
     exit_code: ExitCode = ExitCode.INTERNAL
@@ -101,10 +99,7 @@ def behind(error: BaseException | None) -> Iterator[BaseException]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Tell an interrupt that arrives inside compiled code as an interrupt.
-
-    There the interpreter raises a `SystemError`, and the interrupt is what led to it.
-    """
+    """Tell an interrupt in compiled code, where the interpreter raises a `SystemError`, as an interrupt."""
     try:
         yield
     except SystemError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, EntryPoints
@@ -18,10 +19,7 @@ _names: WeakKeyDictionary[Distribution, tuple[str, str]] = WeakKeyDictionary()
 
 
 def entry_points(group: str) -> EntryPoints:
-    """Entry points of a group, as :func:`importlib.metadata.entry_points` returns them.
-
-    All of them are read again where the folders from which modules come have changed, or are others.
-    """
+    """Entry points of a group; all are read again where the folders from which modules come have changed, or are others."""
     places = tuple(sys.path)
     return _of_group(places, tuple(_changed_ns(place) for place in places), group)
 
@@ -52,10 +50,9 @@ def _read(places: tuple[str, ...], changed_ns: tuple[int, ...]) -> Any:
 
 def _changed_ns(place: str) -> int:
     """Time at which a folder got or lost a file; 0 where there is none."""
-    try:
+    with suppress(OSError):
         return os.stat(place or ".").st_mtime_ns
-    except OSError:
-        return 0
+    return 0
 
 
 @dataclass(frozen=True)
@@ -91,16 +88,11 @@ def broken(point: EntryPoint, why: str) -> BrokenPlugin:
 
 
 def sorted_out(points: Iterable[EntryPoint]) -> tuple[dict[str, EntryPoint], list[BrokenPlugin]]:
-    """One plugin a name, by name; and those that bear the name of another one.
-
-    The house's own comes first, whatever is installed; of strangers the one whose distribution comes first by name.
-    """
-    ranked = sorted(
-        ((not is_house(p), distribution_of(p), str(p.value), str(p.name), i, p) for i, p in enumerate(points))
-    )
+    """One plugin a name: the house's own, else a stranger's whose distribution comes first by name; and those that bear the name of another."""
+    ranked = sorted(points, key=lambda p: (not is_house(p), distribution_of(p), str(p.value), str(p.name)))
     found: dict[str, EntryPoint] = {}
     left_out = []
-    for *_, point in ranked:
+    for point in ranked:
         first = found.setdefault(point.name, point)
         if first is not point:
             owner = distribution_of(first)[0] or "another plugin"

@@ -15,8 +15,7 @@ from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import EbamcheckError, InputError
 
 MOST_DIGITS = 20  # digits of a whole number in a file that is read: those of 64 bits
-# Lists and tables within each other in a file that is read; settings, records and certificates have ten
-MOST_NESTED = 40
+MOST_NESTED = 40  # lists and tables within each other in a file that is read; settings, records and certificates have ten
 
 
 def sha256_of_file(path: Path) -> str:
@@ -74,20 +73,15 @@ def parsed_json(data: bytes | str) -> Any:
     except RecursionError:
         raise ValueError(_TOO_DEEP) from None
     level = [value]
-    for _ in range(MOST_NESTED):
-        level = [one for held in level for one in _held(held)]
-    if level:
+    for _ in range(MOST_NESTED + 1):
+        held = [one for one in level if isinstance(one, dict | list)]
+        level = [one for many in held for one in (many.values() if isinstance(many, dict) else many)]
+    if held:
         raise ValueError(_TOO_DEEP)
     return value
 
 
 _TOO_DEEP = f"more than {MOST_NESTED} lists and tables within each other"
-
-
-def _held(value: Any) -> list[Any]:
-    """Lists and tables right within a value."""
-    values = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return [one for one in values if isinstance(one, dict | list)]
 
 
 def _without_twins(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 
 def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a package, by the modules in it in which its names live.
+    """Return the ``__getattr__`` of a package, by the modules in it in which its names live; ``module:name`` where they have another there.
 
     >>> find = on_demand("ebamcheck", {"InputError": "errors"})
     >>> find("InputError").__name__
@@ -21,6 +21,7 @@ def on_demand(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     def found(name: str) -> Any:
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(f"{package}.{homes[name]}"), name)
+        module, _, its_name = homes[name].partition(":")
+        return getattr(import_module(f"{package}.{module}"), its_name or name)
 
     return found

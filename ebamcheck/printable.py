@@ -1,8 +1,4 @@
-"""What stands in messages: foreign text made printable, on one line and without control characters; and layers, which people count from 1,
-as the program's files do, where indices in Python count from 0.
-
-A terminal obeys what is written to it: a name with an escape sequence in it can erase a line that says FAIL.
-"""
+"""What stands in messages: foreign text, which could tell a terminal to erase a line, made printable; and layers, which people count from 1."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""What a check came to: figure against limit, where it is worst, how much it matters, and what to do.
-
-A gate is a verdict over a group of checks, a finding a check of note, warning or fault that belongs to no gate: all three are a
-:class:`Check`. ``run.json`` holds them under `gates`, `findings` and `checks` of the program; terminal, report, JUnit and
-certificate are rendered from these.
-"""
+"""What a check came to: figure against limit, where it is worst, how much it matters, and what to do; gates and findings are checks, too."""
 
 from __future__ import annotations
 
@@ -92,9 +87,8 @@ class Place:
     ) -> Self:
         """Place whose line is given as ``FILE:line``."""
         file, _, line = where.rpartition(":")
-        return (
-            cls(file, int(line), layer, x_mm, y_mm) if line.isdecimal() else cls(where, 0, layer, x_mm, y_mm)
-        )
+        file, number = (file, int(line)) if line.isdecimal() else (where, 0)
+        return cls(file, number, layer, x_mm, y_mm)
 
     @property
     def is_point(self) -> bool:
@@ -132,13 +126,13 @@ class Check:
     layer: int | None = None  # layer of the worst place, from 0, where there is one
     x_mm: float | None = None  # where the worst place is, to draw it
     y_mm: float | None = None
+    # Of a check that fails: its layer as the program names it; of a finding its place, or the setting or slicer that it is about
     place: str = ""
-    """Of a check that fails: its layer as the program names it, and that height in part and program; of a finding its place, or the
-    setting or slicer that it is about."""
     remedy: str = ""  # of a check that fails: what to do, without a full stop
     severity: Severity = "fault"  # how much it matters that the check fails
-    stops: tuple[str, ...] = ()
-    """Of a check of the preflight that is a fault: jobs that it ends before they begin; others go on, and their gates tell."""
+    stops: tuple[
+        str, ...
+    ] = ()  # of a check of the preflight that is a fault: jobs that it ends before they begin
 
     def __post_init__(self) -> None:
         if self.severity not in SEVERITIES:
@@ -159,11 +153,8 @@ class Check:
         """What a person has to know of a run beside its gates; raises ValueError for a code that stands in no table."""
         if code not in CODES:
             raise ValueError(f"code {code!r} stands in no table: add it to ebamcheck.result.CODES")
-        value, most = (math.nan if number is None else number for number in (figure, limit))
-        passed = severity == "note"
-        return cls(
-            code, passed, value, most, unit, "", text, place=str(place), remedy=remedy, severity=severity
-        )
+        numbers, passed = (_number(figure), _number(limit)), severity == "note"
+        return cls(code, passed, *numbers, unit, "", text, place=str(place), remedy=remedy, severity=severity)
 
     @classmethod
     def fault(cls, name: str, where: str, text: str) -> Self:
@@ -188,11 +179,10 @@ class Check:
         stops: tuple[str, ...] = (),
     ) -> Self:
         """What is known of a job before anything is sliced."""
-        value, most = (math.nan if number is None else number for number in (figure, limit))
+        numbers = _number(figure), _number(limit)
         severity: Severity = "note" if level == "pass" else level
-        return cls(
-            name, level == "pass", value, most, unit, "", text, remedy=remedy, severity=severity, stops=stops
-        )
+        more: dict[str, Any] = {"remedy": remedy, "severity": severity, "stops": stops}
+        return cls(name, level == "pass", *numbers, unit, "", text, **more)
 
     @property
     def level(self) -> Level:
@@ -212,15 +202,17 @@ class Check:
     @property
     def at(self) -> Place:
         """The worst place."""
-        x_mm, y_mm = (math.nan if number is None else number for number in (self.x_mm, self.y_mm))
-        return Place.of_line(self.where, self.layer, x_mm, y_mm)
+        return Place.of_line(self.where, self.layer, _number(self.x_mm), _number(self.y_mm))
 
     def in_words(self) -> str:
         """Name, place, what was found and what to do, as a failed check is told."""
-        where = ", ".join(text for text in (self.where, self.place) if text)
-        return f"{self.name}{f' at {where}' if where else ''}: {self.text}" + (
-            f"; {self.remedy}" if self.remedy else ""
-        )
+        where = ", ".join(filter(None, (self.where, self.place)))
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        return f"{self.name}{f' at {where}' if where else ''}: {self.text}{remedy}"
+
+
+def _number(known: float | None) -> float:
+    return math.nan if known is None else known
 
 
 def known(number: float) -> float | None:
@@ -240,12 +232,11 @@ def ordered(findings: Iterable[Check]) -> list[Check]:
     return sorted(each, key=lambda f: (SEVERITIES.index(f.severity), f.code))
 
 
-# -- as run.json holds them --------------------------------------------------------------------------
+CHECK_KEYS = ("name", "passed", "value", "limit", "unit", "where", "text", "x_mm", "y_mm", "place", "remedy")
 
 
-CHECK_KEYS = (
-    "name", "passed", "value", "limit", "unit", "where", "text", "layer", "x_mm", "y_mm", "place", "remedy",
-)  # fmt: skip
+def _named(check: Check, *names: str) -> dict[str, Any]:
+    return {name: getattr(check, name) for name in names}
 
 
 def check_record(check: Check) -> dict[str, Any]:
@@ -255,9 +246,7 @@ def check_record(check: Check) -> dict[str, Any]:
     >>> check_record(steep)["layer"], check_of_record(check_record(steep)) == steep
     (3, True)
     """
-    return {name: getattr(check, name) for name in CHECK_KEYS} | {
-        "layer": None if check.layer is None else check.layer + 1
-    }
+    return _named(check, *CHECK_KEYS) | {"layer": None if check.layer is None else check.layer + 1}
 
 
 def check_of_record(record: Mapping[str, Any]) -> Check:
@@ -268,45 +257,19 @@ def check_of_record(record: Mapping[str, Any]) -> Check:
 
 def gate_record(gate: Check) -> dict[str, Any]:
     """Gate."""
-    return {
-        "name": gate.name,
-        "passed": gate.passed,
-        "figure": gate.value,
-        "limit": gate.limit,
-        "unit": gate.unit,
-        "text": gate.text,
-    }
+    return _named(gate, "name", "passed", "limit", "unit", "text") | {"figure": gate.value}
 
 
 def finding_records(findings: Iterable[Check]) -> list[dict[str, Any]]:
     """Findings in order."""
-    return [
-        {
-            "severity": f.severity,
-            "code": f.code,
-            "text": f.text,
-            "place": f.place,
-            "figure": f.figure,
-            "limit": known(f.limit),
-            "unit": f.unit,
-            "remedy": f.remedy,
-        }
-        for f in ordered(findings)
-    ]
+    names = ("severity", "code", "text", "place", "figure", "unit", "remedy")
+    return [_named(finding, *names) | {"limit": known(finding.limit)} for finding in ordered(findings)]
 
 
 def preflight_record(check: Check) -> dict[str, Any]:
     """Check of the preflight, as ``ebamcheck preflight --json`` tells it."""
-    return {
-        "name": check.name,
-        "level": check.level,
-        "text": check.text,
-        "figure": check.figure,
-        "limit": known(check.limit),
-        "unit": check.unit,
-        "remedy": check.remedy,
-        "stops": check.stops,
-    }
+    names = ("name", "level", "text", "figure", "unit", "remedy", "stops")
+    return _named(check, *names) | {"limit": known(check.limit)}
 
 
 def finding_of_record(record: Mapping[str, Any]) -> Check:

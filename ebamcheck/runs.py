@@ -19,8 +19,6 @@ from ebamcheck.settings.config import Config, load_config, validated
 from ebamcheck.settings.stages import for_this_machine
 from ebamcheck.showing import short_text
 
-REPORT = "report.html"
-
 
 class Run:
     """A finished run folder.
@@ -48,8 +46,6 @@ class Run:
         self.path = Path(path)
         self.record: dict[str, Any] = RunFolder(self.path).manifest()
         """``run.json``, of which everything else is a rendering."""
-
-    # -- what it came to -------------------------------------------------------------------------------
 
     @property
     def is_check(self) -> bool:
@@ -91,9 +87,7 @@ class Run:
     @property
     def report(self) -> Path:
         """``report.html``."""
-        return self._file(REPORT)
-
-    # -- what it made ----------------------------------------------------------------------------------
+        return self._file("report.html")
 
     @cached_property
     def config(self) -> Config:
@@ -108,9 +102,8 @@ class Run:
     def layers_of(self, slicer: str) -> Layers:
         """Layers of one slicer."""
         if slicer not in self.slicers:
-            raise InputError(
-                f"{self.path}: has no layers of {slicer!r}: it has {', '.join(self.slicers) or 'none'}"
-            )
+            known = ", ".join(self.slicers) or "none"
+            raise InputError(f"{self.path}: has no layers of {slicer!r}: it has {known}")
         return RunFolder(self.path).read_layers(slicer)
 
     @cached_property
@@ -149,24 +142,16 @@ class Run:
     def _file(self, name: str) -> Path:
         path = self.path / name
         if not path.is_file():
-            raise InputError(
-                f"{self.path}: has no {name}: the run did not come so far, or the file was removed"
-            )
+            why = "the run did not come so far, or the file was removed"
+            raise InputError(f"{self.path}: has no {name}: {why}")
         return path
-
-    # -- how it shows itself ---------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         shut = [gate.name for gate in self.gates if not gate.passed]
-        return short_text.line(
-            "Run",
-            str(self.record["part"]["name"]),
-            self.verdict,
-            f"{len(self.gates) - len(shut)} of {len(self.gates)} gates passed",
-            f"not {' and '.join(shut)}" if shut else "",
-            short_text.counted(len(self.findings), "finding"),
-            str(self.path),
-        )
+        gates = f"{len(self.gates) - len(shut)} of {len(self.gates)} gates passed"
+        not_passed, findings = f"not {' and '.join(shut)}" if shut else "", len(self.findings)
+        told = (self.verdict, gates, not_passed, short_text.counted(findings, "finding"), str(self.path))
+        return short_text.line("Run", str(self.record["part"]["name"]), *told)
 
     def _repr_html_(self) -> str:
         """Show verdict, gates and findings in a notebook."""
@@ -271,6 +256,5 @@ def _given(
             f"a run is of a part's file, whose hash stands in its certificate, not of a {type(part).__name__}: "
             "save it first: ebamcheck.save(part, 'part.stl')"
         )
-    file = Path(part)
     given = config if isinstance(config, Config) else load_config(config)
-    return file, Path(target) if target is not None else Path(f"{file.stem}.run"), for_this_machine(given)
+    return Path(part), Path(target or f"{Path(part).stem}.run"), for_this_machine(given)

@@ -11,6 +11,7 @@ from ebamcheck.curves import Curves
 from ebamcheck.errors import SettingsError
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
+from ebamcheck.mesh.stl import write_triangles
 from ebamcheck.scan.plan.columns import ScanPlan
 from ebamcheck.settings.config import Config
 
@@ -56,10 +57,8 @@ def save(value: Part | Layers | Curves | ScanPlan | Config, path: str | Path) ->
         if isinstance(value, kind):
             write = writers.get(path.suffix.lower())
             if write is None:
-                known = ", ".join(writers)
-                raise SettingsError(
-                    f"{path}: {kind.__name__} cannot be saved as {path.suffix!r}: use {known}"
-                )
+                told = f"{kind.__name__} cannot be saved as {path.suffix!r}: use {', '.join(writers)}"
+                raise SettingsError(f"{path}: {told}")
             write(value, path)
             return path
     known = ", ".join(kind.__name__ for kind in _writers())
@@ -73,32 +72,29 @@ def _writers() -> Mapping[type, Mapping[str, Writer]]:
     from ebamcheck.layers.contour_files import write_dxf, write_part, write_vtp
     from ebamcheck.layers.files import FORMATS
 
+    def toml(config: Config, path: Path) -> None:
+        from ebamcheck.settings.checking import as_toml
+
+        path.write_text(as_toml(config), encoding="utf-8")
+
     return {
-        Part: {".stl": _write_stl, ".vtp": write_part},
-        Layers: {suffix: form.write for suffix, form in FORMATS.items()},
+        Part: {".stl": _whole(lambda part, path: write_triangles(part.triangles, path)), ".vtp": write_part},
+        Layers: {suffix: write for suffix, (write, _) in FORMATS.items()},
         Curves: {
-            ".parquet": lambda curves, path: _replaced(curves.to_parquet, path),
+            ".parquet": _whole(Curves.to_parquet),
             ".vtp": lambda curves, path: write_vtp(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
             ".dxf": lambda curves, path: write_dxf(curves.sample_tolerance(CURVE_TOLERANCE_MM), path),
         },
-        ScanPlan: {".parquet": lambda plan, path: _replaced(plan.to_parquet, path)},
-        Config: {".toml": _write_toml},
+        ScanPlan: {".parquet": _whole(ScanPlan.to_parquet)},
+        Config: {".toml": _whole(toml)},
     }
 
 
-def _replaced(write: Callable[[Path], None], path: Path) -> None:
-    with replacing(path) as temporary:
-        write(temporary)
+def _whole(write: Writer) -> Writer:
+    """Writer of a file that appears whole or not at all."""
 
+    def written(value: Any, path: Path) -> None:
+        with replacing(path) as temporary:
+            write(value, temporary)
 
-def _write_stl(part: Part, path: Path) -> None:
-    from ebamcheck.mesh.stl import write_triangles
-
-    _replaced(lambda temporary: write_triangles(part.triangles, temporary), path)
-
-
-def _write_toml(config: Config, path: Path) -> None:
-    from ebamcheck.settings.checking import as_toml
-
-    with replacing(path) as temporary:
-        temporary.write_text(as_toml(config), encoding="utf-8")
+    return written

@@ -1,8 +1,4 @@
-"""Temporary folders and files that the next process clears away, should their owner have been killed.
-
-Whoever makes one holds a lock on it, which ends with the process however that ends. So what can be locked by somebody
-else has no owner any more; a process number alone would not tell, since numbers are given again.
-"""
+"""Temporary folders and files that the next process clears away, should their owner, who holds a lock on each, have been killed."""
 
 from __future__ import annotations
 
@@ -12,7 +8,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -40,32 +36,30 @@ def scratch_folder(prefix: str = PREFIX, parent: Path | None = None) -> Iterator
 
 def sweep_folders(prefix: str, where: Path) -> list[Path]:
     """Remove the scratch folders of a prefix whose owners are gone; returns them."""
-    gone = []
-    with contextlib.suppress(OSError), os.scandir(where) as entries:
-        names = [
-            e.path for e in entries if e.name.startswith(prefix + MARK) and e.is_dir(follow_symlinks=False)
-        ]
-        for folder in map(Path, names):
-            with _abandoned(folder) as abandoned:
-                if abandoned:
-                    shutil.rmtree(folder, ignore_errors=True)
-                    gone.append(folder)
-    return gone
+    return _gone(where, lambda e: e.name.startswith(prefix + MARK) and e.is_dir(follow_symlinks=False))
 
 
 def sweep_parts(where: Path) -> list[Path]:
     """Remove files in the making whose owners are gone, once for each folder in the life of a process; returns them."""
-    gone: list[Path] = []
     if where in _swept:
-        return gone
+        return []
     _swept.add(where)
+    return _gone(where, lambda e: bool(_PART.fullmatch(e.name)) and e.is_file(follow_symlinks=False))
+
+
+def _gone(where: Path, is_ours: Callable[[os.DirEntry[str]], bool]) -> list[Path]:
+    """Remove what lies in a folder and is ours, where its owner is gone."""
+    gone = []
     with contextlib.suppress(OSError), os.scandir(where) as entries:
-        names = [e.path for e in entries if _PART.fullmatch(e.name) and e.is_file(follow_symlinks=False)]
-        for file in map(Path, names):
-            with _abandoned(file) as abandoned:
-                if abandoned:
-                    file.unlink(missing_ok=True)
-                    gone.append(file)
+        for path in [Path(entry.path) for entry in entries if is_ours(entry)]:
+            with _abandoned(path) as abandoned:
+                if not abandoned:
+                    continue
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
+                    path.unlink(missing_ok=True)
+                gone.append(path)
     return gone
 
 

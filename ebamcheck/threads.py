@@ -7,19 +7,15 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ebamcheck.errors import SettingsError
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 _Scalar = TypeVar("_Scalar", bound="np.generic[Any]")
-
-ROWS_A_BLOCK = 2**18  # fewest rows worth a thread
 
 
 def thread_count() -> int:
@@ -34,13 +30,7 @@ def thread_count() -> int:
 def run_blocks(
     work: Callable[[int, int], _Result], count: int, smallest: int = 1, a_thread: int = 4
 ) -> list[_Result]:
-    """Run ``work(start, stop)`` over consecutive blocks that cover ``range(count)``, on all threads.
-
-    There are `a_thread` blocks for each, of `smallest` items at least: the more, the less the threads wait for the last one.
-
-    Results come back in the order of the blocks, so that they do not depend on the number of threads
-    as long as a block's result does not depend on where its borders lie.
-    """
+    """Run ``work(start, stop)`` over blocks that cover ``range(count)``, `a_thread` for each thread, of `smallest` items at least; results in order."""
     return list(run_in_order(work, block_edges(count, smallest, a_thread)))
 
 
@@ -52,10 +42,7 @@ def run_each(work: Callable[[_Item], _Result], items: Iterable[_Item]) -> list[_
 
 
 def block_edges(count: int, smallest: int = 1, a_thread: int = 4, largest: int | None = None) -> list[int]:
-    """Edges of consecutive blocks that cover ``range(count)``: `a_thread` for each thread, of `smallest` items at least.
-
-    There are more blocks where one would have over `largest` items.
-    """
+    """Edges of consecutive blocks that cover ``range(count)``: `a_thread` for each thread, of `smallest` to `largest` items."""
     blocks = max(1, min(thread_count() * a_thread, count // max(smallest, 1)))
     if largest is not None:
         blocks = max(blocks, -(-count // largest))
@@ -92,22 +79,3 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_pool.cache_clear)
-
-
-def joined(columns: Sequence[NDArray[_Scalar]]) -> NDArray[_Scalar]:
-    """Join columns (n, ...) of one kind end to end, as ``np.concatenate`` does, on all threads.
-
-    >>> joined([np.array([1, 2]), np.array([3])])
-    array([1, 2, 3])
-    """
-    starts = np.cumsum([0, *(len(column) for column in columns)])
-    out = np.empty((int(starts[-1]), *columns[0].shape[1:]), columns[0].dtype)
-
-    def copy(start: int, stop: int) -> None:
-        for column, (first, past) in zip(columns, pairwise(starts.tolist()), strict=True):
-            low, high = max(start, first), min(stop, past)
-            if low < high:
-                out[low:high] = column[low - first : high - first]
-
-    run_blocks(copy, len(out), ROWS_A_BLOCK)
-    return out

@@ -25,7 +25,7 @@ from ebamcheck.commands.main import app
 from ebamcheck.errors import ExitCode
 from ebamcheck.mesh.part_source import PlateEntry
 from ebamcheck.plugins import registry
-from ebamcheck.settings.checking import explanations
+from ebamcheck.settings.base import explanations
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MATERIALS
 

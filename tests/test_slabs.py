@@ -319,7 +319,7 @@ def test_files_that_are_none_are_refused_in_one_line_and_nothing_is_made(tmp_pat
         "long.stl": (whole + bytes(range(1, 101)), "bytes follow the last one"),
         "nan.stl": (whole[:146] + np.float32(np.nan).tobytes() + whole[150:], "facet 1, vertex 0, x is nan"),
         "none.stl": (bytes(84), "holds no facet"),
-        "small.stl": (b"abc", "under the 84 of its header"),
+        "small.stl": (b"abc", "under the 84 of a binary header"),
         "ascii.stl": (b"solid a\nfacet normal 0 0 1\n outer loop\n" + b" " * 80, "is an ASCII STL"),
         "gone.stl": (None, "there is no such file"),
         "zip.stl": (b"PK\x03\x04" + bytes(200), "is a zip archive"),

@@ -12,7 +12,7 @@ import numpy as np
 from ebamcheck.backend import Progress
 from ebamcheck.errors import BackendFailed
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.layers.stack import Layers, canonical, stacked
+from ebamcheck.layers.stack import Layers, canonical, concatenate
 from ebamcheck.mesh.part import Part
 from ebamcheck.threads import run_in_order, thread_count
 from ebamcheck_embree.contours import RayColumns, rings_of_layer
@@ -83,7 +83,7 @@ class InPlaneRays:
                 "(most at z = %.6g mm: %d); they were mended from their neighbours",
                 self.part.name, np.count_nonzero(unpaired), len(unpaired), heights[worst], unpaired[worst],
             )  # fmt: skip
-        return stacked(iter(blocks))
+        return concatenate(blocks)
 
     def _pieces(self, z_mm: Floats) -> list[int]:
         """Edges of pieces within slabs, as the rays of one call of Embree and the memory for sections allow."""

@@ -53,9 +53,7 @@ def config_command(
     if merge is not None:
         return _merged(merge)
     if schema:
-        from ebamcheck.settings.checking import explained_schema
-
-        print_json(explained_schema(Config))
+        print_json(Config.model_json_schema())
         return ExitCode.PASS
     config = settings_of(config_file, "", "", None)
     if output is None:

@@ -78,10 +78,7 @@ def ring_forms(points: Floats, ring_starts: Ints, closed: Bools, start: int, sto
 
 
 def ring_order(points: Floats, layer_starts: Ints, forms: Ints) -> tuple[Ints, Ints]:
-    """Rings that are kept, by layer and in their order in it (R',), and the first of each layer (L + 1,).
-
-    In a layer rings stand by their first point, then by the next one, then by size.
-    """
+    """Rings that are kept, by layer, first point, next point and size (R',), and the first of each layer (L + 1,)."""
     layer = np.repeat(np.arange(layer_starts.size - 1), np.diff(layer_starts))
     kept = np.flatnonzero(forms[:, 0] != DROPPED)
     first, after = points[forms[kept, 0]], points[forms[kept, 2]]

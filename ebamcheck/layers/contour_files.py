@@ -1,24 +1,10 @@
-"""Contours in files of points that other programs read: CSV, DXF of release 12, VTK PolyData, and 3MF slices.
-
-**CSV** has the columns ``layer`` (from 1), ``height_mm``, ``ring`` (from 0 in each layer), ``closed`` (0 or 1), ``x_mm`` and
-``y_mm``; a layer without a contour has one row, whose last four fields are empty. Numbers have the shortest digits that read back to
-the same bits. Outer rings run counter-clockwise, holes clockwise.
-
-**DXF** has one polyline a ring at its height, and one DXF layer a layer. Outer rings, holes and open paths have the colours 5 (blue),
-1 (red) and 6 (magenta). The units of the drawing are millimetres; release 12 itself has no word for that. Heights stand in comments
-as well, so that layers without a contour are read back.
-
-**VTK** (``.vtp``), which ParaView and pyvista read, has facets of a part or contours of a stack. Numbers stand appended in base64 with
-a header of 64 bits, so that the file is XML throughout (VTK file formats, 'XML File Formats').
-
-**3MF** has a slice stack (3MF Slice Extension 1.0), through lib3mf. A slice stands for the metal up to its ``ztop``: half way from one cut
-to the next, and as far over the last one. What is read was cut half way up each slice. Coordinates are 32-bit numbers.
-"""
+"""Contours in files of points that other programs read: CSV, DXF of release 12, VTK PolyData, and 3MF slices."""
 
 from __future__ import annotations
 
 import base64
 import contextlib
+import itertools
 import locale
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -32,18 +18,14 @@ import pyarrow.csv as pc
 from numpy.typing import NDArray
 
 from ebamcheck.atomic_file import replacing
+from ebamcheck.columns_file import starts_of
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.kernels import Floats, Ints
-from ebamcheck.layers.stack import Layers, canonical, from_rings
+from ebamcheck.layers.stack import Layers, canonical, from_paths
 from ebamcheck.mesh.part import Part
 
-TYPES = {
-    "layer": pa.int64(),
-    "height_mm": pa.float64(),
-    "ring": pa.int64(),
-    "closed": pa.int64(),
-    "x_mm": pa.float64(),
-    "y_mm": pa.float64(),
+TYPES = {name: pa.int64() for name in ("layer", "ring", "closed")} | {
+    name: pa.float64() for name in ("height_mm", "x_mm", "y_mm")
 }
 
 
@@ -52,17 +34,13 @@ def stack_of_rings(
 ) -> Layers:
     """Stack of the rings of a file, in any order: layer, number of points and whether closed (R,) of each, and all their points (N, 2), mm."""
     order = np.argsort(ring_layer, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(sizes)])
-    rows = np.concatenate(
-        [np.arange(starts[r], starts[r + 1]) for r in order.tolist()] or [np.zeros(0, np.int64)]
-    )
-    layer_starts = np.concatenate([[0], np.cumsum(np.bincount(ring_layer, minlength=len(heights)))])
-    ring_starts = np.concatenate([[0], np.cumsum(sizes[order])])
-    return canonical(heights, points[rows], ring_starts, layer_starts, closed[order])
+    rows = np.argsort(np.repeat(ring_layer, sizes), kind="stable")
+    layer_starts = starts_of(np.bincount(ring_layer, minlength=len(heights)))
+    return canonical(heights, points[rows], starts_of(sizes[order]), layer_starts, closed[order])
 
 
 def write_csv(layers: Layers, path: str | Path) -> None:
-    """Write the contours as CSV."""
+    """Write the contours as CSV, with the shortest digits that read back to the same bits; a layer without any has one row, without a ring."""
     sizes, layer = np.diff(layers.ring_starts), layers.ring_layer
     empty = np.flatnonzero(np.diff(layers.layer_starts) == 0)
     where = np.concatenate([np.repeat(layer, sizes), empty])
@@ -83,16 +61,9 @@ def write_csv(layers: Layers, path: str | Path) -> None:
 
 def read_csv(path: str | Path) -> Layers:
     """Read contours from CSV."""
-    try:
-        table = pc.read_csv(
-            path, convert_options=pc.ConvertOptions(column_types=TYPES, include_columns=list(TYPES))
-        )
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (pa.ArrowInvalid, pa.ArrowKeyError) as error:
-        raise InputError(
-            f"{path}: is no table of contours with the columns {', '.join(TYPES)}: {error}"
-        ) from None
+    options = pc.ConvertOptions(column_types=TYPES, include_columns=list(TYPES))
+    with _read_as(path, f"table of contours with the columns {', '.join(TYPES)}"):
+        table = pc.read_csv(path, convert_options=options)
     held = {name: table[name].to_numpy() for name in ("layer", "height_mm")}
     layer, first = np.unique(held["layer"], return_index=True)
     if not np.array_equal(layer, np.arange(1, len(layer) + 1)):
@@ -114,6 +85,17 @@ def read_csv(path: str | Path) -> Layers:
     return stack_of_rings(heights, of_layer[begins] - 1, sizes, closed[begins] != 0, points)
 
 
+@contextlib.contextmanager
+def _read_as(path: str | Path, what: str) -> Iterator[None]:
+    """Tell what a file should be where it cannot be read as that."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (pa.ArrowInvalid, ElementTree.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{path}: is no {what}: {error}") from None
+
+
 OUTER, HOLE, OPEN = 5, 1, 6  # colours of the AutoCAD colour index
 
 DECIMALS = 6  # a nanometre: far under what is compared
@@ -127,19 +109,16 @@ VERTEX = f"0\nVERTEX\n8\n%s\n10\n%.{DECIMALS}f\n20\n%.{DECIMALS}f\n30\n%.{DECIMA
 
 
 def write_dxf(layers: Layers, path: str | Path) -> None:
-    """Write the contours; the DXF layer of layer 7 is ``LAYER_0007``."""
+    """Write a polyline a ring, mm; layer 7 is ``LAYER_0007``. Heights stand in comments, too, for layers without a contour."""
     names = [f"LAYER_{k:04d}" for k in range(1, len(layers) + 1)]
     with replacing(path) as temporary, temporary.open("w", encoding="ascii", newline="\r\n") as file:
         file.write("".join(f"999\n{HEIGHT} {height:.{DECIMALS}f}\n" for height in layers.heights.tolist()))
-        file.write(HEAD + _table(names) + "0\nSECTION\n2\nENTITIES\n")
+        rows = "".join(f"0\nLAYER\n2\n{name}\n70\n0\n62\n7\n6\nCONTINUOUS\n" for name in names)
+        table = f"0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nLAYER\n70\n{len(names)}\n{rows}0\nENDTAB\n0\nENDSEC\n"
+        file.write(HEAD + table + "0\nSECTION\n2\nENTITIES\n")
         for ring, layer in enumerate(layers.ring_layer.tolist()):
             file.write(_polyline(layers, ring, names[layer], float(layers.heights[layer])))
         file.write("0\nENDSEC\n0\nEOF\n")
-
-
-def _table(names: list[str]) -> str:
-    rows = "".join(f"0\nLAYER\n2\n{name}\n70\n0\n62\n7\n6\nCONTINUOUS\n" for name in names)
-    return f"0\nSECTION\n2\nTABLES\n0\nTABLE\n2\nLAYER\n70\n{len(names)}\n{rows}0\nENDTAB\n0\nENDSEC\n"
 
 
 def _polyline(layers: Layers, ring: int, name: str, height_mm: float) -> str:
@@ -158,17 +137,12 @@ def _polyline(layers: Layers, ring: int, name: str, height_mm: float) -> str:
 
 def read_dxf(path: str | Path) -> Layers:
     """Read polylines of a text DXF (POLYLINE and LWPOLYLINE) as the contours of the layers at their heights."""
-    try:
+    with _read_as(path, "text DXF with contours at heights"):
         lines = Path(path).read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    try:
         codes, texts = np.array(lines[::2], np.int64), np.char.strip(np.array(lines[1::2], np.str_))
         if len(codes) != len(texts) or not len(codes) or (codes[-1], texts[-1]) != (0, "EOF"):
             raise ValueError("it does not end with EOF")
         return _stack_of_groups(codes, texts)
-    except ValueError as error:
-        raise InputError(f"{path}: is no text DXF with contours at heights: {error}") from None
 
 
 def _stack_of_groups(codes: Ints, texts: NDArray[np.str_]) -> Layers:
@@ -203,9 +177,7 @@ def _stack_of_groups(codes: Ints, texts: NDArray[np.str_]) -> Layers:
 
 
 VTK_TYPES = {"<f8": "Float64", "<i8": "Int64", "<i4": "Int32", "|u1": "UInt8"}
-
-READABLE = {
-    **{name: dtype for dtype, name in VTK_TYPES.items()},
+READABLE = {name: dtype for dtype, name in VTK_TYPES.items()} | {
     "Float32": "<f4",
     "UInt32": "<u4",
     "UInt64": "<u8",
@@ -221,7 +193,7 @@ def write_part(part: Part, path: str | Path) -> None:
 
 
 def write_vtp(layers: Layers, path: str | Path) -> None:
-    """Write every contour as a polyline at its height, with ``layer`` (from 1), ``area_mm2`` and ``closed`` of each."""
+    """Write every contour as a polyline at its height, appended in base64 so that the file is XML throughout, with ``layer`` (from 1), ``area_mm2`` and ``closed`` of each."""
     sizes = np.diff(layers.ring_starts)
     heights = np.repeat(layers.heights[layers.ring_layer], sizes)
     # A closed line ends at the point where it starts.
@@ -232,23 +204,13 @@ def write_vtp(layers: Layers, path: str | Path) -> None:
         "area_mm2": layers.ring_areas,
         "closed": layers.closed.astype("u1"),
     }
-    _write_polydata(
-        path,
-        np.column_stack([layers.points, heights]),
-        "Lines",
-        (rows, np.cumsum(sizes + layers.closed)),
-        figures,
-        {"height_mm": heights},
-        layers.heights,
-    )
+    points, cells = np.column_stack([layers.points, heights]), (rows, np.cumsum(sizes + layers.closed))
+    _write_polydata(path, points, "Lines", cells, figures, {"height_mm": heights}, layers.heights)
 
 
 def read_vtp(path: str | Path) -> Layers:
-    """Read the polylines of a file as the contours of the layers at their heights.
-
-    Arrays may stand as text or in base64, appended or in place, without compression. A line that ends where it starts is closed.
-    """
-    try:
+    """Read polylines at heights, from arrays as text or base64, appended or in place, without compression; a line that ends where it starts is closed."""
+    with _read_as(path, "VTK PolyData with contours at heights"):
         root = ElementTree.parse(path).getroot()
         if root.get("compressor") or root.get("type") != "PolyData":
             raise ValueError("it is compressed, or no PolyData: save it as PolyData without compression")
@@ -258,13 +220,8 @@ def read_vtp(path: str | Path) -> Layers:
             for name in ("connectivity", "offsets")
         )
         said = root.find(".//FieldData/DataArray[@Name='height_mm']")
-        return _stack_of_lines(
-            points[rows], np.diff(ends, prepend=0), np.zeros(0) if said is None else _values(root, said)
-        )
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except (ElementTree.ParseError, ValueError, IndexError, LookupError) as error:
-        raise InputError(f"{path}: is no VTK PolyData with contours at heights: {error}") from None
+        besides = np.zeros(0) if said is None else _values(root, said)
+        return _stack_of_lines(points[rows], np.diff(ends, prepend=0), besides)
 
 
 def _stack_of_lines(points: NDArray[np.float64], sizes: Ints, said: NDArray[np.float64]) -> Layers:
@@ -329,32 +286,30 @@ def _write_polydata(
             f'format="appended" offset="{offset}"/>'
         )
 
-    counts = " ".join(
-        f'NumberOf{name}="{len(cells[1]) if name == kind else 0}"'
-        for name in ("Verts", "Lines", "Strips", "Polys")
-    )
-    connectivity, offsets = (np.asarray(column, np.int64) for column in cells)
+    def section(tag: str, *arrays: str) -> list[str]:
+        return [f"<{tag}>", *arrays, f"</{tag}>"]
+
+    numbers = {name: len(cells[1]) if name == kind else 0 for name in ("Verts", "Lines", "Strips", "Polys")}
+    counts = " ".join(f'NumberOf{name}="{number}"' for name, number in numbers.items())
+    of_stack = {} if heights is None else {"height_mm": heights}
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="PolyData" version="1.0" byte_order="LittleEndian" header_type="UInt64">',
         "<PolyData>",
-        "<FieldData>",
-        *([] if heights is None else [array("height_mm", heights, more=f' NumberOfTuples="{len(heights)}"')]),
-        "</FieldData>",
+        *section(
+            "FieldData", *(array(n, c, more=f' NumberOfTuples="{len(c)}"') for n, c in of_stack.items())
+        ),
         f'<Piece NumberOfPoints="{len(points)}" {counts}>',
-        "<PointData>",
-        *(array(name, column) for name, column in (point_data or {}).items()),
-        "</PointData>",
-        "<CellData>",
-        *(array(name, column) for name, column in cell_data.items()),
-        "</CellData>",
-        "<Points>",
-        array("Points", points, 3),
-        "</Points>",
-        f"<{kind}>",
-        array("connectivity", connectivity),
-        array("offsets", offsets),
-        f"</{kind}>",
+        *section("PointData", *(array(name, column) for name, column in (point_data or {}).items())),
+        *section("CellData", *(array(name, column) for name, column in cell_data.items())),
+        *section("Points", array("Points", points, 3)),
+        *section(
+            kind,
+            *(
+                array(n, np.asarray(c, np.int64))
+                for n, c in zip(("connectivity", "offsets"), cells, strict=True)
+            ),
+        ),
         "</Piece>",
         "</PolyData>",
         '<AppendedData encoding="base64">',
@@ -380,29 +335,35 @@ def keeping_locale() -> Iterator[None]:
 
 
 def write_3mf(layers: Layers, path: str | Path) -> None:
-    """Write the closed contours as slices; an empty stack, heights that do not rise and open paths are refused.
-
-    The object has the facets of the part where the layers were cut from one in this process; else a box around the layers stands
-    for it, and the file says that its mesh is a rough one.
-    """
+    """Write closed contours as slices (3MF Slice Extension 1.0), in 32-bit numbers, with the mesh of the part, or a box that is told to be rough."""
     import lib3mf
 
     bottom, tops = slice_heights(layers)
-    open_paths = int(np.count_nonzero(~layers.closed))
-    if open_paths:
+    if open_paths := int(np.count_nonzero(~layers.closed)):
         raise SettingsError(f"{path}: 3MF holds closed contours only: the stack has {open_paths} open paths")
     wrapper = lib3mf.get_wrapper()
     model = wrapper.CreateModel()
     model.SetUnit(lib3mf.ModelUnit.MilliMeter)
     stack = model.AddSliceStack(bottom)
     for layer, top in enumerate(tops.tolist()):
-        _add_slice(lib3mf, stack.AddSlice(top), layers, layer)
+        made, of = stack.AddSlice(top), layers.rings_of(layer)
+        if not len(of):
+            continue
+        starts = layers.ring_starts[of.start : of.stop + 1].tolist()
+        points = np.ascontiguousarray(layers.points[starts[0] : starts[-1]], np.float32)
+        made.SetVertices([lib3mf.Position2D.from_buffer_copy(row) for row in points])
+        for a, b in itertools.pairwise(starts):
+            made.AddPolygon([*range(a - starts[0], b - starts[0]), a - starts[0]])
     body = model.AddMeshObject()
-    _set_mesh(lib3mf, body, layers, bottom, float(tops[-1]))
+    mesh = layers.mesh
+    vertices, faces = (mesh.vertices, mesh.faces) if mesh else _box(layers, bottom, float(tops[-1]))
+    body.SetGeometry(
+        [lib3mf.Position.from_buffer_copy(row) for row in np.ascontiguousarray(vertices, np.float32)],
+        [lib3mf.Triangle.from_buffer_copy(row) for row in np.ascontiguousarray(faces, np.uint32)],
+    )
     body.AssignSliceStack(stack)
-    rough = layers.mesh is None
     resolution = lib3mf.SlicesMeshResolution
-    body.SetSlicesMeshResolution(resolution.Lowres if rough else resolution.Fullres)
+    body.SetSlicesMeshResolution(resolution.Lowres if layers.mesh is None else resolution.Fullres)
     model.AddBuildItem(body, wrapper.GetIdentityTransform())
     writer = model.QueryWriter("3mf")
     with replacing(path) as temporary, keeping_locale():
@@ -413,10 +374,8 @@ def read_3mf(path: str | Path) -> Layers:
     """Read the one stack of slices in a file."""
     import lib3mf
 
-    try:
+    with _read_as(path, "3MF"):
         data = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     try:
         with keeping_locale():
             model = lib3mf.get_wrapper().CreateModel()
@@ -433,11 +392,8 @@ def read_3mf(path: str | Path) -> Layers:
             rings = [_rings(one) for one in slices]
     except lib3mf.ELib3MFException as error:
         raise InputError(f"{path}: is no 3MF that can be read: {error}") from None
-    closed = [
-        [ring[:-1] * scale for ring in layer if ring[0].tolist() == ring[-1].tolist()] for layer in rings
-    ]
-    open_ = [[ring * scale for ring in layer if ring[0].tolist() != ring[-1].tolist()] for layer in rings]
-    return from_rings(0.5 * (tops[1:] + tops[:-1]) * scale, closed, open_)
+    layers = [[(ring * scale, ring[0].tolist() == ring[-1].tolist()) for ring in layer] for layer in rings]
+    return from_paths(0.5 * (tops[1:] + tops[:-1]) * scale, layers)
 
 
 def _rings(one: Any) -> list[Floats]:
@@ -456,29 +412,6 @@ def slice_heights(layers: Layers) -> tuple[float, Floats]:
         )
     borders = cuts[:-1] + 0.5 * steps
     return float(cuts[0] - 0.5 * steps[0]), np.append(borders, cuts[-1] + 0.5 * steps[-1])
-
-
-def _add_slice(lib3mf: Any, made: Any, layers: Layers, layer: int) -> None:
-    of = layers.rings_of(layer)
-    if not len(of):
-        return
-    first, last = int(layers.ring_starts[of.start]), int(layers.ring_starts[of.stop])
-    points = np.ascontiguousarray(layers.points[first:last], np.float32)
-    made.SetVertices([lib3mf.Position2D.from_buffer_copy(row) for row in points])
-    for ring in of:
-        a, b = (int(layers.ring_starts[r]) - first for r in (ring, ring + 1))
-        made.AddPolygon([*range(a, b), a])
-
-
-def _set_mesh(lib3mf: Any, body: Any, layers: Layers, bottom: float, top: float) -> None:
-    mesh = layers.mesh
-    vertices, faces = _box(layers, bottom, top) if mesh is None else (mesh.vertices, mesh.faces)
-    corners = np.ascontiguousarray(vertices, np.float32)
-    rows = np.ascontiguousarray(faces, np.uint32)
-    body.SetGeometry(
-        [lib3mf.Position.from_buffer_copy(row) for row in corners],
-        [lib3mf.Triangle.from_buffer_copy(row) for row in rows],
-    )
 
 
 def _box(layers: Layers, bottom: float, top: float) -> tuple[Floats, NDArray[np.int32]]:

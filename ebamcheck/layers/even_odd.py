@@ -13,16 +13,13 @@ INSIDE_RULE = "odd"  # inside rule that such a slicer declares
 
 
 def directed_by_nesting(layers: Layers, tolerance_mm: float, name: str) -> Layers:
-    """Orient rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards; open paths stay.
-
-    Rings that cross by more than a tolerance are refused: then shells overlap, and nothing shows what is solid.
-    """
-    refuse_crossing(layers, tolerance_mm, name)
+    """Orient rings by nesting, and refuse those that cross by more than a tolerance: nothing shows what is solid where shells overlap."""
+    _refuse_crossing(layers, tolerance_mm, name)
     return oriented_by_nesting(layers)
 
 
 def oriented_by_nesting(layers: Layers) -> Layers:
-    """Orient rings as :func:`directed_by_nesting` does, whether or not any of them cross."""
+    """Orient rings so that outer ones run counter-clockwise, those within them clockwise, and so on inwards; open paths stay."""
     odd = np.zeros(layers.closed.size, np.bool_)
     above = layers.parents.copy()
     while (above >= 0).any():
@@ -39,7 +36,7 @@ def oriented_by_nesting(layers: Layers) -> Layers:
     return canonical(layers.heights, points, layers.ring_starts, layers.layer_starts, layers.closed, **labels)
 
 
-def refuse_crossing(layers: Layers, tolerance_mm: float, name: str) -> None:
+def _refuse_crossing(layers: Layers, tolerance_mm: float, name: str) -> None:
     """Raise :class:`BackendFailed` if rings of a layer cross by more than a tolerance."""
     first, second = _near_pairs(layers)
     if not first.size:

@@ -1,24 +1,4 @@
-"""Layers in files: a format for each suffix, and Parquet written and read in blocks of layers.
-
-A Parquet file has one row per layer, and one row group per block of layers that was written at once. A stack that does not fit
-in memory is written and read block by block. The columns:
-
-====================  ======================  ======================================================
-column                type                    meaning
-====================  ======================  ======================================================
-``height_mm``         double                  absolute z of the layer
-``dropped``           int64                   rings without area that were left out
-``x``, ``y``          list<list<double>>      points of each ring, mm
-``closed``            list<bool>              false for an open path
-``edge_low``          list<list<int32>>       lower mesh vertex of the edge cut at each point (optional)
-``edge_high``         list<list<int32>>       upper mesh vertex (optional)
-``edge_t``            list<list<double>>      place of the point on that edge (optional)
-====================  ======================  ======================================================
-
-The schema's metadata hold ``ebamcheck.layers.version`` and ``ebamcheck.layers.labels`` (JSON: part,
-direction, backend, settings). Rings are in the canonical form of :class:`~ebamcheck.layers.stack.Layers`;
-numbers are restored bit for bit.
-"""
+"""Layers in files: a format for each suffix, and Parquet, one row a layer, written and read in blocks of layers, every number bit for bit."""
 
 from __future__ import annotations
 
@@ -30,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -50,34 +30,24 @@ from ebamcheck.columns_file import (
     starts_of,
 )
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
-from ebamcheck.kernels import Ints
 from ebamcheck.layers import contour_files, svg
 from ebamcheck.layers.common_layer_interface import read_cli, write_cli
 from ebamcheck.layers.stack import Layers, concatenate
-from ebamcheck.threads import run_blocks
+
+Writer = Callable[[Layers, str | Path], None]
+Reader = Callable[[str | Path], Layers]
 
 VERSION = "1"  # version of the table; a reader refuses any other
-
 LABELS = ("part", "direction", "backend", "settings")
-
 # Arrow's lists count their items in 32 bits; a longer stack is written as several blocks
 LARGEST_LIST = 2**31 - 1
-
-SMALLEST_BLOCK = 65536  # fewest points worth a thread that copies them
 
 _NUMBERS = pa.list_(pa.list_(pa.float64()))
 _VERTICES = pa.list_(pa.list_(pa.int32()))
 _POINTS = {"x": _NUMBERS, "y": _NUMBERS}
 _EDGES = {"edge_low": _VERTICES, "edge_high": _VERTICES, "edge_t": _NUMBERS}
-_KINDS = {
-    "height_mm": pa.float64(),
-    "dropped": pa.int64(),
-    **_POINTS,
-    "closed": pa.list_(pa.bool_()),
-    **_EDGES,
-}
-# Columns that every table of contours must have
-CONTOUR_COLUMNS = [name for name in _KINDS if name not in _EDGES]
+_PLAIN = {"height_mm": pa.float64(), "dropped": pa.int64(), "closed": pa.list_(pa.bool_())}
+_KINDS = _PLAIN | _POINTS | _EDGES
 
 
 def to_arrow(layers: Layers) -> pa.RecordBatch:
@@ -88,7 +58,7 @@ def to_arrow(layers: Layers) -> pa.RecordBatch:
             "write the stack in blocks of layers"
         )
     nested = (layers.layer_starts, layers.ring_starts)
-    x, y = _apart(layers.points)
+    x, y = np.ascontiguousarray(layers.points.T)
     columns: dict[str, Column] = {
         "height_mm": (layers.heights,),
         "dropped": (layers.dropped,),
@@ -97,19 +67,16 @@ def to_arrow(layers: Layers) -> pa.RecordBatch:
         "closed": (layers.closed, layers.layer_starts),
     }
     if layers.edge is not None and layers.edge_t is not None:
-        low, high = _apart(layers.edge)
-        columns |= {
-            "edge_low": (low, *nested),
-            "edge_high": (high, *nested),
-            "edge_t": (layers.edge_t, *nested),
-        }
+        low, high = np.ascontiguousarray(layers.edge.T)
+        edges = {"edge_low": low, "edge_high": high, "edge_t": layers.edge_t}
+        columns |= {name: (values, *nested) for name, values in edges.items()}
     metadata = labelled(layers, "layers", VERSION, LABELS)
     return pa.record_batch(arrow_columns(columns, _KINDS)).replace_schema_metadata(metadata)
 
 
 def from_arrow(batch: pa.RecordBatch | pa.Table, where: str = "record batch") -> Layers:
     """Layers from a record batch, which may be a slice of a longer one, or a table; `where` is the source's name for messages."""
-    labels = layer_labels(batch.schema, where)
+    labels = labels_of(batch.schema, "layers", VERSION, LABELS, where)
     table = ReadTable(batch, where)
     with_edges = any(name in batch.schema.names for name in _EDGES)
     columns, (layer_starts, ring_starts) = table.alike(
@@ -121,7 +88,7 @@ def from_arrow(batch: pa.RecordBatch | pa.Table, where: str = "record batch") ->
     closed, (starts,) = table.nested("closed", _KINDS["closed"])
     if not np.array_equal(starts, layer_starts):
         raise InputError(f"{where}: column 'closed' does not have one entry for each ring of 'x'")
-    heights = heights_of(batch, where)
+    heights = table.plain("height_mm", _KINDS["height_mm"])
     _check_finite(heights, points, where)
     return Layers(
         heights=heights,
@@ -136,68 +103,37 @@ def from_arrow(batch: pa.RecordBatch | pa.Table, where: str = "record batch") ->
     )
 
 
-def heights_of(batch: pa.RecordBatch | pa.Table, where: str) -> NDArray[np.float64]:
-    """Heights of the layers alone, (L,) mm; raises :class:`InputError` where they are missing or of another type."""
-    return ReadTable(batch, where).plain("height_mm", _KINDS["height_mm"])
-
-
-def layer_labels(schema: pa.Schema, where: str) -> dict[str, Any]:
-    """Labels in a schema's metadata; raises :class:`InputError` if their version is not :data:`VERSION`."""
-    return labels_of(schema, "layers", VERSION, LABELS, where)
-
-
-def _apart(pairs: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The two columns of (N, 2) `pairs`, (N,) each, copied in parallel."""
-    first, second = np.empty(len(pairs), pairs.dtype), np.empty(len(pairs), pairs.dtype)
-
-    def copy(start: int, stop: int) -> None:
-        first[start:stop] = pairs[start:stop, 0]
-        second[start:stop] = pairs[start:stop, 1]
-
-    run_blocks(copy, len(pairs), SMALLEST_BLOCK)
-    return first, second
-
-
 def _check_finite(heights: NDArray[np.float64], points: NDArray[np.float64], where: str) -> None:
-    if not np.isfinite(heights).all():
-        layer = int(np.flatnonzero(~np.isfinite(heights))[0])
-        raise InputError(f"{where}: height of layer {layer + 1} is {heights[layer]}: it must be finite")
-    if not np.isfinite(points).all():
-        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(f"{where}: point {row} is {points[row].tolist()}: coordinates must be finite")
-
-
-# -- by suffix -------------------------------------------------------------------------------------
+    layers, rows = np.flatnonzero(~np.isfinite(heights)), np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if layers.size:
+        k = int(layers[0])
+        raise InputError(f"{where}: height of layer {k + 1} is {heights[k]}: it must be finite")
+    if rows.size:
+        told = f"point {rows[0]} is {points[rows[0]].tolist()}: coordinates must be finite"
+        raise InputError(f"{where}: {told}")
 
 
 def write_layers(layers: Layers, path: str | Path) -> None:
     """Write layers in the format that the suffix names, one of :data:`FORMATS`."""
-    format_of(path).write(layers, path)
+    write, _ = format_of(path)
+    write(layers, path)
 
 
 def read_layers(path: str | Path) -> Layers:
-    """Read layers in the format that the suffix names, one of :data:`FORMATS`.
-
-    Parquet has the stack bit for bit; the other formats have its contours and heights, in the precision that the format's module
-    states.
-    """
-    layers = format_of(path).read(path)
-    if not (np.isfinite(layers.points).all() and np.isfinite(layers.heights).all()):
-        raise InputError(f"{path}: a coordinate or a height is not finite")
+    """Read layers in the format that the suffix names, one of :data:`FORMATS`; Parquet alone has the stack bit for bit."""
+    _, read = format_of(path)
+    layers = read(path)
+    _check_finite(layers.heights, layers.points, str(path))
     return layers
 
 
-def format_of(path: str | Path) -> LayerFormat:
+def format_of(path: str | Path) -> tuple[Writer, Reader]:
     """Format that the suffix of a file names."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
-        raise SettingsError(
-            f"{path}: no format of layers has the suffix {suffix!r}: use {', '.join(FORMATS)}"
-        )
+        known = ", ".join(FORMATS)
+        raise SettingsError(f"{path}: no format of layers has the suffix {suffix!r}: use {known}")
     return FORMATS[suffix]
-
-
-# -- Parquet ---------------------------------------------------------------------------------------
 
 
 def write_parquet(layers: Layers, path: str | Path) -> None:
@@ -206,11 +142,7 @@ def write_parquet(layers: Layers, path: str | Path) -> None:
 
 
 def write_blocks(blocks: Iterable[Layers], path: str | Path) -> int:
-    """Write consecutive blocks of one stack to a Parquet file, which appears when the last is written; returns the number of layers.
-
-    All are of one slicer, and all with cut edges or all without. While one is made, another thread writes the previous one, so two
-    are in memory at a time.
-    """
+    """Write blocks of one stack to a Parquet file, one while the next is made, which appears when the last is written; returns the number of layers."""
     count = 0
     with replacing(path) as temporary, ExitStack() as opened:
         file: pq.ParquetWriter | None = None
@@ -244,38 +176,27 @@ def read_parquet(path: str | Path) -> Layers:
 
 
 class LayerFile:
-    """A stack of layers in a Parquet file, held open until :meth:`close`; only the requested blocks are read.
-
-    Without `edges` the contours alone are read, half the work. Every method raises :class:`InputError` for damaged pages.
-    """
+    """A stack in a Parquet file, held open, of which blocks are read, without `edges` the contours alone; :class:`InputError` for damaged pages."""
 
     def __init__(self, path: str | Path, edges: bool = True) -> None:
         self.path = Path(path)
-        self._columns = None if edges else CONTOUR_COLUMNS
+        self._columns = None if edges else [*_PLAIN, *_POINTS]
         with readable(self.path):
             self._file = open_table(self.path)
-        self._labels = layer_labels(self._file.schema_arrow, str(self.path))
+        self._labels = labels_of(self._file.schema_arrow, "layers", VERSION, LABELS, str(self.path))
         groups = self._file.metadata
         sizes = [groups.row_group(i).num_rows for i in range(groups.num_row_groups)]
-        self._starts = starts_of(np.array(sizes, np.int64))
+        # First layer of each block that was written at once, and the number of layers.
+        self.borders = starts_of(np.array(sizes, np.int64))
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the file."""
         self._file.close()
 
     def __len__(self) -> int:
-        return int(self._starts[-1])
-
-    @property
-    def borders(self) -> Ints:
-        """First layer of each block that was written at once, and the number of layers."""
-        return self._starts
+        return int(self.borders[-1])
 
     @property
     def part(self) -> str:
@@ -292,7 +213,7 @@ class LayerFile:
         """Heights of all layers, (L,) mm."""
         with readable(self.path):
             table = self._file.read(columns=["height_mm"])
-        return heights_of(table, str(self.path))
+        return ReadTable(table, self.path).plain("height_mm", _KINDS["height_mm"])
 
     def read(self) -> Layers:
         """Read the whole stack."""
@@ -300,49 +221,39 @@ class LayerFile:
 
     def block(self, start: int, stop: int) -> Layers:
         """Read layers ``start .. stop - 1``."""
-        first = max(0, int(np.searchsorted(self._starts, start, side="right")) - 1)
-        past = int(np.searchsorted(self._starts, stop, side="left"))
+        first = max(0, int(np.searchsorted(self.borders, start, side="right")) - 1)
+        past = int(np.searchsorted(self.borders, stop, side="left"))
         with readable(self.path):
             table = self._file.read_row_groups(list(range(first, past)), columns=self._columns)
         blocks = [from_arrow(batch, str(self.path)) for batch in table.to_batches()]
         if not blocks:
             return from_arrow(table, str(self.path))
         joined = blocks[0] if len(blocks) == 1 else concatenate(blocks)
-        begin = int(self._starts[first])
+        begin = int(self.borders[first])
         return joined if len(joined) == stop - start else joined.block(start - begin, stop - begin)
 
 
-class LayerFormat(NamedTuple):
-    """How layers are written in a format, and read back."""
-
-    write: Callable[[Layers, str | Path], None]
-    read: Callable[[str | Path], Layers]
-
-
-# Formats of layers, by suffix
-FORMATS: Mapping[str, LayerFormat] = {
-    ".parquet": LayerFormat(write_parquet, read_parquet),
-    ".cli": LayerFormat(write_cli, read_cli),
-    ".svg": LayerFormat(svg.write_stack, svg.read_stack),
-    ".dxf": LayerFormat(contour_files.write_dxf, contour_files.read_dxf),
-    ".vtp": LayerFormat(contour_files.write_vtp, contour_files.read_vtp),
-    ".3mf": LayerFormat(contour_files.write_3mf, contour_files.read_3mf),
-    ".csv": LayerFormat(contour_files.write_csv, contour_files.read_csv),
+# How layers are written, and read back, by suffix
+FORMATS: Mapping[str, tuple[Writer, Reader]] = {
+    ".parquet": (write_parquet, read_parquet),
+    ".cli": (write_cli, read_cli),
+    ".svg": (svg.write_stack, svg.read_stack),
+    ".dxf": (contour_files.write_dxf, contour_files.read_dxf),
+    ".vtp": (contour_files.write_vtp, contour_files.read_vtp),
+    ".3mf": (contour_files.write_3mf, contour_files.read_3mf),
+    ".csv": (contour_files.write_csv, contour_files.read_csv),
 }
 
 
 # Suffixes of the folder of one stack's blocks, and of the file of one block
 SUFFIX, BLOCK = ".blocks", ".arrow"
-# Least ratio of the time to cut a block to that to write it for it to be kept: keeping costs at most a fifth of the slicing
-WORTH = 5.0
 
 
 class KeptBlocks:
-    """Blocks of one stack, in a folder beside its file, so that a killed run need not cut them again.
+    """Blocks of one stack, each in a file of its own beside that of the stack, so that a killed run need not cut them again.
 
-    Each is a file of its own that appears whole or not at all. The format is Arrow's own, uncompressed: writing costs little more than
-    a copy in memory, and numbers are restored bit for bit. Of a slicer that cuts hardly slower than a block is written, only the
-    first two blocks are kept: the time of the first includes loading. `part` is the part's hash, `backend` the slicer's name.
+    The format is Arrow's own, uncompressed: writing costs little more than a copy in memory. Of a slicer that cuts hardly slower than a
+    block is written, only the first two are kept: the time of the first includes loading. `part` is the part's hash.
     """
 
     def __init__(self, file: Path, part: str, backend: str) -> None:
@@ -362,8 +273,8 @@ class KeptBlocks:
         return layers if fits else None
 
     def is_worth(self, cut_s: float) -> bool:
-        """Whether a block that took `cut_s` to cut is worth keeping, given how long the last one took to write."""
-        return cut_s >= WORTH * self._write_s
+        """Whether a block that took `cut_s` to cut is worth keeping, by how long the last one took to write: at most a fifth of that."""
+        return cut_s >= 5.0 * self._write_s
 
     def write(self, layers: Layers) -> None:
         """Keep a block; if there is no room on the disk, do nothing: it can be cut again."""
@@ -372,16 +283,13 @@ class KeptBlocks:
         batch = to_arrow(layers)
         with contextlib.suppress(OSError, EbamcheckError):
             self.folder.mkdir(exist_ok=True)
-            self._write(layers, batch)
+            with (
+                replacing(self._path(layers.heights)) as temporary,
+                pa.OSFile(str(temporary), "wb") as file,
+                pa.ipc.new_file(file, batch.schema) as writer,
+            ):
+                writer.write_batch(batch)
         self._write_s = 0.0 if is_first else time.perf_counter() - start
-
-    def _write(self, layers: Layers, batch: pa.RecordBatch) -> None:
-        with (
-            replacing(self._path(layers.heights)) as temporary,
-            pa.OSFile(str(temporary), "wb") as file,
-            pa.ipc.new_file(file, batch.schema) as writer,
-        ):
-            writer.write_batch(batch)
 
     def remove(self) -> None:
         """Remove all blocks."""

@@ -1,8 +1,6 @@
 """Heights at which a part is cut, those of its settings or given ones, blocks of them that fit in memory, and layer heights that fit the part.
 
-Each layer has one section all through its height. Where an underside lies within a layer, the layer is laid whole or not at all: as high as
-it is, metal is added under that face, or lacks over it. Of sloped sides the parts added and left out are alike, up to what the section curves
-over a layer. The volume of a mesh between heights is a closed form (:func:`ebamcheck.mesh.bodies.volumes_between`): what is found is exact.
+Each layer has one section all through its height: at a level face within a layer metal is added, or lacks.
 """
 
 from __future__ import annotations
@@ -24,7 +22,6 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import outside_window, unusual_layers
 
 LARGEST_STACK = 1_000_000  # most layers of a stack: more come from a mistyped layer height
-
 # Most layers of a block, however small their contours: rasters need memory for empty layers, too
 LARGEST_BLOCK = 1024
 
@@ -75,9 +72,10 @@ def layer_heights(part: Part, layer_height: float) -> NDArray[np.float64]:
 def checked_heights(heights: ArrayLike) -> NDArray[np.float64]:
     """Heights as a float64 column; raises :class:`SettingsError` if one is not finite."""
     column = np.asarray(heights, dtype=np.float64).reshape(-1)
-    if not np.isfinite(column).all():
-        k = int(np.flatnonzero(~np.isfinite(column))[0])
-        raise SettingsError(f"height {k} is {column[k]}: heights must be finite numbers of millimetres")
+    wrong = np.flatnonzero(~np.isfinite(column))
+    if wrong.size:
+        told = f"height {wrong[0]} is {column[wrong[0]]}"
+        raise SettingsError(f"{told}: heights must be finite numbers of millimetres")
     return column
 
 
@@ -93,20 +91,15 @@ def crossing_counts(part: Part, heights: ArrayLike) -> NDArray[np.int64]:
     level = np.searchsorted(planes[order], part.vertices[:, 2])
     a, b, c = level[part.faces.T]
     # A facet is cut by the planes between the levels of its vertices.
-    begin, end = (
-        np.bincount(reach(reach(a, b), c), minlength=planes.size + 1) for reach in (np.minimum, np.maximum)
-    )
+    ends = (reach(reach(a, b), c) for reach in (np.minimum, np.maximum))
+    begin, end = (np.bincount(level, minlength=planes.size + 1) for level in ends)
     counts = np.empty(planes.size, np.int64)
     counts[order] = np.cumsum(begin - end)[: planes.size]
     return counts
 
 
 def layer_blocks(part: Part, heights: ArrayLike, most_points: int) -> NDArray[np.int64]:
-    """Borders (B + 1,) from 0 to L of consecutive blocks of layers, each small enough to be processed at once.
-
-    An exact contour has one point per cut facet, so the memory of a block is known before anything is sliced. A single layer with
-    more than `most_points` is a block of its own; without a layer the borders are ``[0, 0]``.
-    """
+    """Borders (B + 1,) from 0 to L of blocks of layers, of at most so many points (one a cut facet) or of one layer; ``[0, 0]`` without a layer."""
     ends = np.cumsum(crossing_counts(part, heights))
     borders = [0]
     while borders[-1] < ends.size:
@@ -128,10 +121,7 @@ def cut_heights(part: Part, config: Config) -> Floats:
 
 
 def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
-    """Return heights after checking that all of them cut the part; `named` tells messages where they were given.
-
-    A section is that at z = h + 0, so a cut at the lowest point is valid, and one at the highest is empty.
-    """
+    """Return heights that all cut the part, its lowest point (the section is that at z = h + 0) and its highest among them; `named` tells who gave them."""
     column = checked_heights(heights)
     low, high = part.bounds[:, 2].tolist()
     outside = np.flatnonzero((column < low) | (column > high))
@@ -148,24 +138,13 @@ def heights_within(part: Part, heights: ArrayLike, named: str) -> Floats:
 LEVEL_MM = 0.01
 # Least share of a level facet's area that is seen from above: a small steep facet rises by little, too
 LEVEL_COS = float(np.cos(np.radians(0.5)))
-
 SAME_BORDER_MM = 1e-6  # a face this near to a border of layers lies on it
-
-# Height of the slab over a cut of which the volume gives the area of the section: h + 0, and no facet's height
-THIN_MM = 1e-6
-# How far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for
-OTHER_HEIGHTS = 0.25
-HEIGHTS_TRIED = 40  # layer heights that are tried for a proposal, the nearest first
-# A layer height whose level faces move more than this times the tolerance is not looked at any further
-SURELY_OFF = 2.0
-HEIGHT_DECIMALS = 4  # decimals of a layer height that is proposed, mm
+THIN_MM = 1e-6  # height over a cut whose volume gives the area of the section: h + 0, no facet's height
+OTHER_HEIGHTS = 0.25  # how far a layer height that is proposed may lie beside a bead's: what wire and feed can be changed for
 
 
 class LevelFace(NamedTuple):
-    """Level facets of one height, and what the rule of layers makes of them.
-
-    Areas that look up and down at one height are taken from each other: where a body stands on another, there is no face.
-    """
+    """Level facets of one height, areas that look up less those that look down, and what the rule of layers makes of them."""
 
     z_mm: float  # height in the part
     area_mm2: float
@@ -175,10 +154,7 @@ class LevelFace(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LayerRule:
-    """What layers add to a solid and leave out: metal beyond it, and solid without metal, of level faces, and of each layer as a whole.
-
-    The faces are those within a layer, or over the last one, the gravest first.
-    """
+    """What layers add to a solid and leave out, and the level faces within a layer, or over the last one, the gravest first."""
 
     solid_mm3: float
     added_mm3: float
@@ -215,7 +191,7 @@ def layer_rule(
         total = float(laid.sum()) - whole
         return LayerRule(whole, max(total, 0.0), max(-total, 0.0), ())
     faces = _judged(level_faces(part, least_face_mm2), cuts, borders)
-    plus, of_faces, wanted = np.zeros(len(cuts)), np.zeros(len(cuts)), np.zeros(len(cuts))
+    plus, of_faces, wanted = np.zeros((3, len(cuts)))
     for face in faces:
         k = int(np.searchsorted(borders, face.z_mm, side="right")) - 1
         if k >= len(cuts):
@@ -271,17 +247,12 @@ def _judged(faces: list[LevelFace], cuts: Floats, borders: Floats) -> list[Level
         k = int(np.searchsorted(borders, face.z_mm + SAME_BORDER_MM, side="right")) - 1
         if k < 0 or np.abs(borders - face.z_mm).min() <= SAME_BORDER_MM:
             continue
-        if k >= len(cuts):
-            added = float(borders[-1]) - face.z_mm
-        elif face.up:
-            # The section of a cut is that of h + 0: a face at the cut itself has its solid below.
-            over = face.z_mm > cuts[k]
-            added = float(borders[k + 1] if over else borders[k]) - face.z_mm
-        else:
-            over = face.z_mm > cuts[k]
-            added = face.z_mm - float(borders[k + 1] if over else borders[k])
-        if face.up or k < len(cuts):
-            found.append(face._replace(added_mm=added))
+        if k >= len(cuts) and not face.up:
+            continue
+        # The section of a cut is that of h + 0: a face at the cut itself has its solid below.
+        border = borders[-1] if k >= len(cuts) else borders[k + 1] if face.z_mm > cuts[k] else borders[k]
+        added = float(border) - face.z_mm
+        found.append(face._replace(added_mm=added if face.up else -added))
     return found
 
 
@@ -291,9 +262,6 @@ def section_areas(part: Part, cuts: Floats) -> Floats:
         return np.zeros(0)
     slabs = np.column_stack([cuts, cuts + THIN_MM]).ravel()
     return volumes_between(part, slabs)[::2] / np.diff(slabs)[::2]
-
-
-# -- a layer height that fits -------------------------------------------------------------------------
 
 
 class NearHeight(NamedTuple):
@@ -322,7 +290,7 @@ def nearest_fitting(part: Part, config: Config) -> NearHeight | None:
             moved_mm3(some, cuts, borders, config.process.machining_allowance_mm) / max(mesh.volume, 1e-9)
             for mesh, some in zip(meshes, faces, strict=True)
         )
-        if moved > SURELY_OFF * limit:
+        if moved > 2.0 * limit:
             continue
         other = config.changed(layers={"layer_height_mm": height})
         share = max(_share_of(mesh, cuts, borders, other) for mesh in meshes)
@@ -339,9 +307,7 @@ def _uniform(part: Part, height_mm: float) -> tuple[Floats, Floats]:
 
 
 def _meshes(part: Part) -> Sequence[Part]:
-    if not isinstance(part, PlatePart):
-        return [part]
-    return [part.member(member) for member in part.members]
+    return [part.member(m) for m in part.members] if isinstance(part, PlatePart) else [part]
 
 
 def _share_of(mesh: Part, cuts: Floats, borders: Floats, config: Config) -> float:
@@ -349,22 +315,19 @@ def _share_of(mesh: Part, cuts: Floats, borders: Floats, config: Config) -> floa
     top = max(float(mesh.bounds[1, 2]), float(borders[-1])) + 1.0
     volumes = volumes_between(mesh, np.append(borders, top))
     areas, spot_mm2 = section_areas(mesh, cuts), process.bead_width_mm**2
-    rule = layer_rule(mesh, cuts, borders, areas, volumes, spot_mm2, process.machining_allowance_mm)
-    return rule.share
+    allowed_mm = process.machining_allowance_mm
+    return layer_rule(mesh, cuts, borders, areas, volumes, spot_mm2, allowed_mm).share
 
 
 def _near_heights(levels: list[float], config: Config) -> Iterator[float]:
     """Layer heights of which a level over the bottom has a whole number, the nearest first, within the process window."""
     now = config.layer_height_mm
-    tried = {
-        round(z_mm / count, HEIGHT_DECIMALS)
-        for z_mm in levels
-        for count in range(
-            max(1, int(z_mm / now / (1.0 + OTHER_HEIGHTS))), int(z_mm / now * (1.0 + OTHER_HEIGHTS)) + 2
-        )
-    }
+    tried, most = set[float](), 1.0 + OTHER_HEIGHTS
+    for z_mm in levels:
+        counts = range(max(1, int(z_mm / now / most)), int(z_mm / now * most) + 2)
+        tried |= {round(z_mm / count, 4) for count in counts}
     near = sorted((h for h in tried if abs(h / now - 1.0) <= OTHER_HEIGHTS), key=lambda h: (abs(h - now), h))
-    for height in near[:HEIGHTS_TRIED]:
+    for height in near[:40]:
         other = config.changed(layers={"layer_height_mm": height})
         if not any(outside_window(other)) and not any(unusual_layers(other)):
             yield height

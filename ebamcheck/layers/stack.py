@@ -17,7 +17,7 @@ from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.canonical_form import ring_forms, ring_order, rows_in_form
 from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import LayerColumns, outline_svg
-from ebamcheck.threads import joined, run_blocks
+from ebamcheck.threads import run_blocks
 
 if TYPE_CHECKING:
     import shapely
@@ -42,16 +42,11 @@ class Ring:
     length_mm: float
 
     @property
-    def is_hole(self) -> bool:
-        """Whether the ring bounds a hole."""
-        return self.area_mm2 < 0.0
-
-    @property
     def kind(self) -> str:
         """Name the ring: ``outer``, ``hole`` or ``open path``."""
         if not self.closed:
             return "open path"
-        return "hole" if self.is_hole else "outer"
+        return "hole" if self.area_mm2 < 0.0 else "outer"
 
     def __len__(self) -> int:
         return len(self.points)
@@ -77,25 +72,22 @@ class Layer:
     @property
     def rings(self) -> tuple[Ring, ...]:
         """Contours in their order in the stack."""
-        stack = self.stack
-        return tuple(
-            Ring(
-                stack.ring(r), bool(stack.closed[r]), float(stack.ring_areas[r]), float(stack.ring_lengths[r])
-            )
-            for r in stack.rings_of(self.index)
+        stack, of = self.stack, self.stack.rings_of(self.index)
+        closed, areas, lengths = (
+            column[of.start : of.stop].tolist()
+            for column in (stack.closed, stack.ring_areas, stack.ring_lengths)
         )
+        return tuple(map(Ring, map(stack.ring, of), closed, areas, lengths))
 
     @property
     def area_mm2(self) -> float:
         """Area of the section: outer rings less holes."""
-        of = self.stack.rings_of(self.index)
-        return float(self.stack.ring_areas[of.start : of.stop].sum())
+        return self.stack[self.index : self.index + 1].areas().item()
 
     @property
     def perimeter_mm(self) -> float:
         """Length of all closed rings."""
-        of = slice(self.stack.rings_of(self.index).start, self.stack.rings_of(self.index).stop)
-        return float(self.stack.ring_lengths[of][self.stack.closed[of]].sum())
+        return self.stack[self.index : self.index + 1].perimeters().item()
 
     @property
     def polygons(self) -> list[shapely.Polygon]:
@@ -266,9 +258,8 @@ class Layers(LayerColumns[Layer]):
     @cached_property
     def parents(self) -> Ints:
         """Smallest enclosing ring of each ring, (R,); -1 for none and for open paths."""
-        return rings.parents(
-            self.points, self.ring_starts, self.layer_starts, self.ring_areas, self.ring_bounds
-        )
+        of_rings = self.ring_areas, self.ring_bounds
+        return rings.parents(self.points, self.ring_starts, self.layer_starts, *of_rings)
 
     def _per_layer(self, weights: NDArray[Any]) -> Floats:
         return np.bincount(self.ring_layer, weights, minlength=len(self)).astype(np.float64)
@@ -304,8 +295,7 @@ class Layers(LayerColumns[Layer]):
         """Box around all points, mm: xmin, ymin, xmax, ymax; NaN if there are no points."""
         if not len(self.points):
             return (np.nan, np.nan, np.nan, np.nan)
-        (x0, y0), (x1, y1) = self.points.min(axis=0), self.points.max(axis=0)
-        return float(x0), float(y0), float(x1), float(y1)
+        return (*self.points.min(axis=0).tolist(), *self.points.max(axis=0).tolist())
 
     # -- parts of a stack --------------------------------------------------------------------------
 
@@ -318,11 +308,7 @@ class Layers(LayerColumns[Layer]):
         return range(int(self.layer_starts[layer]), int(self.layer_starts[layer + 1]))
 
     def polygons(self, layer: int) -> list[shapely.Polygon]:
-        """Solid regions of a layer as valid shapely polygons, holes included; open paths bound none.
-
-        An outer ring is solid inside if the winding number there, by it and the rings around it, is greater than 0: so an
-        outer ring that rounding has put into a hole with the same outline gives nothing.
-        """
+        """Solid regions of a layer as valid shapely polygons with holes: within outer rings where the winding number by the rings around is over 0."""
         import shapely
 
         from ebamcheck.geometry.regions import valid_polygons
@@ -391,13 +377,8 @@ class Layers(LayerColumns[Layer]):
 
     def labels_json(self) -> str:
         """The labels as JSON with sorted keys, the form in slice files."""
-        labels = {
-            "part": self.part,
-            "direction": list(self.direction),
-            "backend": self.backend,
-            "settings": dict(self.settings),
-        }
-        return json.dumps(labels, sort_keys=True)
+        names = ("part", "direction", "backend", "settings")
+        return json.dumps({name: getattr(self, name) for name in names}, sort_keys=True, default=dict)
 
 
 def canonical(
@@ -411,11 +392,7 @@ def canonical(
     edge_t: Floats | None = None,
     **labels: Any,
 ) -> Layers:
-    """Bring raw rings into the canonical form of :class:`Layers`, which every backend returns.
-
-    Columns are those of :class:`Layers`, in any order within a layer, with repeated points allowed. Directions are left as they are:
-    only the slicer knows which side is solid. `dropped` counts the rings without area, which are left out.
-    """
+    """Bring raw rings, columns as of :class:`Layers` in any order within a layer, into canonical form; directions stay, rings without area go (`dropped`)."""
     heights = np.ascontiguousarray(heights, dtype=np.float64)
     points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 2)
     ring_starts = np.ascontiguousarray(ring_starts, dtype=np.int64)
@@ -452,30 +429,23 @@ def from_rings(
 ) -> Layers:
     """Build layers from lists of rings, one list per layer; for small stacks and slice files.
 
-    Examples
-    --------
     >>> square = [(0, 0), (2, 0), (2, 2), (0, 2)]
     >>> from_rings([0.5], [[square]]).areas().tolist()
     [4.0]
     """
-    arrays: list[Floats] = []
-    closed: list[bool] = []
-    layer_starts = [0]
-    for k, layer in enumerate(layers):
-        for is_closed, paths in ((True, layer), (False, open_paths[k] if open_paths else ())):
-            for path in paths:
-                arrays.append(np.asarray(path, dtype=np.float64).reshape(-1, 2))
-                closed.append(is_closed)
-        layer_starts.append(len(arrays))
-    sizes = [len(a) for a in arrays]
-    return canonical(
-        np.asarray(heights, dtype=np.float64).reshape(-1),
-        np.concatenate(arrays) if arrays else np.zeros((0, 2)),
-        np.concatenate([[0], np.cumsum(sizes)]),
-        np.asarray(layer_starts),
-        np.asarray(closed, dtype=np.bool_),
-        **labels,
-    )
+    both = zip(layers, open_paths or [[]] * len(layers), strict=True)
+    paths = [[(p, True) for p in closed] + [(p, False) for p in lines] for closed, lines in both]
+    return from_paths(heights, paths, **labels)
+
+
+def from_paths(heights: ArrayLike, layers: Sequence[list[tuple[Any, bool]]], **labels: Any) -> Layers:
+    """Build layers from lists of paths (n, 2), each with whether it is closed: such a one may repeat its first point at the end."""
+    every = [(np.asarray(p, np.float64).reshape(-1, 2), closed) for layer in layers for p, closed in layer]
+    points = np.concatenate([np.zeros((0, 2)), *(p for p, _ in every)])
+    ring_starts = np.cumsum([0, *(len(p) for p, _ in every)])
+    layer_starts = np.cumsum([0, *map(len, layers)])
+    flat, closed = np.asarray(heights, np.float64).reshape(-1), [is_closed for _, is_closed in every]
+    return canonical(flat, points, ring_starts, layer_starts, closed, **labels)
 
 
 def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], **labels: Any) -> Layers:
@@ -484,15 +454,11 @@ def from_polygons(heights: ArrayLike, layers: Sequence[Iterable[BaseGeometry]], 
 
     from ebamcheck.geometry.regions import valid_polygons
 
-    stack: list[list[Floats]] = []
+    stack = []
     for layer in layers:
-        found: list[Floats] = []
-        for geometry in layer:
-            for polygon in valid_polygons(geometry):
-                oriented = shapely.orient_polygons(polygon)
-                found.append(shapely.get_coordinates(oriented.exterior)[:-1])
-                found.extend(shapely.get_coordinates(hole)[:-1] for hole in oriented.interiors)
-        stack.append(found)
+        polygons = [polygon for geometry in layer for polygon in valid_polygons(geometry)]
+        lines = shapely.get_rings(shapely.orient_polygons(np.array(polygons, object)))
+        stack.append([shapely.get_coordinates(line)[:-1] for line in lines])
     return from_rings(heights, stack, **labels)
 
 
@@ -500,32 +466,9 @@ def concatenate(blocks: Sequence[Layers]) -> Layers:
     """Join consecutive blocks of one slicer into one stack; labels are those of the first block."""
     if not blocks:
         raise SettingsError("no layers to join: give at least one block")
-    edges: dict[str, Any] = {}
-    if all(b.edge is not None and b.edge_t is not None for b in blocks):
-        edges["edge"] = joined([b.edge for b in blocks if b.edge is not None])
-        edges["edge_t"] = joined([b.edge_t for b in blocks if b.edge_t is not None])
-    return _joined(blocks, joined([b.points for b in blocks]), **edges)
-
-
-def stacked(blocks: Iterable[Layers]) -> Layers:
-    """Join consecutive blocks of layers, without their cut edges, as they come; each is released once its points are copied.
-
-    The column of points grows in place: memory touched for the first time is what costs time here, and the points are
-    never held twice.
-    """
-    points = np.empty((0, 2))
-    kept: list[Layers] = []
-    for block in blocks:
-        size = len(points)
-        # No view of it is taken before it is whole.
-        points.resize((size + len(block.points), 2), refcheck=False)
-        points[size:] = block.points
-        kept.append(replace(block, points=np.empty((0, 2))))
-    return _joined(kept, points)
-
-
-def _joined(blocks: Sequence[Layers], points: Floats, **edges: Any) -> Layers:
-    """Blocks of one stack with all their points (N, 2)."""
+    columns: dict[str, list[Any]] = {name: [getattr(b, name) for b in blocks] for name in ("edge", "edge_t")}
+    whole = all(column is not None for values in columns.values() for column in values)
+    edges: dict[str, Any] = {n: np.concatenate(values) if whole else None for n, values in columns.items()}
     rings = np.cumsum([0] + [b.closed.size for b in blocks])
     rows = np.cumsum([0] + [int(b.ring_starts[-1]) for b in blocks])
     ring_starts = [b.ring_starts[1:] + row for b, row in zip(blocks, rows[:-1], strict=True)]
@@ -533,12 +476,12 @@ def _joined(blocks: Sequence[Layers], points: Floats, **edges: Any) -> Layers:
     return replace(
         blocks[0],
         heights=np.concatenate([b.heights for b in blocks]),
-        points=points,
+        points=np.concatenate([b.points for b in blocks]),
         ring_starts=np.concatenate([[0], *ring_starts]).astype(np.int64),
         layer_starts=np.concatenate([[0], *layer_starts]).astype(np.int64),
         closed=np.concatenate([b.closed for b in blocks]),
         dropped=np.concatenate([b.dropped for b in blocks]),
-        **{"edge": None, "edge_t": None, **edges},
+        **edges,
     )
 
 

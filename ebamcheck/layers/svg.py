@@ -1,8 +1,4 @@
-"""Pictures of layers as self-contained SVG: one layer, an overlay of several slicers, or a sheet of layers.
-
-Drawn with y up and one scale for both axes. Points nearer to the drawn line than
-:data:`REDUCTION_PX` pixels are left out, so a layer of a million points stays a small picture.
-"""
+"""Pictures of layers as self-contained SVG, y up, reduced to what a screen shows: one layer, an overlay of several slicers, or a sheet of layers."""
 
 from __future__ import annotations
 
@@ -18,7 +14,7 @@ import numpy as np
 from ebamcheck.atomic_file import replacing
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.kernels import Floats
-from ebamcheck.layers.stack import Layers, from_rings
+from ebamcheck.layers.stack import Layers, from_paths
 from ebamcheck.showing.colours import COLOURS, DASHES
 from ebamcheck.showing.columns import index_of
 from ebamcheck.showing.markup import NAMESPACE, Markup, element, svg_file, text
@@ -28,8 +24,6 @@ MARGIN_PX = 16
 TITLE_PX = 28  # room above the drawing for its title
 FOOT_PX = 30  # room under the drawing for the scale bar
 SMALLEST_EXTENT_MM = 1e-6  # a layer of one point is drawn as if it were this large
-LARGEST_HEIGHT = 4.0  # ratio of height to width beyond which a tall, narrow layer is drawn at a smaller scale
-SHEET_LAYERS = 16
 HEIGHT = "data-height-mm"  # attribute of the group of a layer in a file for exchange
 
 SOLID = "#9fc3e8"
@@ -74,9 +68,7 @@ def layer_svg(
     """
     k = index_of(layer, len(layers))
     view = _view(box or _layer_box([(layers, k)]), width_px, MARGIN_PX, TITLE_PX)
-    body = _region(layers, k, view)
-    body += _scale_bar(view)
-    return _document(body, view, width_px, _title(layers, k) if title is None else title)
+    return _document(_region(layers, k, view), view, width_px, _title(layers, k) if title is None else title)
 
 
 def overlay_svg(
@@ -97,20 +89,16 @@ def overlay_svg(
         colour, dash = COLOURS[n % len(COLOURS)], DASHES[n % len(DASHES)]
         lines = _outlines(layers, k, view, colour, dash, n)
         body.append(element("g", *lines, class_="slicer", data_name=name))
-    body += _legend(list(stacks)) + _scale_bar(view)
+    body += _legend(list(stacks))
     first, k = chosen[0]
     heading = f"layer {k + 1}, z = {first.heights[k]:.3f} mm" if title is None else title
     return _document(body, view, width_px, heading)
 
 
 def sheet_svg(
-    layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = SHEET_LAYERS, exact: bool = False
+    layers: Layers, *, width_px: int = 1200, columns: int = 4, most: int = 16, exact: bool = False
 ) -> str:
-    """Draw up to `most` layers, evenly chosen from the stack, side by side at one scale.
-
-    With `exact` it holds all contours of all layers in millimetres with every digit, each layer in a group with its height; those that were
-    not chosen are hidden.
-    """
+    """Draw up to `most` layers side by side at one scale; `exact` holds all contours of all layers with every digit, those not chosen hidden."""
     if not len(layers):
         raise SettingsError("no layers to draw: the stack is empty")
     count = min(most, len(layers))
@@ -134,12 +122,8 @@ def sheet_svg(
             body += _region(layers, k, view)
     rows = math.ceil(len(chosen) / columns)
     bottom = _View(box, first.px_per_mm, MARGIN_PX, TITLE_PX + rows * row_px - first.height_px)
-    body += _scale_bar(bottom)
     title = f"{len(chosen)} of {len(layers)} layers" + (f", {layers.backend}" if layers.backend else "")
     return _document(body, bottom, width_px, title)
-
-
-# -- exchange --------------------------------------------------------------------------------------
 
 
 def write_stack(layers: Layers, path: str | Path) -> None:
@@ -157,19 +141,20 @@ def read_stack(path: str | Path) -> Layers:
             raise ValueError(f"it has no group with {HEIGHT}")
         heights = [float(group.get(HEIGHT, "")) for group in groups]
         lines = [[line for path in group for line in path.get("d", "").split("M")[1:]] for group in groups]
-        closed = [[_points(line[:-1]) for line in layer if line.endswith("Z")] for layer in lines]
-        open_ = [[_points(line) for line in layer if not line.endswith("Z")] for layer in lines]
+        layers = [
+            [
+                (np.array(line.rstrip("Z").replace(",", " ").split(), np.float64), line.endswith("Z"))
+                for line in layer
+            ]
+            for layer in lines
+        ]
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (ElementTree.ParseError, ValueError) as error:
         raise InputError(
             f"{path}: is no SVG with contours at heights, as `slice -o` writes it: {error}"
         ) from None
-    return from_rings(heights, closed, open_)
-
-
-def _points(line: str) -> Floats:
-    return np.array(line.replace(",", " ").split(), np.float64).reshape(-1, 2)
+    return from_paths(heights, layers)
 
 
 def _exact(layers: Layers, k: int, view: _View, shown: bool) -> Markup:
@@ -195,24 +180,15 @@ def _data(points: Floats, end: str) -> str:
     return "M" + " ".join(f"{x!r},{y!r}" for x, y in points.tolist()) + end
 
 
-# -- pieces ----------------------------------------------------------------------------------------
-
-
 def _region(layers: Layers, k: int, view: _View) -> list[Markup]:
     # Outer rings and holes have opposite directions, so the nonzero rule fills the solid, and overlapping
     # shells stay solid where even-odd would leave a hole.
-    rings = [r for r in layers.rings_of(k) if layers.closed[r]]
-    data = "".join(view.path(layers.ring(r), True) for r in rings)
-    parts = []
-    if data:
-        style = {"fill": SOLID, "fill_rule": "nonzero", "stroke": RING, "stroke_width": 1}
-        parts.append(element("path", class_="region", d=data, stroke_linejoin="round", **style))
-    parts += [
-        _path(view.path(layers.ring(r), False), OPEN, 2, class_="open")
-        for r in layers.rings_of(k)
-        if not layers.closed[r]
-    ]
-    return parts
+    closed = [layers.ring(r) for r in layers.rings_of(k) if layers.closed[r]]
+    lines = [layers.ring(r) for r in layers.rings_of(k) if not layers.closed[r]]
+    style = {"fill": SOLID, "fill_rule": "nonzero", "stroke": RING, "stroke_width": 1}
+    data = "".join(view.path(ring, True) for ring in closed)
+    parts = [element("path", class_="region", d=data, stroke_linejoin="round", **style)] if data else []
+    return parts + [_path(view.path(line, False), OPEN, 2, class_="open") for line in lines]
 
 
 def _outlines(layers: Layers, k: int, view: _View, colour: str, dash: str, rank: int) -> list[Markup]:
@@ -252,28 +228,24 @@ def _path(data: str, colour: str, width_px: float, **style: Any) -> Markup:
 
 def _document(body: list[Markup], view: _View, width_px: int, title: str) -> str:
     height_px = math.ceil(view.top_px + view.height_px + FOOT_PX)
-    return svg_file(width_px, height_px, [text(MARGIN_PX, 20, title, 14), *body], title)
-
-
-# -- measures --------------------------------------------------------------------------------------
+    return svg_file(width_px, height_px, [text(MARGIN_PX, 20, title, 14), *body, *_scale_bar(view)], title)
 
 
 def _title(layers: Layers, k: int) -> str:
     block = layers.block(k, k + 1)
-    outer, holes, lines = (
-        int(c[0]) for c in (block.outer_counts(), block.hole_counts(), block.open_counts())
-    )
-    text = f"layer {k + 1}, z = {layers.heights[k]:.3f} mm: {outer} outer, {holes} holes"
-    return text + (f", {lines} open" if lines else "")
+    counts = (block.outer_counts(), block.hole_counts(), block.open_counts())
+    outer, holes, lines = (count.item() for count in counts)
+    told = f"layer {k + 1}, z = {layers.heights[k]:.3f} mm: {outer} outer, {holes} holes"
+    return told + (f", {lines} open" if lines else "")
 
 
 def _layer_box(chosen: Sequence[tuple[Layers, int]]) -> Box:
-    boxes = [layers.block(k, k + 1).bounds() for layers, k in chosen]
-    boxes = [box for box in boxes if not math.isnan(box[0])]
-    if not boxes:
+    boxes = np.array([layers.block(k, k + 1).bounds() for layers, k in chosen])
+    boxes = boxes[~np.isnan(boxes[:, 0])]
+    if not len(boxes):
         return _widened((math.nan,) * 4)
-    least, greatest = np.min(boxes, axis=0), np.max(boxes, axis=0)
-    return _widened((float(least[0]), float(least[1]), float(greatest[2]), float(greatest[3])))
+    (x0, y0), (x1, y1) = boxes[:, :2].min(axis=0).tolist(), boxes[:, 2:].max(axis=0).tolist()
+    return _widened((x0, y0, x1, y1))
 
 
 def _widened(box: Box) -> Box:
@@ -292,7 +264,8 @@ def _view(box: Box, width_px: float, margin_px: float, top_px: float) -> _View:
     width_mm, height_mm = box[2] - box[0], box[3] - box[1]
     if not (width_mm > 0 and height_mm > 0 and math.isfinite(width_mm + height_mm)):
         raise SettingsError(f"box {box} has no extent: give xmin, ymin, xmax, ymax in mm")
-    scale = min(drawing_px / width_mm, LARGEST_HEIGHT * drawing_px / height_mm)
+    # A tall, narrow layer is drawn at a smaller scale.
+    scale = min(drawing_px / width_mm, 4.0 * drawing_px / height_mm)
     left_px = margin_px + 0.5 * (drawing_px - width_mm * scale)
     return _View(box, scale, left_px, top_px)
 

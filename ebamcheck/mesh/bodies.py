@@ -1,7 +1,5 @@
-"""Bodies of a part: which lies in which, which overlap or stand twice, and the volume of what is built of them, and between heights.
-
-Built is what has a winding number over 0: bodies that overlap unite, a body in another of the same sense vanishes, and one of the
-opposite sense is a cavity. Boxes are looked at first, then points of the smaller body; manifold3d is asked where bodies cut each other.
+"""Bodies of a part: how they lie to each other, and the volume of what is built of them, where the winding number is over 0.
+Boxes are looked at first, then points of the smaller body; manifold3d is asked where bodies cut each other.
 """
 
 from __future__ import annotations
@@ -26,16 +24,11 @@ if TYPE_CHECKING:
 ASIDE = 1e-6
 # Volume, over that of the bounding cube, below which a part is flat: far above rounding, far below any real part
 NO_VOLUME = 1e-12
-
 SAME = 1e-6  # share by which volumes differ that are the same
-POINTS_OF_A_BODY = 4096  # most facets of a body at which it is looked whether it lies in another
-IN_FACET = (0.3512, 0.2871, 0.3617)  # where on a facet: on no line that a regular mesh has
-
 # Most pairs of boxes that are looked at one by one, some tenths of a millisecond each; with more nothing is said of any
 MOST_PAIRS = 20_000
 # Most facets that manifold3d is given, in all, to see whether bodies lie in each other, whether they cut each other, and for their union
 MOST_CUT_FACETS = 2_000_000
-
 MOST_LISTED = 100  # most relations that are listed
 
 
@@ -85,9 +78,10 @@ class Bodies:
 
 def bodies_of(mesh: Mesh, groups: EdgeGroups | None = None) -> Bodies:
     """Tell the bodies of a mesh apart; the result is kept with the mesh."""
-    if "bodies" not in mesh.__dict__:
-        mesh.__dict__["bodies"] = _bodies_of(mesh, groups or edge_groups(mesh.faces, len(mesh.vertices)))
-    found: Bodies = mesh.__dict__["bodies"]
+    found: Bodies | None = mesh.__dict__.get("bodies")
+    if found is None:
+        found = _bodies_of(mesh, groups or edge_groups(mesh.faces, len(mesh.vertices)))
+        mesh.__dict__["bodies"] = found
     return found
 
 
@@ -144,15 +138,11 @@ def body_volumes(mesh: Mesh, body: Index, bodies: int) -> Floats:
 
 
 def inside_out_bodies(mesh: Mesh, body: Index, volumes: Floats) -> Bools:
-    """Bodies (B,) of negative volume that lie in no other body: those inside one are its cavities.
-
-    A body counts as a cavity if its bounding box lies in that of a body of larger, positive volume.
-    """
+    """Bodies (B,) of negative volume that are no cavity: whose box lies in that of no body of larger, positive volume."""
     negative = volumes < -NO_VOLUME * float(mesh.size.max(initial=0.0)) ** 3
     if not negative.any():
         return negative
-    lower, upper = body_boxes(mesh, body, volumes.size)
-    return outermost(negative, volumes, lower, upper)
+    return outermost(negative, volumes, *body_boxes(mesh, body, volumes.size))
 
 
 def body_boxes(mesh: Mesh, body: Index, bodies: int) -> tuple[Floats, Floats]:
@@ -194,22 +184,22 @@ class _Look:
         if not inside.size and not overlapping.size:
             return Bodies(self.label, self.volumes, (), signed, signed, self.known)
         volume = self._volume(inside, overlapping)
-        known = self.known and volume is not None
+        known, whole = self.known and volume is not None, signed if volume is None else volume
         relations = sorted(self._relations(inside, overlapping), key=lambda r: (not r.lost, r.body))
-        return Bodies(
-            self.label, self.volumes, tuple(relations), signed if volume is None else volume, signed, known
-        )
+        return Bodies(self.label, self.volumes, tuple(relations), whole, signed, known)
 
     def _related(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Pairs (N, 2) of a body and one that it lies in, and pairs of bodies that overlap."""
         inside, overlapping = [], []
         pairs = self._near()
         for outer in np.unique(pairs[:, 1]).tolist():
-            inner = pairs[pairs[:, 1] == outer, 0]
-            for body, share in zip(inner.tolist(), self._shares(inner, outer), strict=True):
-                if share == 1.0 and not self._sticks_out(body, outer):
+            inner = pairs[pairs[:, 1] == outer, 0].tolist()
+            for body, share in zip(inner, self._shares(inner, outer), strict=True):
+                size = abs(float(self.volumes[body]))
+                if share == 1.0 and not self._sticks_out(body, outer, size):
                     inside.append((body, outer))
-                elif share > 0.0 or self._cut(body, outer):
+                # Two bodies may cut each other where no point of one lies in the other.
+                elif share > 0.0 or self._common(body, outer, "cut", 0.0) > SAME * size:
                     overlapping.append((body, outer))
         return np.array(inside, np.int64).reshape(-1, 2), np.array(overlapping, np.int64).reshape(-1, 2)
 
@@ -222,14 +212,14 @@ class _Look:
         turn = size[later] > size[earlier]
         return np.stack([np.where(turn, earlier, later), np.where(turn, later, earlier)], axis=1)
 
-    def _shares(self, inner: NDArray[np.int64], outer: int) -> Iterator[float]:
+    def _shares(self, inner: list[int], outer: int) -> Iterator[float]:
         """Share of the surface of each body that lies in another one."""
         import shapely
 
         corners = self.mesh.vertices[self.mesh.faces[self._rows[outer]]]
         low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
         tree = shapely.STRtree(shapely.box(*low.T, *high.T))
-        for body in inner.tolist():
+        for body in inner:
             points = self._points(body)
             at, facet = tree.query(shapely.points(points[:, :2]))
             yield float((windings(points, corners, at, facet) != 0).mean()) if len(points) else 0.0
@@ -237,36 +227,29 @@ class _Look:
     def _points(self, body: int) -> Floats:
         """Points (N, 3) just within a body, on some of its facets."""
         rows = self._rows[body]
-        corners = self.mesh.vertices[self.mesh.faces[rows[:: max(1, len(rows) // POINTS_OF_A_BODY)]]]
+        corners = self.mesh.vertices[self.mesh.faces[rows[:: max(1, len(rows) // 4096)]]]
         across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         length = np.linalg.norm(across, axis=1)
         kept = length > 0.0
         inwards = -np.sign(self.volumes[body]) * across[kept] / length[kept, None]
-        points: Floats = np.einsum("k,fki->fi", np.array(IN_FACET), corners[kept]) + self.aside_mm * inwards
-        return points
+        # Where on a facet: on no line that a regular mesh has.
+        within = np.einsum("k,fki->fi", np.array([0.3512, 0.2871, 0.3617]), corners[kept])
+        return np.asarray(within + self.aside_mm * inwards)
 
-    def _sticks_out(self, body: int, other: int) -> bool:
+    def _sticks_out(self, body: int, other: int, size: float) -> bool:
         """Whether a body, of which all points looked at lie in the other, reaches out of it between them."""
         below = self.lower[body] < self.lower[other] - self.aside_mm
         above = self.upper[body] > self.upper[other] + self.aside_mm
-        if (below | above).any():
-            return True
-        common = self._common(body, other, "inside")
-        return common is not None and common < (1.0 - SAME) * abs(float(self.volumes[body]))
+        return bool((below | above).any() or self._common(body, other, "inside", size) < (1.0 - SAME) * size)
 
-    def _cut(self, body: int, other: int) -> bool:
-        """Whether two bodies, of which no point lies in the other, cut each other all the same."""
-        common = self._common(body, other, "cut")
-        return common is not None and common > SAME * abs(float(self.volumes[body]))
-
-    def _common(self, body: int, other: int, question: str) -> float | None:
-        """Volume that two bodies share; None where manifold3d is not asked, or takes one for no solid."""
+    def _common(self, body: int, other: int, question: str, unknown: float) -> float:
+        """Volume that two bodies share; `unknown` where manifold3d is not asked, or takes one for no solid."""
         facets = len(self._rows[body]) + len(self._rows[other])
         if facets > self._budget[question]:
-            return None
+            return unknown
         self._budget[question] -= facets
         a, b = self._solid(body), self._solid(other)
-        return None if a is None or b is None else float((a ^ b).volume())
+        return unknown if a is None or b is None else float((a ^ b).volume())
 
     def _solid(self, body: int) -> Manifold | None:
         """Body as a solid of manifold3d, whatever its sense; None where that takes it for none."""
@@ -311,20 +294,19 @@ class _Look:
 
         if sum(len(self._rows[k]) for k in bodies) > MOST_CUT_FACETS:
             return None
-        plus = [self._solid(k) for k in bodies if self.volumes[k] > 0.0]
-        minus = [self._solid(k) for k in bodies if self.volumes[k] < 0.0]
-        solids, voids = [s for s in plus if s is not None], [s for s in minus if s is not None]
-        if len(solids) < len(plus) or len(voids) < len(minus):
+        made = {k: solid for k in bodies if (solid := self._solid(k)) is not None}
+        if len(made) < len(bodies):
             return None
+        solids = [solid for k, solid in made.items() if self.volumes[k] > 0.0]
+        voids = [solid for k, solid in made.items() if self.volumes[k] < 0.0]
         if not voids:
             return float(manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).volume())
         layers = len(voids) + 1
         if layers * len(bodies) > 1000:
             return None
         # In at least k solids and fewer than k voids, for some k.
-        full, empty = _layers(solids, layers), _layers(voids, layers)
         whole = manifold3d.Manifold()
-        for solid, void in zip(full, empty, strict=True):
+        for solid, void in zip(_layers(solids, layers), _layers(voids, layers), strict=True):
             whole = whole + (solid - void)
         return float(whole.volume())
 
@@ -339,31 +321,27 @@ class _Look:
             box = np.array([self.lower[body] - self.lower[outer], self.upper[body] - self.upper[outer]])
             twice = abs(size[outer] - size[body]) <= SAME * size[outer] and np.abs(box).max() <= self.aside_mm
             yield self._relation(body, outer, "doubled" if twice else "inside")
-        for body, other in overlapping.tolist():
-            yield self._relation(body, other, "overlapping")
+        yield from (self._relation(body, other, "overlapping") for body, other in overlapping.tolist())
 
     def _relation(self, body: int, other: int, kind: Literal["inside", "doubled", "overlapping"]) -> Relation:
-        x0, y0, z0 = self.lower[body].tolist()
-        x1, y1, z1 = self.upper[body].tolist()
         same = bool(self.volumes[body] * self.volumes[other] > 0.0)
-        return Relation(body + 1, other + 1, kind, same, (x0, y0, z0), (x1, y1, z1))
+        lower, upper = tuple(self.lower[body].tolist()), tuple(self.upper[body].tolist())
+        return Relation(body + 1, other + 1, kind, same, lower, upper)
 
 
 def boxes_meeting(lower: Floats, upper: Floats, deep_mm: float) -> NDArray[np.int64]:
-    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; more than :data:`MOST_PAIRS`
-    only if there are."""
+    """Pairs (N, 2) of boxes by their corners (B, 3), the later one first, that share more than a depth; all, or over :data:`MOST_PAIRS`."""
     import shapely
 
     boxes = np.asarray(shapely.box(*lower[:, :2].T, *upper[:, :2].T), object)
-    tree, found, many = shapely.STRtree(boxes), [np.zeros((0, 2), np.int64)], 0
+    tree, found = shapely.STRtree(boxes), [np.zeros((0, 2), np.int64)]
     for first in range(0, len(boxes), 256):
         a, b = tree.query(boxes[first : first + 256])
         a = a + first
         deep = np.minimum(upper[a], upper[b]) - np.maximum(lower[a], lower[b])
         kept = (a > b) & (deep > deep_mm).all(axis=1)
         found.append(np.stack([a[kept], b[kept]], axis=1))
-        many += len(found[-1])
-        if many > MOST_PAIRS:
+        if sum(map(len, found)) > MOST_PAIRS:
             break
     return np.concatenate(found)
 
@@ -385,17 +363,17 @@ def windings(
 ) -> NDArray[np.int64]:
     """Winding number (N,) at points: facets over it that look up, less those that look down; of pairs of a point and a facet."""
     p, (a, b, c) = points[at], np.moveaxis(corners[facet], 1, 0)
-
-    def side(u: Floats, v: Floats) -> Floats:
-        found: Floats = (v[:, 0] - u[:, 0]) * (p[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (p[:, 0] - u[:, 0])
-        return found
-
-    s = np.stack([side(b, c), side(c, a), side(a, b)], axis=1)
+    s = np.stack(
+        [
+            (v[:, 0] - u[:, 0]) * (p[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (p[:, 0] - u[:, 0])
+            for u, v in ((b, c), (c, a), (a, b))
+        ],
+        axis=1,
+    )
     whole = s.sum(axis=1)
     over = ((s > 0.0).all(axis=1) | (s < 0.0).all(axis=1)) & (whole != 0.0)
-    z = np.stack([a[:, 2], b[:, 2], c[:, 2]], axis=1)
     above = np.zeros(len(at), np.bool_)
-    above[over] = (s[over] * z[over]).sum(axis=1) / whole[over] > p[over, 2]
+    above[over] = (s[over] * corners[facet[over], :, 2]).sum(axis=1) / whole[over] > p[over, 2]
     return np.bincount(at[above], np.sign(whole[above]), len(points)).astype(np.int64)
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import InputError, SettingsError
 from ebamcheck.mesh.obj_and_ply import read_obj, read_ply
-from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, LARGEST_EXTENT_MM, SMALLEST_EXTENT_MM, Part
+from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, Part
 from ebamcheck.mesh.reading import how_to_read
 from ebamcheck.mesh.stl import read_triangles
 from ebamcheck.mesh.three_mf import read_3mf
 from ebamcheck.mesh.topology import weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
-OWN_READERS = {".obj": read_obj, ".ply": read_ply}
 _log = logging.getLogger(__name__)
 
 
@@ -103,22 +102,22 @@ def read_facets(path: Path) -> Facets:
 
 def _facets_of(data: bytes | memoryview, path: Path) -> Facets:
     suffix = path.suffix.lower()
-    if suffix in OWN_READERS:
-        return Facets(*OWN_READERS[suffix](bytes(data), path.name))
-    if suffix == ".3mf":
-        return Facets(*read_3mf(data, path.name))
-    if suffix in (".stl", ""):
-        return Facets(*read_triangles(data, path.name))
-    raise InputError(f"{path.name}: {how_to_read(suffix)}")
+    readers: dict[str, Callable[..., Any]] = {
+        ".obj": read_obj,
+        ".ply": read_ply,
+        ".3mf": read_3mf,
+        ".stl": read_triangles,
+        "": read_triangles,
+    }
+    if suffix not in readers:
+        raise InputError(f"{path.name}: {how_to_read(suffix)}")
+    return Facets(*readers[suffix](data, path.name))
 
 
 def extent_notes(largest_mm: float, units: str) -> list[str]:
-    """Warning that the unit of a file may be wrong, by the largest extent of its part; empty for a usual extent."""
-    if SMALLEST_EXTENT_MM <= largest_mm <= LARGEST_EXTENT_MM:
-        return []
-    return [
-        f"the part is {largest_mm:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)"
-    ]
+    """Warning that the unit of a file may be wrong, by the largest extent of its part; empty for 1 mm to 10 m, the usual ones."""
+    told = f"the part is {largest_mm:.4g} mm in its largest extent: check the unit of the file (read as {units}; see --units)"
+    return [] if 1.0 <= largest_mm <= 10_000.0 else [told]
 
 
 def _bytes_of(path: Path) -> bytes | memoryview:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from typing import Any, Literal
@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ebamcheck.kernels import Bools, kernel
+from ebamcheck.kernels import Bools, Floats, kernel
 from ebamcheck.mesh.bodies import MOST_LISTED, NO_VOLUME, Relation, bodies_of, body_volumes, inside_out_bodies
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import EdgeGroups, Index, body_labels, direction_balance, duplicates, edge_groups
@@ -24,19 +24,17 @@ COUNTS = (
     "vertices", "open_edges", "nonmanifold_edges", "inconsistent_edges",
     "duplicate_facets", "degenerate_facets", "zero_area_facets",
 )  # fmt: skip
-
 FACETS_AT_ONCE = 1 << 18  # facets of which the area is looked at together, to bound the working memory
-BOX_ROOM = 1e-9  # share by which a volume may be over that of its box: rounding of a block
 
 
 @dataclass(frozen=True)
 class Inspection:
     """Result of the inspection of a part.
 
-    `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring
-    facets with the same direction along their edge), ``non-manifold`` (edges with an odd number of facets, or
-    whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed body of negative volume outside
-    any other), ``overlapping`` (more volume than the box around it: bodies that are too many to be united, or a body that passes through itself), ``sound``.
+    `verdict` is the first that applies of: ``open`` (edges with one facet), ``inconsistent`` (neighbouring facets with the same direction
+    along their edge), ``non-manifold`` (edges whose facets do not pair), ``flat`` (no volume), ``inside-out`` (a closed body of negative
+    volume outside any other), ``overlapping`` (more volume than the box around it: bodies that are too many to be united, or one that
+    passes through itself), ``sound``.
     """
 
     name: str
@@ -56,11 +54,11 @@ class Inspection:
     zero_area_facets: int
     inside_out_bodies: int
     open_bodies: int
-    relations: tuple[Relation, ...]
-    """How bodies lie to each other, at most a hundred of them; those first of which something may be lost."""
-    related_bodies: int
-    union_known: bool
-    """How many such relations there are; and whether `volume_mm3` is that of the union of all bodies, else it is their sum."""
+    relations: tuple[
+        Relation, ...
+    ]  # how bodies lie to each other: a hundred at most, those first of which something may be lost
+    related_bodies: int  # how many such relations there are
+    union_known: bool  # whether `volume_mm3` is that of the union of all bodies, else it is their sum
     notes: tuple[str, ...]
     verdict: Verdict
     why: str
@@ -71,10 +69,9 @@ class Inspection:
         return self.verdict == "sound"
 
     def __repr__(self) -> str:
-        facets = short_text.counted(self.facets, "facet")
-        bodies = short_text.counted(self.bodies, "body", "bodies")
+        counts = short_text.counted(self.facets, "facet"), short_text.counted(self.bodies, "body", "bodies")
         size, volume = short_text.size(self.size_mm), f"{self.volume_mm3:.6g} mm3"
-        return short_text.line("Inspection", self.name, self.verdict, facets, bodies, size, volume)
+        return short_text.line("Inspection", self.name, self.verdict, *counts, size, volume)
 
     def _repr_html_(self) -> str:
         """Show the result in a notebook."""
@@ -118,15 +115,13 @@ def inspect(part: Part) -> Inspection:
     return inspection_of(
         part,
         counts,
-        np.abs(told.volumes).sum(),
-        facets=len(part.faces),
-        bodies=len(told.volumes),
+        told.volumes,
         volume_mm3=told.volume_mm3,
-        relations=told.relations[:MOST_LISTED],
-        related_bodies=len(told.relations),
-        union_known=told.known,
+        facets=len(part.faces),
         inside_out_bodies=int(inside_out.sum()),
         open_bodies=int(open_body.sum()),
+        relations=told.relations,
+        union_known=told.known,
     )
 
 
@@ -137,11 +132,8 @@ def defects(
     z, faces = np.ascontiguousarray(part.vertices[:, 2]), part.faces
 
     def told(*corners: Index) -> Bools:
-        if lower_mm == -np.inf and upper_mm == np.inf:
-            return np.ones(len(corners[0]), np.bool_)
         lowest = reduce(np.minimum, [z[corner] for corner in corners])
-        found: Bools = (lowest >= lower_mm) & (lowest < upper_mm)
-        return found
+        return np.asarray((lowest >= lower_mm) & (lowest < upper_mm))
 
     half_edge = groups.half_edges[groups.starts[:-1]]
     facet, corner = np.divmod(half_edge, 3)
@@ -170,20 +162,29 @@ def defects(
     return {**found, "duplicate_facets": duplicates(faces[whole]), "zero_area_facets": flat}, facet[is_open]
 
 
-def inspection_of(part: Part, counts: Mapping[str, int], enclosed_mm3: float, **of_bodies: Any) -> Inspection:
-    """Inspection by the figures of :func:`defects` and those of the bodies, which enclose `enclosed_mm3`, whatever their sense."""
+def inspection_of(
+    part: Part,
+    counts: Mapping[str, int],
+    volumes: Floats,
+    relations: Sequence[Relation] = (),
+    **of_bodies: Any,
+) -> Inspection:
+    """Inspection by the figures of :func:`defects` and those of the bodies, of which each encloses one of the signed volumes (B,)."""
     found = Inspection(
         name=part.name,
-        size_mm=_triple(part.size),
-        lower_mm=_triple(part.bounds[0]),
+        size_mm=tuple(part.size.tolist()),
+        lower_mm=tuple(part.bounds[0].tolist()),
         units=part.units,
         units_from=part.units_from,
         notes=part.notes,
         verdict="sound",
         why="",
+        bodies=len(volumes),
+        relations=tuple(relations[:MOST_LISTED]),
+        related_bodies=len(relations),
         **of_bodies | {name: counts.get(name, 0) for name in COUNTS},
     )
-    verdict, why = _judged(found, counts.get("unpaired_edges", 0), float(enclosed_mm3))
+    verdict, why = _judged(found, counts.get("unpaired_edges", 0), float(np.abs(volumes).sum()))
     return replace(found, verdict=verdict, why=why)
 
 
@@ -213,7 +214,7 @@ def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verd
             f"(in all {found.volume_mm3:.6g} mm3): every facet faces inwards; turn them in the model, or use --fix-orientation"
         )
     box_mm3 = float(np.prod(found.size_mm))
-    if found.volume_mm3 > (1.0 + BOX_ROOM) * box_mm3:
+    if found.volume_mm3 > (1.0 + 1e-9) * box_mm3:  # over the rounding of a block
         return "overlapping", (
             f"its facets enclose {found.volume_mm3:.6g} mm3 in a box of {box_mm3:.6g} mm3: bodies or walls stand in one another; "
             "unite them in the model"
@@ -222,13 +223,7 @@ def _judged(found: Inspection, unpaired: int, enclosed_mm3: float) -> tuple[Verd
 
 
 def fix_orientation(part: Part) -> tuple[Part, int]:
-    """Reverse flipped facets and inside-out closed bodies; returns the part and the number of facets reversed.
-
-    Facets are reversed, body by body, until neighbours across every two-facet edge agree; then closed bodies
-    of negative volume that are no cavities are reversed as a whole. An open body is never reversed because of
-    the sign of its volume.
-    """
-
+    """Reverse facets until neighbours agree, then closed inside-out bodies that are no cavities; returns the part and the number reversed."""
     groups = edge_groups(part.faces, len(part.vertices))
     flip = _consistent_flips(part.faces, groups.half_edges, groups.starts)
     faces = np.where(flip[:, None], part.faces[:, ::-1], part.faces)
@@ -286,8 +281,3 @@ def _consistent_flips(
             for n in range(last):
                 flip[queue[n]] = not flip[queue[n]]
     return flip
-
-
-def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import struct
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,80 +11,65 @@ from numpy.typing import NDArray
 from ebamcheck.errors import InputError
 from ebamcheck.mesh.reading import checked_finite, numbers_of, polygon_corners
 
-SURFACES = (b"surf", b"curv", b"curv2", b"cstype")  # keywords of free-form geometry, which is no mesh
-
 _REFERENCE = re.compile(rb"([+-]?\d{1,18})(/[+-]?\d*){0,2}")
 _KEYWORD = re.compile(rb"[A-Za-z_#][\w#]*")
 
 
-def read_obj(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
+def read_obj(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], list[str]]:
     """Corner points of the facets of an OBJ file, (F, 3, 3) in its unit, and harmless irregularities, one line each."""
+    data = bytes(data)
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
-    # A line that ends in a backslash continues on the next one; an empty line keeps the line numbers.
-    joined = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data)
-    lines = joined.splitlines()
-    heads = [line.split(None, 1)[:1] for line in lines]
-    vertex_lines = [k for k, head in enumerate(heads) if head == [b"v"]]
-    face_lines = [k for k, head in enumerate(heads) if head in ([b"f"], [b"fo"])]
-    _refuse_others(heads, lines, name)
-    if not face_lines:
+    # A line that ends in a backslash continues on the next one.
+    lines = re.sub(rb"\\[ \t]*(\r\n|\n|\r)", b" ", data).splitlines()
+    vertices: list[bytes] = []
+    corners: list[tuple[int, int, list[bytes]]] = []  # line, vertices before it, and words of each facet
+    last = 0
+    for k, line in enumerate(lines):
+        words = line.split()
+        if not words:
+            continue
+        where, word = f"{name}: line {k + 1}", words[0]
+        if word in (b"surf", b"curv", b"curv2", b"cstype"):
+            raise InputError(f"{where}: {word.decode()!r} is free-form geometry, no mesh: export facets")
+        if not _KEYWORD.match(word):
+            raise InputError(f"{where}: {_shown(line)} is no line of an OBJ file")
+        if word == b"v":
+            # Weights and colours behind the coordinates are ignored.
+            if not 4 <= len(words) <= 9:
+                raise InputError(f"{where}: {_shown(line)} has {len(words) - 1} numbers: a vertex has three")
+            vertices += words[1:4]
+        elif word in (b"f", b"fo"):
+            if len(words) < 4:
+                raise InputError(f"{where}: {_shown(line)} has {len(words) - 1} corners: a facet has three")
+            corners.append((k, len(vertices) // 3, words[1:]))
+        else:
+            continue
+        last = k
+    if not corners:
         raise InputError(f"{name}: holds no facet (OBJ)")
-    vertices = _vertices(lines, vertex_lines, name)
-    before = np.searchsorted(np.array(vertex_lines, np.int64), np.array(face_lines, np.int64))
-    index, sizes = _polygons(lines, face_lines, before, len(vertices), name)
-    notes = []
-    if max(vertex_lines[-1], face_lines[-1]) == len(lines) - 1 and not data.endswith((b"\n", b"\r")):
-        notes.append("the last line has no end: the file may have been cut there")
-    return checked_finite(polygon_corners(vertices, index, sizes), name), notes
-
-
-def _refuse_others(heads: list[list[bytes]], lines: list[bytes], name: str) -> None:
-    """Refuse free-form surfaces, which would be lost, and lines that are not in this format."""
-    for k, head in enumerate(heads):
-        if head and head[0] in SURFACES:
-            word = head[0].decode()
-            raise InputError(f"{name}: line {k + 1}: {word!r} is free-form geometry, no mesh: export facets")
-        if head and not (_KEYWORD.match(head[0])):
-            raise InputError(f"{name}: line {k + 1}: {_shown(lines[k])} is no line of an OBJ file")
-
-
-def _vertices(lines: list[bytes], where: list[int], name: str) -> NDArray[np.float64]:
-    """Vertices (V, 3); weights and colours after them are ignored."""
-    rows = [lines[k].split()[1:] for k in where]
-    for k, row in zip(where, rows, strict=True):
-        if not 3 <= len(row) <= 8:
-            raise InputError(
-                f"{name}: line {k + 1}: {_shown(lines[k])} has {len(row)} numbers: a vertex has three"
-            )
-    if not rows:
+    if not vertices:
         raise InputError(f"{name}: holds facets and no vertex (OBJ)")
-    return numbers_of([token for row in rows for token in row[:3]], name).reshape(-1, 3)
+    points = numbers_of(vertices, name).reshape(-1, 3)
+    index = [
+        _row(corner, before, len(points), f"{name}: line {k + 1}")
+        for k, before, words in corners
+        for corner in words
+    ]
+    sizes = np.array([len(words) for _, _, words in corners], np.int64)
+    cut = last == len(lines) - 1 and not data.endswith((b"\n", b"\r"))
+    notes = ["the last line has no end: the file may have been cut there"] if cut else []
+    return checked_finite(polygon_corners(points, np.array(index, np.int64), sizes), name), notes
 
 
-def _polygons(
-    lines: list[bytes], where: list[int], before: NDArray[np.int64], count: int, name: str
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Vertices of all corners, polygon after polygon, and number of corners of each polygon."""
-    found: list[int] = []
-    sizes: list[int] = []
-    for k, seen in zip(where, before.tolist(), strict=True):
-        corners = lines[k].split()[1:]
-        if len(corners) < 3:
-            raise InputError(
-                f"{name}: line {k + 1}: {_shown(lines[k])} has {len(corners)} corners: a facet has three"
-            )
-        for corner in corners:
-            told = _REFERENCE.fullmatch(corner)
-            row = int(told[1]) if told else 0
-            row = row - 1 if row > 0 else seen + row if row < 0 else -1
-            if not 0 <= row < count:
-                raise InputError(
-                    f"{name}: line {k + 1}: corner {_shown(corner)} is none of the {count} vertices of the file"
-                )
-            found.append(row)
-        sizes.append(len(corners))
-    return np.array(found, np.int64), np.array(sizes, np.int64)
+def _row(corner: bytes, before: int, count: int, where: str) -> int:
+    """Vertex of a corner; a negative number counts back from the vertices before it."""
+    told = _REFERENCE.fullmatch(corner)
+    row = int(told[1]) if told else 0
+    row = row - 1 if row > 0 else before + row if row < 0 else -1
+    if not 0 <= row < count:
+        raise InputError(f"{where}: corner {_shown(corner)} is none of the {count} vertices of the file")
+    return row
 
 
 def _shown(text: bytes) -> str:
@@ -100,8 +84,6 @@ TYPES = {
 }  # fmt: skip
 
 FORMATS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
-CORNERS = ("vertex_indices", "vertex_index")
-MOST_HEADER_BYTES = 1 << 16
 MOST_CORNERS = 100_000  # most corners of a facet: more come from a damaged file
 
 
@@ -127,19 +109,20 @@ class Element:
 Columns = dict[str, tuple[NDArray[np.float64], NDArray[np.int64]]]
 
 
-def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
+def read_ply(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float64], list[str]]:
     """Corner points of the facets of a PLY file, (F, 3, 3) in its unit; there are no harmless irregularities."""
+    data = bytes(data)
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
     order, elements, start = _header(data, name)
-    read = _read_ascii if not order else _read_binary
-    found = read(data[start:], elements, order, name)
+    body = data[start:]
+    found = _read_binary(body, elements, order, name) if order else _read_ascii(body, elements, name)
     columns = found.get("vertex", {})
     if lacking := [axis for axis in "xyz" if axis not in columns]:
         raise InputError(f"{name}: its vertices have no {lacking[0]} (PLY)")
     vertices = np.stack([columns[axis][0] for axis in "xyz"], axis=1)
     faces = found.get("face", {})
-    corners = next((faces[key] for key in CORNERS if key in faces), None)
+    corners = next((faces[key] for key in ("vertex_indices", "vertex_index") if key in faces), None)
     if corners is None or not corners[1].size:
         what = "tristrips, which are not read: export triangles" if "tristrips" in found else "no facet (PLY)"
         raise InputError(f"{name}: holds {what}")
@@ -158,12 +141,9 @@ def read_ply(data: bytes, name: str) -> tuple[NDArray[np.float64], list[str]]:
     return checked_finite(polygon_corners(vertices, index, sizes), name), []
 
 
-# -- header --------------------------------------------------------------------------------------------
-
-
 def _header(data: bytes, name: str) -> tuple[str, list[Element], int]:
     """Byte order (empty: ASCII), elements, and offset of the body."""
-    head = data[:MOST_HEADER_BYTES]
+    head = data[: 1 << 16]
     at = head.find(b"end_header")
     end = head.find(b"\n", at) + 1 if at >= 0 else 0
     if not head.startswith(b"ply") or not end:
@@ -185,9 +165,8 @@ def _header(data: bytes, name: str) -> tuple[str, list[Element], int]:
             raise InputError(f"{name}: line {number}: {line[:60]!r} is no line of a PLY header") from None
     names = [e.name for e in elements]
     if order is None or len(set(names)) != len(names):
-        raise InputError(
-            f"{name}: its header {'has no format' if order is None else 'tells an element twice'}"
-        )
+        told = "has no format" if order is None else "tells an element twice"
+        raise InputError(f"{name}: its header {told}")
     return order, elements, end
 
 
@@ -198,13 +177,13 @@ def _count(word: str) -> int:
 
 
 def _property(words: list[str]) -> Property:
-    if words[1] == "list":
-        count, kind, name = words[2:]
-        if TYPES[count][0] == "f":
-            raise ValueError
-        return Property(name, TYPES[kind], TYPES[count])
-    kind, name = words[1:]
-    return Property(name, TYPES[kind])
+    if words[1] != "list":
+        kind, name = words[1:]
+        return Property(name, TYPES[kind])
+    count, kind, name = words[2:]
+    if TYPES[count][0] == "f":
+        raise ValueError
+    return Property(name, TYPES[kind], TYPES[count])
 
 
 def _truncated(name: str, element: Element, what: str) -> InputError:
@@ -213,10 +192,7 @@ def _truncated(name: str, element: Element, what: str) -> InputError:
     )
 
 
-# -- ASCII ---------------------------------------------------------------------------------------------
-
-
-def _read_ascii(body: bytes, elements: list[Element], _: str, name: str) -> dict[str, Columns]:
+def _read_ascii(body: bytes, elements: list[Element], name: str) -> dict[str, Columns]:
     """Columns of every kind of element; each element is a line."""
     rows = [words for line in body.splitlines() if (words := line.split())]
     found, first = dict[str, Columns](), 0
@@ -248,15 +224,10 @@ def _ascii_columns(rows: list[list[bytes]], element: Element, name: str) -> Colu
             sizes.append(size)
             places[k] = at + size
         columns[prop.name] = (numbers_of(words, name), np.array(sizes, np.int64))
-    for k, row in enumerate(rows):
-        if places[k] != len(row):
-            raise InputError(
-                f"{name}: {element.name} {k} has {len(row)} numbers, its properties are {places[k]}"
-            )
+    for k, (row, place) in enumerate(zip(rows, places, strict=True)):
+        if place != len(row):
+            raise InputError(f"{name}: {element.name} {k} has {len(row)} numbers, its properties are {place}")
     return columns
-
-
-# -- binary --------------------------------------------------------------------------------------------
 
 
 def _read_binary(body: bytes, elements: list[Element], order: str, name: str) -> dict[str, Columns]:
@@ -271,41 +242,33 @@ def _read_binary(body: bytes, elements: list[Element], order: str, name: str) ->
 
 def _binary_columns(body: bytes, at: int, element: Element, order: str, name: str) -> tuple[Columns, int]:
     """Columns of one kind of element, and offset of the next kind."""
-    sizes = _first_sizes(body, at, element, order)
+    left = len(body) - at
+    # Lengths of the lists of the first element, which in most files are those of all.
+    sizes, where = [], at
     fields: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
     for i, prop in enumerate(element.properties):
+        size = 1
         if prop.count_kind:
+            size, where = _number(body, where, order, prop.count_kind)
+            size = size if 0 <= size <= MOST_CORNERS else 0
             fields.append((f"n{i}", order + prop.count_kind))
-        fields.append((f"v{i}", order + prop.kind, (sizes[i],)))
+        sizes.append(size)
+        where += size * np.dtype(prop.kind).itemsize
+        fields.append((f"v{i}", order + prop.kind, (size,)))
     kind = np.dtype(fields)
     least_bytes = sum(np.dtype(p.count_kind or p.kind).itemsize for p in element.properties)
-    if element.count * least_bytes > len(body) - at:
-        raise _truncated(name, element, f"{len(body) - at} bytes are left for them")
-    same = element.count * kind.itemsize <= len(body) - at
-    table = np.frombuffer(body, kind, element.count if same else 0, at)
     lists = [i for i, prop in enumerate(element.properties) if prop.count_kind]
+    same = element.count * kind.itemsize <= left
+    if element.count * least_bytes > left or not (same or lists):
+        raise _truncated(name, element, f"{left} bytes are left for them")
+    table = np.frombuffer(body, kind, element.count if same else 0, at)
     if not same or any((table[f"n{i}"] != sizes[i]).any() for i in lists):
-        if not lists:
-            raise _truncated(name, element, f"{len(body) - at} bytes are left for them")
         return _mixed_columns(body, at, element, order, name)
     columns = {
         prop.name: (table[f"v{i}"].astype(np.float64).reshape(-1), np.full(element.count, sizes[i], np.int64))
         for i, prop in enumerate(element.properties)
     }
     return columns, at + element.count * kind.itemsize
-
-
-def _first_sizes(body: bytes, at: int, element: Element, order: str) -> list[int]:
-    """Lengths of the properties of the first element, which in most files are those of all."""
-    sizes = []
-    for prop in element.properties:
-        size = 1
-        if prop.count_kind:
-            size, at = _number(body, at, order, prop.count_kind)
-            size = size if 0 <= size <= MOST_CORNERS else 0
-        sizes.append(size)
-        at += size * np.dtype(prop.kind).itemsize
-    return sizes
 
 
 def _number(body: bytes, at: int, order: str, kind: str) -> tuple[int, int]:
@@ -321,7 +284,6 @@ def _mixed_columns(body: bytes, at: int, element: Element, order: str, name: str
     """Columns of a kind of element whose lists differ in length, read element by element."""
     values: list[list[float]] = [[] for _ in element.properties]
     sizes: list[list[int]] = [[] for _ in element.properties]
-    letters = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
     for k in range(element.count):
         for i, prop in enumerate(element.properties):
             size = 1
@@ -330,7 +292,7 @@ def _mixed_columns(body: bytes, at: int, element: Element, order: str, name: str
             width = np.dtype(prop.kind).itemsize
             if not 0 <= size <= MOST_CORNERS or at + size * width > len(body):
                 raise _truncated(name, element, f"number {k} lacks some of {prop.name!r}")
-            values[i] += struct.unpack_from(f"{order}{size}{letters[prop.kind]}", body, at)
+            values[i] += np.frombuffer(body, order + prop.kind, size, at).tolist()
             sizes[i].append(size)
             at += size * width
     return {

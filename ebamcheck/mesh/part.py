@@ -36,8 +36,7 @@ class Mesh:
     @property
     def size(self) -> NDArray[np.float64]:
         """Extents along x, y and z, (3,) mm."""
-        result: NDArray[np.float64] = self.bounds[1] - self.bounds[0]
-        return result
+        return np.asarray(self.bounds[1] - self.bounds[0])
 
     @property
     def triangles(self) -> NDArray[np.float64]:
@@ -51,13 +50,8 @@ class Mesh:
         return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
 
 
-SMALLEST_EXTENT_MM = 1.0
-# Range of usual extents: outside it, a wrong unit is more likely than such a part
-LARGEST_EXTENT_MM = 10_000.0
-
+# Vertices rotated at a time: BLAS spreads larger products over threads that wait for each other, on a busy machine for very long
 MOST_ROWS = 8192
-"""Vertices rotated at a time: larger products are spread by BLAS over threads that wait for each other, which on a busy machine
-takes a hundred times as long as the rotation itself."""
 
 FROM_FILE = "from the file"
 FROM_FORMAT = "by default of 3MF"
@@ -106,12 +100,8 @@ class Part(Mesh):
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        return short_text.line(
-            "Part",
-            self.name,
-            short_text.counted(len(self.faces), "facet"),
-            short_text.size(self.size.tolist()),
-        )
+        facets = short_text.counted(len(self.faces), "facet")
+        return short_text.line("Part", self.name, facets, short_text.size(self.size.tolist()))
 
     def _repr_html_(self) -> str:
         """Show the part in a notebook."""
@@ -148,11 +138,7 @@ class Part(Mesh):
         return bodies_of(self).volume_mm3
 
     def along(self, direction: ArrayLike) -> Part:
-        """Rotate the part so that `direction` (in the coordinates of the file) points up.
-
-        The rotation is the smallest one that takes the direction to +z, so with ``(0, 0, 1)``
-        the part is unchanged bit for bit. A part can be rotated once.
-        """
+        """Rotate the part, once, by the smallest rotation that makes `direction` (in the coordinates of the file) point up; +z changes no bit."""
         target = unit_vector(direction)
         if self.direction != (0.0, 0.0, 1.0):
             raise SettingsError(f"part {self.name!r} is turned to {self.direction} already: load it again")
@@ -198,12 +184,12 @@ def from_arrays(vertices: ArrayLike, faces: ArrayLike, name: str = "part") -> Pa
     """Make a part from arrays, for models and tests."""
     points = np.ascontiguousarray(vertices, dtype=np.float64).reshape(-1, 3)
     index = np.ascontiguousarray(faces, dtype=np.int64).reshape(-1, 3)
-    if not np.isfinite(points).all():
-        row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-        raise InputError(f"{name}: vertex {row} is {points[row].tolist()}: coordinates must be finite")
-    if index.size and (index.min() < 0 or index.max() >= len(points)):
-        row = int(np.flatnonzero(((index < 0) | (index >= len(points))).any(axis=1))[0])
-        raise InputError(
-            f"{name}: facet {row} is {index[row].tolist()}, but there are {len(points)} vertices"
-        )
+    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if wrong.size:
+        told = f"vertex {wrong[0]} is {points[wrong[0]].tolist()}: coordinates must be finite"
+        raise InputError(f"{name}: {told}")
+    wrong = np.flatnonzero(((index < 0) | (index >= len(points))).any(axis=1))
+    if wrong.size:
+        told = f"facet {wrong[0]} is {index[wrong[0]].tolist()}, but there are {len(points)} vertices"
+        raise InputError(f"{name}: {told}")
     return Part(points, index.astype(np.int32), name=name)

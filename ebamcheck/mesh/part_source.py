@@ -1,23 +1,8 @@
-"""From the file of a part, or of a plate with several, to the part as it is built: read, repaired, rotated, placed, and mounted on a table.
-
-Every part of a plate stands on it, with its lowest point at Z 0. All parts become one mesh, with the facets of one part
-after the other, so layers, islands, heat, program and gates are those of the whole plate. An example of ``plate.toml``::
-
-    clearance_mm = 12            # between parts; 10 if left out
-    [[parts]]
-    file = "blade.stl"           # from the folder of this file
-    place_mm = [0, 0]            # of the middle of its box, in X and Y
-    rotate_deg = 45              # about the vertical; 0 if left out
-    [[parts]]
-    file = "rail.stl"
-    units = "in"                 # that of the settings if left out; so is direction = [0, 0, 1]
-    place_mm = [120, 0]
-    copies = 3
-    step_mm = [40, 0]            # from one copy to the next
-"""
+"""From the file of a part, or of a plate with several, to the part as it is built: read, repaired, rotated, placed, and mounted on a table."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -49,17 +34,12 @@ class Placing:
     about_mm: tuple[float, float] = (0.0, 0.0)
     shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    @property
-    def still(self) -> bool:
-        """Whether nothing moves."""
-        return self.turn_deg % 360.0 == 0.0 and self.shift_mm == (0.0, 0.0, 0.0)
-
     def moved(self, part: Part) -> Part:
         """Return the part where it is built; unchanged bit for bit if nothing moves."""
-        if self.still:
+        if self.turn_deg % 360.0 == 0.0 and self.shift_mm == (0.0, 0.0, 0.0):
             return part
         vertices = part.vertices.copy()
-        if self.turn_deg % 360.0 != 0.0:
+        if self.turn_deg % 360.0:
             x, y = vertices[:, 0] - self.about_mm[0], vertices[:, 1] - self.about_mm[1]
             cosine, sine = cosine_and_sine(self.turn_deg)
             vertices[:, 0] = cosine * x - sine * y + self.about_mm[0]
@@ -85,23 +65,14 @@ def cosine_and_sine(angle_deg: float) -> tuple[float, float]:
 
 def placing_of(part: Part, place_at_mm: tuple[float, ...] | None = None, turn_deg: float = 0.0) -> Placing:
     """Placing that turns a part about the middle of its box, then moves the middle of the turned box to X, Y and, of three, its lowest point to Z."""
-    x, y = _middle(part)
-    turn = Placing(turn_deg, (x, y))
+    x, y, _ = part.bounds.mean(axis=0).tolist()
     if place_at_mm is None:
-        return turn
-    turned = turn.moved(part)
-    low_mm = float(turned.bounds[0, 2])
-    mid_x, mid_y = _middle(turned)
-    rise_mm = place_at_mm[2] - low_mm if len(place_at_mm) > 2 else 0.0
+        return Placing(turn_deg, (x, y))
+    turned = Placing(turn_deg, (x, y)).moved(part)
+    mid_x, mid_y, _ = turned.bounds.mean(axis=0).tolist()
+    rise_mm = place_at_mm[2] - float(turned.bounds[0, 2]) if len(place_at_mm) > 2 else 0.0
     return Placing(turn_deg, (x, y), (place_at_mm[0] - mid_x, place_at_mm[1] - mid_y, rise_mm))
 
-
-def _middle(part: Part) -> tuple[float, float]:
-    middle: Floats = np.asarray(part.bounds.mean(axis=0), np.float64)
-    return float(middle[0]), float(middle[1])
-
-
-PLATE_SUFFIX = ".toml"
 
 MOST_PARTS = 10_000  # most parts on a plate: more come from a mistyped number of copies
 
@@ -162,9 +133,8 @@ class PlatePart(Part):
         """Mesh of one part, placed on the plate."""
         faces = self.faces[slice(*member.facets)]
         first, last = int(faces.min()), int(faces.max()) + 1
-        return Part(
-            self.vertices[first:last], faces - np.int32(first), name=member.name, source=member.source
-        )
+        vertices = self.vertices[first:last]
+        return Part(vertices, faces - np.int32(first), name=member.name, source=member.source)
 
     def outlines(self) -> list[BaseGeometry]:
         """Convex outline of every part, seen from above."""
@@ -173,15 +143,14 @@ class PlatePart(Part):
 
 def is_plate(path: str | Path) -> bool:
     """Whether a file lists the parts of a plate."""
-    return Path(path).suffix.lower() == PLATE_SUFFIX
+    return Path(path).suffix.lower() == ".toml"
 
 
 def load_plate(path: str | Path, units: str = "", direction: Vector = (0.0, 0.0, 1.0)) -> PlatePart:
     """Read a plate and its parts; `units` and `direction` are for parts that have none of their own."""
     path = Path(path)
     plate = read_plate(path)
-    placed = list(_placed(path, plate, units, direction))
-    part = _joined(path, plate, placed)
+    part = _joined(path, plate, list(_placed(path, plate, units, direction)))
     _check_apart(path, part)
     return part
 
@@ -240,13 +209,10 @@ def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> Plat
     vertex = np.concatenate([[0], np.cumsum([len(part.vertices) for _, part in placed])])
     facet = np.concatenate([[0], np.cumsum([len(part.faces) for _, part in placed])])
     if vertex[-1] > np.iinfo(np.int32).max // 4:
-        raise SettingsError(
-            f"{path}: {vertex[-1]} vertices are more than one mesh can hold: build fewer copies"
-        )
-    members = tuple(
-        Member(**{**vars(member), "facets": (int(facet[k]), int(facet[k + 1]))})
-        for k, (member, _) in enumerate(placed)
-    )
+        told = f"{vertex[-1]} vertices are more than one mesh can hold: build fewer copies"
+        raise SettingsError(f"{path}: {told}")
+    of_each = zip(placed, itertools.pairwise(facet.tolist()), strict=True)
+    members = tuple(replace(member, facets=facets) for (member, _), facets in of_each)
     return PlatePart(
         np.concatenate([part.vertices for _, part in placed]),
         np.concatenate([part.faces + np.int32(vertex[k]) for k, (_, part) in enumerate(placed)]),
@@ -254,9 +220,7 @@ def _joined(path: Path, plate: Plate, placed: list[tuple[Member, Part]]) -> Plat
         source=str(path),
         source_sha256=plate_sha256(path),
         units_from=FROM_PARTS,
-        notes=tuple(
-            dict.fromkeys(f"{Path(part.source).name}: {note}" for _, part in placed for note in part.notes)
-        ),
+        notes=tuple(dict.fromkeys(f"{Path(p.source).name}: {note}" for _, p in placed for note in p.notes)),
         members=members,
         clearance_mm=plate.clearance_mm,
     )
@@ -269,14 +233,11 @@ def _check_apart(path: Path, part: PlatePart) -> None:
     outlines = np.array(part.outlines(), object)
     tree = shapely.STRtree(outlines)
     a, b = tree.query(outlines, predicate="dwithin", distance=part.clearance_mm)
-    near = a < b
-    if not near.any():
-        return
-    a, b = a[near], b[near]
+    a, b = a[a < b], b[a < b]
     apart = shapely.distance(outlines[a], outlines[b])
-    k = int(np.argmin(apart))
-    if apart[k] >= part.clearance_mm:
+    if not apart.size or apart.min() >= part.clearance_mm:
         return
+    k = int(np.argmin(apart))
     one, other = part.members[a[k]].name, part.members[b[k]].name
     how = f"{apart[k]:.4g} mm apart" if apart[k] > 0.0 else "in each other's way"
     raise SettingsError(
@@ -292,12 +253,8 @@ def read_part(path: str | Path, settings: PartSettings) -> tuple[Part, int]:
         raise SettingsError(
             f"{path}: part.place_at_mm and part.rotate_deg are of one part: a plate places each of its parts itself"
         )
-    part: Part = (
-        load_plate(path, settings.units or "", settings.direction)
-        if plate
-        else load(path, settings.units or "")
-    )
-    turned = 0
+    units, turned = settings.units or "", 0
+    part = load_plate(path, units, settings.direction) if plate else load(path, units)
     if settings.fix_orientation:
         from ebamcheck.mesh.inspection import fix_orientation  # kernels load when they are needed
 
@@ -310,11 +267,10 @@ def read_part(path: str | Path, settings: PartSettings) -> tuple[Part, int]:
 
 def read_reference(path: str | Path, part_path: str | Path, settings: PartSettings) -> Part:
     """Read a finer mesh of a part, and move it exactly as the part is moved, although their boxes differ slightly."""
-    for file in (path, part_path):
-        if is_plate(file):
-            raise SettingsError(
-                f"{file}: a reference is of one part: measure the parts of a plate one by one"
-            )
+    if plates := [file for file in (path, part_path) if is_plate(file)]:
+        raise SettingsError(
+            f"{plates[0]}: a reference is of one part: measure the parts of a plate one by one"
+        )
     fine = load(path, settings.units or "").along(settings.direction)
     if settings.place_at_mm is None and not settings.rotate_deg:
         return fine
@@ -332,43 +288,30 @@ def _placing(upright: Part, settings: PartSettings) -> Placing:
     return placing_of(upright, settings.place_at_mm, settings.rotate_deg)
 
 
-RIGID_MM = 1e-6  # largest residual of the motion between two parts of the same file
-
-
 def rigid_motion(before: Part, now: Part) -> tuple[Floats, Floats]:
     """Rotation (3, 3) and shift (3,) that take one part to the other as p @ rotation + shift, from their vertices."""
+    other = InputError(f"part {now.name!r}: is of another file than the one that was built")
     if before.vertices.shape != now.vertices.shape:
-        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+        raise other
     middle = before.vertices.mean(axis=0)
     turn, *_ = np.linalg.lstsq(before.vertices - middle, now.vertices - now.vertices.mean(axis=0), rcond=None)
     u, _, v = np.linalg.svd(turn)
     turn = np.asarray(u @ v, np.float64)
     shift = now.vertices.mean(axis=0) - middle @ turn
     scale = max(float(np.abs(before.bounds).max()), 1.0)
-    if np.abs(before.vertices @ turn + shift - now.vertices).max() > RIGID_MM * scale:
-        raise InputError(f"part {now.name!r}: is of another file than the one that was built")
+    if np.abs(before.vertices @ turn + shift - now.vertices).max() > 1e-6 * scale:
+        raise other
     return turn, np.asarray(shift, np.float64)
 
 
 def on_table(before: Part, now: Part, built_mm: float = 0.0) -> OnTable:
-    """Mounting of a part that was built along one direction up to `built_mm` over the plate, and is turned to another.
-
-    `before` is the part on the table with all axes at 0, `now` the part in the program of the turned layer, each with Z from its lowest point.
-    """
+    """Mounting of a part built up to `built_mm`: `before` as it stood on the table with all axes at 0, `now` in the program of a turned layer."""
     turn, shift = rigid_motion(before, now)
     zero = np.array([0.0, 0.0, before.bounds[0, 2]])
     shift = zero @ turn + shift - np.array([0.0, 0.0, now.bounds[0, 2]])
     low, high = before.bounds - zero
-
-    def triple(values: Floats) -> tuple[float, float, float]:
-        x, y, z = (np.asarray(values, np.float64) + 0.0).tolist()
-        return x, y, z
-
-    return OnTable(
-        direction=before.direction,
-        turn=(triple(turn[0]), triple(turn[1]), triple(turn[2])),
-        shift_mm=triple(shift),
-        low_mm=triple(low),
-        high_mm=triple(high),
-        built_mm=built_mm,
+    plain = {"turn": turn, "shift_mm": shift, "low_mm": low, "high_mm": high}
+    return OnTable.model_validate(
+        {name: np.asarray(values + 0.0).tolist() for name, values in plain.items()}
+        | {"direction": before.direction, "built_mm": built_mm}
     )

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
+
+Corners = TypeVar("Corners", NDArray[np.float32], NDArray[np.float64])
 
 READ = (".stl", ".obj", ".ply", ".3mf")  # suffixes of the mesh files that are read
 
@@ -87,13 +90,13 @@ def polygon_corners(
     return vertices[index[fans(sizes)]]
 
 
-def checked_finite(corners: NDArray[np.float64], name: str) -> NDArray[np.float64]:
-    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite."""
-    if not np.isfinite(corners).all():
-        facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
+def checked_finite(corners: Corners, name: str, first: int = 0) -> Corners:
+    """Return corner points (F, 3, 3) unchanged; raises :class:`InputError` with the place if one is not finite; `first` is the first facet."""
+    wrong = np.argwhere(~np.isfinite(corners))
+    if len(wrong):
+        facet, corner, axis = wrong[0]
         raise InputError(
-            f"{name}: facet {facet}, vertex {corner}, {'xyz'[axis]} is {corners[facet, corner, axis]}: "
-            "coordinates must be finite"
+            f"{name}: facet {first + facet}, vertex {corner}, {'xyz'[axis]} is {corners[facet, corner, axis]}: coordinates must be finite"
         )
     return corners
 

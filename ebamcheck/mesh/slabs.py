@@ -1,12 +1,5 @@
 """A part in slabs of z, for a mesh that does not fit into memory: a binary STL file is read once, then slab by slab.
-
-The facets of a slab are an open mesh. If the whole mesh is closed, the open edges of the slab's mesh lie entirely below or
-above the slab, and form cycles. A cone over each cycle, from a corner of the part's box, closes the mesh without
-reaching any height of the slab: sections there are those of the whole mesh, and every slicer accepts it. The inspection
-counts every facet, edge and vertex in the slab of its lowest point.
-
-Only two columns of heights are kept in memory. The file is read, not memory-mapped: mapped pages count as the process's
-memory, and a file truncated meanwhile would kill the process.
+Cones close each slab's mesh beyond its heights. The file is not memory-mapped: mapped pages count as the process's memory.
 """
 
 from __future__ import annotations
@@ -14,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,18 +25,16 @@ from ebamcheck.mesh.part import FROM_DEFAULT, FROM_SETTINGS, Part
 from ebamcheck.mesh.stl import (
     FACET_BYTES,
     HEADER_BYTES,
+    binary_count,
+    checked_count,
     facet_corners,
     looks_like_ascii,
     refuse_foreign,
-    refuse_truncated,
-    trailing_bytes,
 )
 from ebamcheck.mesh.topology import body_labels, direction_balance, edge_groups, weld
 from ebamcheck.settings.base import UNITS_MM, unit_named
 
 BLOCK = 1 << 18  # facets read at once: 13 MB
-MOST_FACETS = 2**31 - 1  # most facets of a file: their numbers have 32 bits
-HEAD_BYTES = 4096  # bytes examined of a file that is no binary STL, to tell what it is
 COLUMN_BLOCK = 1 << 22  # facets of which the heights are looked at together, to bound the working memory
 
 Singles = NDArray[np.float32]
@@ -67,34 +58,35 @@ class FacetFile:
     def corners(self, numbers: Index) -> Singles:
         """Corner points (N, 3, 3) of facets by their ascending numbers, in the file's unit; refuses a file that has changed."""
         result = np.empty((len(numbers), 3, 3), np.float32)
-        with opened(self.path) as file:
+        with told_if_unreadable(self.path), self.path.open("rb") as file:
             if _stamp(file) != self.stamp:
                 raise InputError(f"{self.path}: was changed while it was read: start again")
             at = 0
             while at < len(numbers):
                 first = int(numbers[at])
                 past = int(np.searchsorted(numbers, first + BLOCK))
-                block = read_facets(file, self.path, first, int(numbers[past - 1]) + 1 - first)
+                block = _read_facets(file, self.path, first, int(numbers[past - 1]) + 1 - first)
                 chosen = np.ascontiguousarray(block[numbers[at:past] - first])
                 chosen.flags.writeable = False
                 result[at:past] = facet_corners(chosen, self.path.name, first)
                 at = past
         return result
 
+    def _in_mm(self, z: Singles) -> Iterator[tuple[int, Floats]]:
+        """One of both columns in mm, in blocks, each with the number of its first facet."""
+        for start in range(0, len(self), COLUMN_BLOCK):
+            yield start, z[start : start + COLUMN_BLOCK].astype(np.float64) * self.millimetres
+
     def reaching(self, lower_mm: float, upper_mm: float) -> Index:
         """Ascending numbers of the facets between two heights, these included."""
-        found = []
-        for start in range(0, len(self), COLUMN_BLOCK):
-            low, high = (z[start : start + COLUMN_BLOCK].astype(np.float64) for z in (self.low, self.high))
-            inside = (low * self.millimetres <= upper_mm) & (high * self.millimetres >= lower_mm)
-            found.append((np.flatnonzero(inside) + start).astype(np.int32))
-        return np.concatenate(found)
+        blocks = zip(self._in_mm(self.low), self._in_mm(self.high), strict=True)
+        inside = ((start, (low <= upper_mm) & (high >= lower_mm)) for (start, low), (_, high) in blocks)
+        return np.concatenate([(np.flatnonzero(here) + start).astype(np.int32) for start, here in inside])
 
     def counted(self, z: Singles, heights: Floats, side: Literal["left", "right"]) -> Ints:
         """Facets whose `low` or `high` is at most at each of rising heights (``left``), or under it (``right``), (L,)."""
         counts = np.zeros(heights.size + 1, np.int64)
-        for start in range(0, len(self), COLUMN_BLOCK):
-            z_mm = z[start : start + COLUMN_BLOCK].astype(np.float64) * self.millimetres
+        for _, z_mm in self._in_mm(z):
             counts += np.bincount(np.searchsorted(heights, z_mm, side=side), minlength=counts.size)
         return np.cumsum(counts)[:-1]
 
@@ -102,18 +94,16 @@ class FacetFile:
 def is_binary_stl(path: Path) -> bool:
     """Whether a file is a binary STL, by its name and its size."""
     try:
-        if path.suffix.lower() not in (".stl", "") or not path.is_file():
-            return False
-        with path.open("rb") as file:
-            return path.stat().st_size == HEADER_BYTES + FACET_BYTES * _count(file.read(HEADER_BYTES))
-    except OSError:
+        named = path.suffix.lower() in (".stl", "") and path.is_file()
+        return named and path.stat().st_size == HEADER_BYTES + FACET_BYTES * facet_count(path)
+    except (InputError, OSError):
         return False
 
 
 def facet_count(path: Path) -> int:
     """Number of facets by the header of a binary STL file."""
-    with opened(path) as file:
-        return _count(file.read(HEADER_BYTES))
+    with told_if_unreadable(path), path.open("rb") as file:
+        return binary_count(file.read(HEADER_BYTES))
 
 
 def read_once(path: str | Path, units: str = "", progress: Callable[[int], None] | None = None) -> FacetFile:
@@ -125,15 +115,26 @@ def read_once(path: str | Path, units: str = "", progress: Callable[[int], None]
         )
     unit = unit_named(units or "mm")
     millimetres = UNITS_MM[unit]
-    with opened(path) as file, ThreadPoolExecutor(1) as aside:
+    with told_if_unreadable(path), path.open("rb") as file, ThreadPoolExecutor(1) as aside:
         stamp = _stamp(file)
         head = file.read(HEADER_BYTES)
-        count, notes = _checked_count(head, stamp[0], file, path.name)
+        if len(head) < HEADER_BYTES or stamp[0] != HEADER_BYTES + FACET_BYTES * binary_count(head):
+            start = head + file.read(4096)
+            if looks_like_ascii(start):
+                raise InputError(
+                    f"{path.name}: is an ASCII STL: only a binary one is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
+                )
+            refuse_foreign(start, path.name)
+        count, notes = checked_count(head, stamp[0], path.name)
+        if count > 2**31 - 1:  # facets are numbered in 32 bits
+            raise InputError(
+                f"{path.name}: {count} facets are over the {2**31 - 1} that slabs can number: split the part"
+            )
         digest = hashlib.sha256(head)
         low, high = np.empty(count, np.float32), np.empty(count, np.float32)
         least, greatest = np.full(3, np.inf), np.full(3, -np.inf)
         for first in range(0, count, BLOCK):
-            block = read_facets(file, path, first, min(BLOCK, count - first))
+            block = _read_facets(file, path, first, min(BLOCK, count - first))
             # Hashing takes as long as everything else, and is independent of it.
             hashing = aside.submit(digest.update, block.data)
             corners = facet_corners(block, path.name, first)
@@ -165,13 +166,7 @@ def read_once(path: str | Path, units: str = "", progress: Callable[[int], None]
     return FacetFile(path, low, high, millimetres, outline, stamp)
 
 
-def opened(path: Path) -> BinaryIO:
-    """Open a mesh file; raises :class:`InputError` if it cannot be opened."""
-    with told_if_unreadable(path):
-        return path.open("rb")
-
-
-def read_facets(file: BinaryIO, path: Path, first: int, count: int) -> NDArray[np.uint16]:
+def _read_facets(file: BinaryIO, path: Path, first: int, count: int) -> NDArray[np.uint16]:
     """Consecutive facets as 16-bit words, (F, 25); raises :class:`InputError` if the file ends too early."""
     file.seek(HEADER_BYTES + FACET_BYTES * first)
     data = file.read(FACET_BYTES * count)
@@ -185,55 +180,17 @@ def _stamp(file: BinaryIO) -> tuple[int, int]:
     return found.st_size, found.st_mtime_ns
 
 
-def _count(head: bytes) -> int:
-    return int.from_bytes(head[80:HEADER_BYTES], "little") if len(head) == HEADER_BYTES else 0
-
-
-def _checked_count(head: bytes, size: int, file: BinaryIO, name: str) -> tuple[int, list[str]]:
-    """Number of facets by the first bytes and the size of a file, and harmless irregularities; refuses other formats."""
-    count = _count(head)
-    expected = HEADER_BYTES + FACET_BYTES * count
-    if size < HEADER_BYTES or size != expected:
-        start = head + file.read(HEAD_BYTES)
-        if looks_like_ascii(start):
-            raise InputError(
-                f"{name}: is an ASCII STL: only a binary one is read in slabs: write it as binary STL, or check it whole (--slabs 1)"
-            )
-        refuse_foreign(start, name)
-    if size < HEADER_BYTES:
-        raise InputError(f"{name}: is no binary STL file: {size} bytes, under the 84 of its header")
-    refuse_truncated(count, size, name)
-    if count == 0:
-        raise InputError(f"{name}: holds no facet (binary STL with count 0)")
-    if count > MOST_FACETS:
-        raise InputError(
-            f"{name}: {count} facets are over the {MOST_FACETS} that slabs can number: split the part"
-        )
-    if size - expected >= FACET_BYTES:
-        raise InputError(trailing_bytes(count, size - expected, name))
-    return count, [f"{size - expected} bytes after the last facet were ignored"] if size > expected else []
-
-
 @dataclass(frozen=True, eq=False)
 class Slab:
     """One slab of a mesh: a closed part with the sections of the whole one at the slab's heights, and with its box."""
 
     part: Part
-    facets: int
-    points: int
-    """Facets and vertices of `part` that are from the file, which come first; the others are cones, and the corners of the box."""
-    numbers: Index  # (facets,) numbers of these facets in the file, ascending
-    lower_mm: float
+    own: Part  # open mesh of the facets from the file; the others are cones
+    numbers: Index  # numbers of these facets in the file, ascending
     # An item with its lowest point at `lower_mm <= z < upper_mm` is counted in this slab only
+    lower_mm: float
     upper_mm: float
     next_from_mm: float  # facets that reach up to this height are also in the next slab
-
-    @property
-    def own(self) -> Part:
-        """Open mesh of the facets from the file."""
-        return replace(
-            self.part, vertices=self.part.vertices[: self.points], faces=self.part.faces[: self.facets]
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,15 +221,12 @@ class Division:
             vertices=np.concatenate([vertices, box]),
             faces=np.ascontiguousarray(np.concatenate([faces, cones])),
         )
-        return Slab(part, len(faces), len(vertices), numbers, lower, upper, upper - self.reach_mm)
+        own = replace(part, vertices=part.vertices[: len(vertices)], faces=part.faces[: len(faces)])
+        return Slab(part, own, numbers, lower, upper, upper - self.reach_mm)
 
 
 def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: float) -> Index:
-    """Facets (C, 3) that close the open edges of a mesh entirely below `lower_mm` or above `upper_mm`.
-
-    An open edge between or across these heights is a defect of the mesh, and stays. Vertex V is a point below all others, V + 1
-    one above.
-    """
+    """Facets (C, 3) that close the open edges of a mesh below `lower_mm` or above `upper_mm`, to vertices V and V + 1 beyond all others."""
     groups = edge_groups(faces, len(vertices))
     balance = direction_balance(faces, groups)
     odd = np.flatnonzero(balance)
@@ -291,10 +245,7 @@ def closing_cones(vertices: Floats, faces: Index, lower_mm: float, upper_mm: flo
 
 
 def divided(file: FacetFile, heights: Floats, slabs: int, reach_mm: float) -> Division:
-    """Divide the layers of a part, cut at ascending heights, into slabs of about equal work, and assign its facets to them.
-
-    A slab has all facets within `reach_mm` of its borders: as far as slicers and comparison look from a height.
-    """
+    """Divide layers at ascending heights into slabs of about equal work, each with the facets within a reach that slicers and comparison look."""
     begun = file.counted(file.low, heights, "left")
     # Facets that begin at each height, and those cut there (at z = h + 0).
     begins, crossing = np.diff(begun, prepend=0), begun - file.counted(file.high, heights, "left")
@@ -330,29 +281,16 @@ def slab_layers(begins: Ints, crossing: Ints, slabs: int) -> Ints:
     return np.concatenate([[0], inner, [layers]]).astype(np.int64)
 
 
-@dataclass(frozen=True)
-class _Pieces:
-    """Pieces of bodies in one slab; their numbers continue those of the slabs below."""
-
-    volumes: Floats  # (P,) mm3, of the facets counted in the slab, about the middle of the part's box
-    lower: Floats
-    upper: Floats  # (P, 3) corners of the boxes of all facets
-    is_open: Bools  # (P,) whether they have an open edge that is counted in the slab
-    links: Ints  # (N, 2) pieces of the slab below and of this one that share a facet
-
-
 class SlabInspection:
-    """Figures of :func:`~ebamcheck.mesh.inspection.inspect`, added up over the slabs from the lowest to the highest.
-
-    All facets at a vertex reach into the slab of that vertex, so the counts are those of the whole mesh. Bodies
-    are joined from their pieces in neighbouring slabs by the facets that reach into both.
-    """
+    """Figures of :func:`~ebamcheck.mesh.inspection.inspect` added up over slabs from the lowest on; bodies are joined by facets in two of them."""
 
     def __init__(self, outline: Part, facets: int) -> None:
         self._outline = outline
         self._facets = facets
         self._counts = Counter[str]()
-        self._pieces: list[_Pieces] = []
+        # Of each slab: volumes (P,) of pieces of bodies, about the middle of the part's box, corners of their boxes (P, 3) twice, whether
+        # they are open (P,), and pieces of the slab below and of this one that share a facet (N, 2)
+        self._pieces: list[tuple[Floats, Floats, Floats, Bools, Ints]] = []
         self._known = 0
         # Facets that may reach into the next slab, and the piece of each.
         self._carried = np.zeros(0, np.int32), np.zeros(0, np.int64)
@@ -371,7 +309,7 @@ class SlabInspection:
         numbers, pieces = slab.numbers[used], body[used].astype(np.int64) + self._known
         _, below, here = np.intersect1d(self._carried[0], numbers, assume_unique=True, return_indices=True)
         links = np.unique(np.stack([self._carried[1][below], pieces[here]], axis=1), axis=0)
-        self._pieces.append(_Pieces(volumes, lower, upper, is_open, links))
+        self._pieces.append((volumes, lower, upper, is_open, links))
         self._known += is_open.size
         carried = part.vertices[part.faces[used], 2].max(axis=1) >= slab.next_from_mm
         self._carried = numbers[carried], pieces[carried]
@@ -384,14 +322,11 @@ class SlabInspection:
         return inspection_of(
             self._outline,
             self._counts,
-            np.abs(volumes).sum(),
-            facets=self._facets,
-            bodies=volumes.size,
+            volumes,
             volume_mm3=float(volumes.sum()),
+            facets=self._facets,
             inside_out_bodies=int((outermost(negative, volumes, lower, upper) & ~is_open).sum()),
             open_bodies=int(is_open.sum()),
-            relations=(),
-            related_bodies=0,
             union_known=not len(boxes_meeting(lower, upper, ASIDE * float(np.linalg.norm(size)))),
         )
 
@@ -402,15 +337,15 @@ class SlabInspection:
         from scipy.sparse import coo_array  # which loads when it is needed
         from scipy.sparse.csgraph import connected_components
 
-        links = np.concatenate([piece.links for piece in self._pieces])
+        pieces, least, greatest, opened, links = map(np.concatenate, zip(*self._pieces, strict=True))
         graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), (self._known, self._known))
         count, body = connected_components(graph, directed=False)
         volumes, is_open = np.zeros(count), np.zeros(count, np.bool_)
         lower, upper = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-        np.add.at(volumes, body, np.concatenate([p.volumes for p in self._pieces]))
-        np.minimum.at(lower, body, np.concatenate([p.lower for p in self._pieces]))
-        np.maximum.at(upper, body, np.concatenate([p.upper for p in self._pieces]))
-        np.logical_or.at(is_open, body, np.concatenate([p.is_open for p in self._pieces]))
+        np.add.at(volumes, body, pieces)
+        np.minimum.at(lower, body, least)
+        np.maximum.at(upper, body, greatest)
+        np.logical_or.at(is_open, body, opened)
         return volumes, lower, upper, is_open
 
 

@@ -1,8 +1,5 @@
-"""Strict reader of STL files, binary and ASCII, and writer of binary ones.
-
-The kind is decided by content and size: a file whose size fits its facet count is binary, whatever its
-header says. Nothing is repaired or guessed: a file that is truncated, has a wrong count or an invalid
-number is refused with the place and the value.
+"""Strict reader of STL files, and writer of binary ones; what is truncated, or has a wrong count or number, is refused with its place.
+A file whose size fits its facet count is binary, whatever its header says.
 """
 
 from __future__ import annotations
@@ -16,13 +13,11 @@ from numpy.typing import NDArray
 
 from ebamcheck.errors import InputError
 from ebamcheck.kernels import kernel
-from ebamcheck.mesh.reading import decimal_comma, how_to_read, is_number
+from ebamcheck.mesh.reading import checked_finite, decimal_comma, how_to_read, is_number
 
 HEADER_BYTES = 84
 FACET_BYTES = 50
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-NORMAL_HALVES = 6  # number of 16-bit words in the normal of a facet
-LARGEST_FLOAT32 = float(np.finfo(np.float32).max)
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _ASCII_START = re.compile(rb"\s*solid[^\r\n]*[\r\n]\s*(facet|endsolid)\s", re.IGNORECASE)
 _FACET_BEHIND = rb"(?=facet[ \t]+normal[ \t]+(?:[-+.\d]|nan))"
@@ -49,32 +44,51 @@ FOREIGN = (
 
 
 def read_triangles(data: bytes | memoryview, name: str) -> tuple[NDArray[np.float32], list[str]]:
-    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, and harmless irregularities, one line each.
-
-    STL's numbers have 32 bits, and an ASCII file prints such numbers: rounding to them merges vertices that were printed with
-    different digits.
-    """
+    """Corner points of the facets of an STL file, (F, 3, 3) in its unit, in 32 bits also of an ASCII file, and harmless irregularities."""
     if not data:
         raise InputError(f"{name}: is empty (0 bytes)")
-    count = int.from_bytes(data[80:84], "little") if len(data) >= HEADER_BYTES else 0
-    expected = HEADER_BYTES + FACET_BYTES * count
-    if len(data) >= HEADER_BYTES and len(data) == expected:
-        return _binary(data, count, name), []
-    data = bytes(data)
-    if looks_like_ascii(data):
-        return _ascii(data, name), []
-    if _ONE_LINE.match(data.removeprefix(BYTE_ORDER_MARK)):
-        return _ascii(_names_ended(data), name), []
-    refuse_foreign(data, name)
-    if len(data) < HEADER_BYTES:
+    head = bytes(data[:HEADER_BYTES])
+    expected = HEADER_BYTES + FACET_BYTES * binary_count(head)
+    blank = True
+    if len(data) != expected:
+        data = bytes(data)
+        if looks_like_ascii(data):
+            return _ascii(data, name), []
+        if _ONE_LINE.match(data.removeprefix(BYTE_ORDER_MARK)):
+            return _ascii(_names_ended(data), name), []
+        refuse_foreign(data, name)
+        blank = not data[expected:].strip(b"\0 \t\r\n")
+    count, notes = checked_count(head, len(data), name, blank)
+    halves = np.frombuffer(data, np.uint16, count * FACET_BYTES // 2, HEADER_BYTES).reshape(count, -1)
+    return facet_corners(halves, name), notes
+
+
+def binary_count(head: bytes) -> int:
+    """Number of facets by the first 84 bytes of a binary file; 0 where there are fewer."""
+    return int.from_bytes(head[80:HEADER_BYTES], "little") if len(head) == HEADER_BYTES else 0
+
+
+def checked_count(head: bytes, size: int, name: str, blank: bool = False) -> tuple[int, list[str]]:
+    """Number of facets of a binary file of so many bytes, of which those behind the last facet may be `blank`, and harmless irregularities."""
+    count = binary_count(head)
+    more = size - HEADER_BYTES - FACET_BYTES * count
+    if size < HEADER_BYTES:
         raise InputError(
-            f"{name}: is no STL file: {len(data)} bytes, under the 84 of a binary header, and no ASCII 'solid'"
+            f"{name}: is no STL file: {size} bytes, under the 84 of a binary header, and no ASCII 'solid'"
         )
-    refuse_truncated(count, len(data), name)
-    trailing = data[expected:]
-    if len(trailing) >= FACET_BYTES and trailing.strip(b"\0 \t\r\n"):
-        raise InputError(trailing_bytes(count, len(trailing), name))
-    return _binary(data, count, name), [f"{len(trailing)} bytes after the last facet were ignored"]
+    if more < 0:
+        room = (size - HEADER_BYTES) // FACET_BYTES
+        raise InputError(
+            f"{name}: truncated or not an STL file: byte 80 counts {count} facets, which need {size - more} bytes, "
+            f"but there are {size} (room for {room} facets)"
+        )
+    if more >= FACET_BYTES and not blank:
+        raise InputError(
+            f"{name}: byte 80 counts {count} facets, but {more} bytes follow the last one: wrong count, or files joined end to end"
+        )
+    if count == 0:
+        raise InputError(f"{name}: holds no facet (binary STL with count 0)")
+    return count, [f"{more} bytes after the last facet were ignored"] if more else []
 
 
 def refuse_foreign(start: bytes, name: str) -> None:
@@ -84,49 +98,15 @@ def refuse_foreign(start: bytes, name: str) -> None:
             raise InputError(f"{name}: is {what}")
 
 
-def refuse_truncated(count: int, size: int, name: str) -> None:
-    """Refuse a binary file of fewer bytes than its facets need."""
-    expected = HEADER_BYTES + FACET_BYTES * count
-    if size < expected:
-        room = (size - HEADER_BYTES) // FACET_BYTES
-        raise InputError(
-            f"{name}: truncated or not an STL file: byte 80 counts {count} facets, which need {expected} bytes, "
-            f"but there are {size} (room for {room} facets)"
-        )
-
-
-def trailing_bytes(count: int, more: int, name: str) -> str:
-    """Say that a binary file goes on behind its last facet."""
-    return (
-        f"{name}: byte 80 counts {count} facets, but {more} bytes follow the last one: "
-        "wrong count, or files joined end to end"
-    )
-
-
-def _binary(data: bytes | memoryview, count: int, name: str) -> NDArray[np.float32]:
-    if count == 0:
-        raise InputError(f"{name}: holds no facet (binary STL with count 0)")
-    halves = np.frombuffer(data, np.uint16, count * FACET_BYTES // 2, HEADER_BYTES).reshape(count, -1)
-    return facet_corners(halves, name)
-
-
 def facet_corners(facets: NDArray[np.uint16], name: str, first: int = 0) -> NDArray[np.float32]:
     """Corner points (F, 3, 3) of facets given as 16-bit words (F, 25), the first of which has the number `first` in its file."""
-    corners = facets[:, NORMAL_HALVES:-1].copy().view(np.float32).reshape(-1, 3, 3)
-    if not np.isfinite(corners).all():
-        facet, corner, axis = np.argwhere(~np.isfinite(corners))[0]
-        value = corners[facet, corner, axis]
-        raise InputError(
-            f"{name}: facet {first + facet}, vertex {corner}, {'xyz'[axis]} is {value}: coordinates must be finite"
-        )
-    return corners
+    # The normal has six words, the attribute one.
+    corners = facets[:, 6:-1].copy().view(np.float32).reshape(-1, 3, 3)
+    return checked_finite(corners, name, first)
 
 
 def looks_like_ascii(data: bytes) -> bool:
-    """Whether the first line opens a solid and the next word is one that may follow in an ASCII file.
-
-    The word ``solid`` alone is not enough: many binary files have it in their header.
-    """
+    """Whether the first line opens a solid, as many binary headers do, and the next word is one that may follow in an ASCII file."""
     text = data.removeprefix(BYTE_ORDER_MARK)
     return bool(_ASCII_START.match(text)) or (
         len(data) < HEADER_BYTES and text.lstrip()[:5].lower() == b"solid"
@@ -134,10 +114,7 @@ def looks_like_ascii(data: bytes) -> bool:
 
 
 def _names_ended(data: bytes) -> bytes:
-    """Mark the end of a solid's name if its facets follow on the same line; the length of the text stays the same.
-
-    A facet is distinguished from a word of the name by the number after ``facet normal``.
-    """
+    """Mark the end of a solid's name, in a text of the same length, where a ``facet normal`` with a number follows on the same line."""
     return _SOLID_BEHIND.sub(b"\\1\x0b", _NAME_END.sub(b"\\1\x0b", data))
 
 
@@ -153,7 +130,6 @@ _WORD_TABLE = np.zeros((len(_WORDS), 8), np.uint8)
 for _row, _word in enumerate(_WORDS):
     _WORD_TABLE[_row, : len(_word)] = np.frombuffer(_word, np.uint8)
 _WORD_SIZES = np.array([len(w) for w in _WORDS])
-_NUMBERS_PER_FACET = 9
 # Bytes of the shortest facet that can be written; bounds the number of facets before parsing
 _SHORTEST_FACET = 75
 
@@ -238,7 +214,7 @@ def _copy_tokens(
 
 def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
     text = np.frombuffer(data.removeprefix(BYTE_ORDER_MARK), np.uint8)
-    room = (text.size // _SHORTEST_FACET + 1) * _NUMBERS_PER_FACET
+    room = (text.size // _SHORTEST_FACET + 1) * 9
     starts, stops = np.zeros(room, np.int64), np.zeros(room, np.int64)
     solid, endsolid = (np.frombuffer(word, np.uint8) for word in (b"solid", b"endsolid"))
     status, facets, at, step = _scan(text, _WORD_TABLE, _WORD_SIZES, solid, endsolid, starts, stops)
@@ -256,7 +232,7 @@ def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
     except ValueError:
         bad = next(i for i, token in enumerate(tokens) if not is_number(token))
         _refuse_number(text, name, int(starts[bad]), "is not a number")
-    too_large = np.flatnonzero(~(np.abs(values) <= LARGEST_FLOAT32))
+    too_large = np.flatnonzero(~(np.abs(values) <= np.finfo(np.float32).max))
     if too_large.size:
         _refuse_number(text, name, int(starts[too_large[0]]), "is beyond the range of STL's 32-bit numbers")
     return values.astype(np.float32).reshape(-1, 3, 3)
@@ -265,22 +241,18 @@ def _ascii(data: bytes, name: str) -> NDArray[np.float32]:
 def _refuse_ascii(
     text: NDArray[np.uint8], name: str, status: int, facets: int, at: int, step: int
 ) -> NoReturn:
-    expected = {0: "'facet' or 'endsolid'"}.get(
-        step, f"{_WORDS[step].decode()!r}" if _WORDS[step] else "a number"
-    )
-    if status == _CUT:
-        raise InputError(
-            f"{name}: line {_line(text, at)}: truncated: the file ends after {facets} facets where {expected} should follow"
-        )
-    if status == _WANT_SOLID:
-        expected = "'solid' or the end of the file"
-    if status == _CONTROL:
-        raise InputError(
-            f"{name}: line {_line(text, at)}: byte {int(text[at]):#04x} does not belong in an ASCII STL"
-        )
     if status == _BAD_NUMBER:
         _refuse_number(text, name, at, "is not a finite decimal number")
-    raise InputError(f"{name}: line {_line(text, at)}: found {_token(text, at)!r}, expected {expected}")
+    expected = f"{_WORDS[step].decode()!r}" if _WORDS[step] else "a number"
+    expected = expected if step else "'facet' or 'endsolid'"
+    if status == _CUT:
+        told = f"truncated: the file ends after {facets} facets where {expected} should follow"
+    elif status == _CONTROL:
+        told = f"byte {int(text[at]):#04x} does not belong in an ASCII STL"
+    else:
+        expected = "'solid' or the end of the file" if status == _WANT_SOLID else expected
+        told = f"found {_token(text, at)!r}, expected {expected}"
+    raise InputError(f"{name}: line {_line(text, at)}: {told}")
 
 
 def _refuse_number(text: NDArray[np.uint8], name: str, at: int, why: str) -> NoReturn:
@@ -304,10 +276,7 @@ TITLE_BYTES = 80
 
 
 def write_triangles(triangles: NDArray[np.floating], path: Path, name: str = "") -> None:
-    """Write triangles (F, 3, 3), mm, rounded to the 32-bit floats of the format, with their unit normals.
-
-    Equal corners stay equal, and equal parts give equal bytes. The normal of a facet without area is 0.
-    """
+    """Write triangles (F, 3, 3), mm, rounded to 32 bits, with their unit normals, 0 where there is no area; equal parts give equal bytes."""
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = triangles
     corners = facets["corners"].astype(np.float64)

@@ -1,14 +1,11 @@
-"""Meshes of a 3MF file as placed by its build, read by lib3mf: the program of a process of its own.
-
-lib3mf sets the locale of its process to C, and is native code that reads files of strangers: it may end, hang or fill the memory, but
-nothing else with it.
-"""
+"""Meshes of a 3MF file as placed by its build, read by lib3mf in a process of its own: it sets the locale, and may end, hang or fill the memory."""
 
 from __future__ import annotations
 
 import json
 import resource
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -59,9 +56,7 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (asked["seconds"], asked["seconds"] + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY_BYTES, MOST_MEMORY_BYTES))
     try:
-        corners, notes = placed(
-            asked["file"], asked["items"], set(asked["unprintable"]), asked["volumes"], asked["marked"]
-        )
+        corners, notes = placed(asked)
         np.save(asked["corners"], corners)
         told: dict[str, Any] = {"notes": notes}
     except Refused as why:
@@ -73,31 +68,24 @@ def main() -> None:
     sys.stdout.write(json.dumps(told))
 
 
-def placed(
-    file: str,
-    items: int,
-    unprintable: set[int],
-    volumes: dict[str, list[tuple[int, int, str]]],
-    marked: dict[str, str],
-) -> tuple[Floats, list[str]]:
+def placed(asked: dict[str, Any]) -> tuple[Floats, list[str]]:
     """Corners (F, 3, 3) of the facets that are built, in the file's unit, and what is left out or ignored.
 
-    `volumes` are facets that are no part of the solid (first, last or -1, kind), by ``path#number`` of their object; `marked`
-    are whole objects that are none, by ``path#number``, or by two of them where it holds in one assembly alone.
+    Asked are the `file`, how many `items` its build has, `unprintable` ones, `volumes` of facets that are no part of the solid (first, last
+    or -1, kind) by ``path#number`` of their object, and whole objects `marked` so, by that, or by two where it holds in one assembly alone.
     """
     model = lib3mf.get_wrapper().CreateModel()
     reader = model.QueryReader("3mf")
-    reader.ReadFromFile(file)
+    reader.ReadFromFile(asked["file"])
     notes = _remarks(reader)
     build = list(_each(model.GetBuildItems(), lambda rows: rows.GetCurrent()))
-    if len(build) != items:
-        raise Refused(f"its build lists {items} items, of which lib3mf reads {len(build)}")
-    left_out: dict[str, list[str]] = {}
-    meshes = _Meshes(volumes, marked, left_out)
+    if len(build) != asked["items"]:
+        raise Refused(f"its build lists {asked['items']} items, of which lib3mf reads {len(build)}")
+    meshes = _Meshes(asked["volumes"], asked["marked"])
     for k, item in enumerate(build):
         whole = item.GetObjectResource()
-        if k in unprintable:
-            _leave_out(left_out, whole, "not to be printed (printable=0)")
+        if k in asked["unprintable"]:
+            meshes.leave_out(whole, "not to be printed (printable=0)")
             meshes.pass_over(whole)
             continue
         turn = _matrix(item.GetObjectTransform()) if item.HasObjectTransform() else np.eye(4)
@@ -105,8 +93,8 @@ def placed(
             meshes.add(body, matrix)
     for other in _each(model.GetObjects(), lambda rows: rows.GetCurrentObject()):
         if other.GetUniqueResourceID() not in meshes.seen:
-            _leave_out(left_out, other, "not in the build")
-    notes += [f"left out: {_listed(which)}: {why}" for why, which in left_out.items()]
+            meshes.leave_out(other, "not in the build")
+    notes += [f"left out: {_listed(which)}: {why}" for why, which in meshes.left_out.items()]
     if not meshes.corners or not sum(map(len, meshes.corners)):
         raise Refused("; ".join(["holds no facet that is built", *notes]))
     return np.concatenate(meshes.corners), notes
@@ -115,18 +103,20 @@ def placed(
 class _Meshes:
     """Placed meshes so far; each mesh is asked for once."""
 
-    def __init__(
-        self,
-        volumes: dict[str, list[tuple[int, int, str]]],
-        marked: dict[str, str],
-        left_out: dict[str, list[str]],
-    ) -> None:
+    def __init__(self, volumes: dict[str, list[tuple[int, int, str]]], marked: dict[str, str]) -> None:
         self.corners: list[Floats] = []
         self.seen: set[int] = set()
-        self._volumes, self._marked, self._left_out = volumes, marked, left_out
+        self.left_out: dict[str, list[str]] = {}
+        self._volumes, self._marked = volumes, marked
         self._known: dict[int, Floats] = {}
         self._why_not: dict[tuple[int, int], str] = {}
         self._facets = 0
+
+    def leave_out(self, body: Any, why: str) -> None:
+        """Note that an object, or some of it, is left out."""
+        which = self.left_out.setdefault(why, [])
+        if _called(body) not in which:
+            which.append(_called(body))
 
     def is_solid(self, body: Any, assembly: Any) -> bool:
         """Whether an object in an assembly, or None, is part of the solid; others are left out with all that they contain."""
@@ -137,7 +127,7 @@ class _Meshes:
             self._why_not[place] = self._judged(body, assembly)
         if why := self._why_not[place]:
             self.pass_over(body)
-            _leave_out(self._left_out, body, why)
+            self.leave_out(body, why)
         return not why
 
     def _judged(self, body: Any, assembly: Any) -> str:
@@ -161,8 +151,7 @@ class _Meshes:
             self.seen.add(body.GetUniqueResourceID())
             return True
 
-        for _ in _parts(whole, np.eye(4), seen):
-            pass
+        list(_parts(whole, np.eye(4), seen))
 
     def add(self, body: Any, matrix: Floats) -> None:
         """Place a mesh."""
@@ -191,7 +180,11 @@ class _Meshes:
 
     def _solid(self, body: Any) -> Floats:
         """Corners (F, 3, 3) of the facets of a mesh that are part of the solid, where it stands by itself."""
-        _check_triangles_alone(body)
+        if not body.IsMeshObject():
+            raise Refused(f"{_called(body)} is given by a function, not by a mesh: export it as a mesh")
+        if (lattice := body.BeamLattice()).GetBeamCount() or lattice.GetBallCount():
+            beams = lattice.GetBeamCount()
+            raise Refused(f"{_called(body)} has a beam lattice ({beams} beams): export it as a mesh")
         points = body.GetVertices()
         vertices = np.frombuffer((lib3mf.Position * len(points))(*points), np.float32).reshape(-1, 3)
         rows = body.GetTriangleIndices()
@@ -201,31 +194,20 @@ class _Meshes:
             if not 0 <= first <= max(last, first) < max(len(faces), 1):
                 raise Refused(f"a {kind} of {_called(body)} has facets {first} to {last} of {len(faces)}")
             kept[first : last + 1 if last >= 0 else len(faces)] = False
-            _leave_out(self._left_out, body, f"a {kind} in it" if last >= 0 else f"a {kind}")
+            self.leave_out(body, f"a {kind} in it" if last >= 0 else f"a {kind}")
         corners: Floats = vertices.astype(np.float64)[faces[kept]]
         return corners
 
 
-def _check_triangles_alone(body: Any) -> None:
-    """Refuse what is built of other things than triangles: the mesh beside them is not the part."""
-    if not body.IsMeshObject():
-        raise Refused(f"{_called(body)} is given by a function, not by a mesh: export it as a mesh")
-    lattice = body.BeamLattice()
-    if lattice.GetBeamCount() or lattice.GetBallCount():
-        raise Refused(
-            f"{_called(body)} has a beam lattice ({lattice.GetBeamCount()} beams): export it as a mesh"
-        )
-
-
 def _remarks(reader: Any) -> list[str]:
     """Warnings of lib3mf that may concern the solid, each once; raises where what the file holds is not known."""
-    told = dict[str, int]()
+    told = Counter[str]()
     for k in range(reader.GetWarningCount()):
         code, words = reader.GetWarning(k)
         if code in REFUSED:
             raise Refused(f"{REFUSED[code]}: export it anew")
         if code not in HARMLESS:
-            told[words] = told.get(words, 0) + 1
+            told[words] += 1
     return [
         f"lib3mf says: {words.rstrip('.')}" + (f" ({n} times)" if n > 1 else "") for words, n in told.items()
     ]
@@ -269,12 +251,6 @@ def _key(body: Any) -> str:
 def _called(body: Any) -> str:
     name = body.GetName()
     return f"object {body.GetModelResourceID()}" + (f" ({name[:40]!r})" if name else "")
-
-
-def _leave_out(left_out: dict[str, list[str]], body: Any, why: str) -> None:
-    which = left_out.setdefault(why, [])
-    if _called(body) not in which:
-        which.append(_called(body))
 
 
 def _listed(names: list[str]) -> str:

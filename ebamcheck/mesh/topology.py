@@ -1,9 +1,6 @@
 """Topology of a mesh: equal vertices merged, the facets that meet at each edge, the twin of each half-edge, and the facets that hang together.
 
 Half-edge ``3 f + i`` is the edge from corner i to corner i + 1 of facet f, in the facet's own direction.
-
-To merge vertices that are equal in all bits, corners are partitioned by a hash of their bits, so that each share fits in the processor's
-cache and shares run on all threads. The cost does not depend on the order of the file.
 """
 
 from __future__ import annotations
@@ -180,11 +177,7 @@ def pair_fan(vertices: NDArray[np.float64], faces: Index, fan: Index, result: In
 
 
 def split_corners(faces: Index, twin: Index) -> Index:
-    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` do.
-
-    Bodies that touch along an edge or at a vertex come apart: each gets vertices of its own at the same places.
-    Neighbours that run the same way along their edge are left apart.
-    """
+    """Number the corners of facets (F, 3) so that two share a number only where neighbours by `twin` of one direction do: bodies come apart."""
     corners = faces.ravel()
     h = np.flatnonzero(twin > np.arange(twin.size))
     h = h[corners[h] != corners[twin[h]]]
@@ -248,13 +241,12 @@ def duplicates(faces: Index) -> int:
     """Number of facets with the same three vertices as an earlier one, in any order."""
     if not len(faces):
         return 0
-    least, greatest = faces.min(axis=1).astype(np.int64), faces.max(axis=1).astype(np.int64)
-    middle = faces.sum(axis=1, dtype=np.int64) - least - greatest
+    least, middle, greatest = np.sort(faces, axis=1).astype(np.int64).T
     bits = 21
-    if greatest.max() < 1 << bits:
-        keys = np.sort((least << (2 * bits)) | (middle << bits) | greatest)
-        return int(np.count_nonzero(keys[1:] == keys[:-1]))
-    return len(faces) - len(np.unique(np.stack([least, middle, greatest], axis=1), axis=0))
+    if greatest.max() >= 1 << bits:
+        return len(faces) - len(np.unique(np.sort(faces, axis=1), axis=0))
+    keys = np.sort((least << (2 * bits)) | (middle << bits) | greatest)
+    return int(np.count_nonzero(keys[1:] == keys[:-1]))
 
 
 # Approximate number of corners of a share: with their hash table they fit in the second-level cache of a core
@@ -273,10 +265,7 @@ Rows = NDArray[np.int32]
 def weld(
     triangles: NDArray[np.float32] | NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Merge corner points (F, 3, 3) that are equal in all bits (0 and -0 are equal).
-
-    Returns vertices (V, 3), in order of first appearance, and faces (F, 3).
-    """
+    """Merge corners (F, 3, 3) that are equal in all bits (0 and -0 are equal) to vertices (V, 3), by first appearance, and faces (F, 3)."""
     corners = np.ascontiguousarray(triangles).reshape(-1, 3)
     earliest = _earliest(corners)
     is_first = earliest == np.arange(len(earliest))

@@ -14,23 +14,14 @@ from pathlib import Path
 from typing import Any
 
 MARK = "EBAMCHECK_PROCESS"  # variable of the environment that a process and all its descendants carry, those that left its group, too
-ROUNDS = 5  # looks at all processes in search of marked ones: one that forks while it is sought is found in the next
-
 POLL_S = 0.05  # how often time and memory are looked at
-LAST_WORDS_BYTES = 4096  # how much of what a process has written to its standard error is read for a message
-
 LARGEST_SAID_BYTES = 64_000_000  # what a process may write to its standard output and error before it is ended: a flood fills the disk
-
-PR_SET_PDEATHSIG = 1  # number of Linux's request, from <linux/prctl.h>
 
 
 def started(
     arguments: Sequence[str], folder: Path, said: Path, **streams: Any
 ) -> tuple[subprocess.Popen[bytes], str]:
-    """Start a Python module, whose last argument is the id of this process; returns it and the mark that it and its children carry.
-
-    It leads a session of its own. Temporary files go to `folder`, and what it writes to the terminal to the file `said`.
-    """
+    """Start a Python module (last argument: our id) in a session of its own, temporary files in `folder`, words in `said`; with its mark."""
     mark = os.urandom(16).hex()
     with said.open("wb") as told:
         process = subprocess.Popen(
@@ -48,7 +39,7 @@ def die_with(parent: int) -> None:
     """Have the kernel end this process when its parent ends, however that ends."""
     libc = ctypes.CDLL(None)
     if hasattr(libc, "prctl"):
-        libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        libc.prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG of <linux/prctl.h>
         if os.getppid() != parent:
             sys.exit("the parent has ended")
 
@@ -70,7 +61,8 @@ def end_with_children(process: subprocess.Popen[bytes], mark: str = "") -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    for _ in range(ROUNDS if mark else 0):
+    # One that forks while it is sought is found in the next round.
+    for _ in range(5 if mark else 0):
         marked = _marked(mark)
         for other in marked:
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -94,7 +86,7 @@ def _marked(mark: str) -> list[int]:
 def last_words(file: Path) -> str:
     """Last line of a file, for a message; however long the file is, only its end is read."""
     with contextlib.suppress(OSError), file.open("rb") as said:
-        said.seek(max(0, file.stat().st_size - LAST_WORDS_BYTES))
+        said.seek(max(0, file.stat().st_size - 4096))
         lines = said.read().decode("utf-8", "replace").strip().splitlines()
         return f": {one_line(lines[-1])}" if lines else ""
     return ""
@@ -107,14 +99,9 @@ def one_line(text: str, longest: int = 200) -> str:
 
 
 def run_limited(arguments: Sequence[str], folder: Path, time_s: float, memory_mb: float) -> str:
-    """Run a Python module in a process of its own, and end it with its children; returns why it was lost, if it was.
-
-    The id of this process is its last argument. It works in `folder`, where temporary files go, and a file ``said`` of what it
-    writes to the terminal. Beyond the limits of wall clock and of resident memory it is ended.
-    """
+    """Run a Python module (last argument: our id) in `folder`, end it with its children beyond limits; returns why it was lost, if it was."""
     said = folder / "said"
     process, mark = started(arguments, folder, said, stdin=subprocess.DEVNULL, cwd=folder)
-    why = ""
     try:
         why = _watched(process, said, time_s, memory_mb)
     finally:

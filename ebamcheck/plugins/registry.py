@@ -1,14 +1,11 @@
 """Discovery of slicers, models (solids in closed form), report writers, controls and scan orders by entry point.
-
-A plugin that does not load warns and is left out; it never stops the others. Those of this distribution are imported
-here. A stranger's is tried in a process of its own first; a slicer of a stranger never comes into this one, unless
-:func:`loaded_slicer` asks for it.
+Plugins of this distribution are imported here, a stranger's once it came through a process of its own, its slicer never.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from importlib.metadata import EntryPoint
@@ -38,7 +35,6 @@ CHECKS = "ebamcheck.checks"
 ORDERS = "ebamcheck.orders"
 COMMANDS = "ebamcheck.commands"
 IMPORTED = (MODELS, REPORTS, CONTROLS, CHECKS, ORDERS, COMMANDS)  # groups whose plugins are no slicers
-AT_ONCE = 4  # strangers that are asked side by side
 # What a plugin may raise that is not the user's own interrupt
 _STRAYS = (Exception, SystemExit, GeneratorExit)
 
@@ -172,22 +168,16 @@ def forget(kept: bool = False) -> None:
 def _ask_strangers(fresh: bool = False) -> None:
     """Ask the strangers side by side; where there are none, nothing is started."""
     strangers = [name for name, point in _slicer_points().items() if not is_house(point)]
-    if fresh:
-        _at_once(lambda name: slicer_answer(_slicer_points()[name], fresh=True), strangers)
-    elif len(strangers) > 1:
-        _at_once(_answer, strangers)
-
-
-def _at_once(call: Callable[[str], object], strangers: list[str]) -> None:
-    with ThreadPoolExecutor(AT_ONCE) as pool:
-        list(pool.map(call, strangers))
+    if fresh or len(strangers) > 1:
+        with ThreadPoolExecutor(4) as pool:
+            asked = (lambda name: slicer_answer(_slicer_points()[name], fresh=True)) if fresh else _answer
+            list(pool.map(asked, strangers))
 
 
 def slicers() -> Mapping[str, Slicer]:
     """Return all installed slicers by name."""
     _ask_strangers()
-    loaded = {name: _loaded_slicer(name) for name in _slicer_points()}
-    return {name: slicer for name, slicer in loaded.items() if slicer is not None}
+    return {name: made for name in _slicer_points() if (made := _loaded_slicer(name)) is not None}
 
 
 def is_stranger(name: str) -> bool:
@@ -207,7 +197,7 @@ def one_method(a: str, b: str) -> bool:
 def loaded_slicer(name: str) -> Slicer:
     """Load a slicer into this process, whoever made it: for workers, which have no other task, and for its author."""
     if name not in _slicer_points():
-        raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(slicers()) or 'none'}")
+        raise _unknown(name)
     try:
         return checked_slicer(_slicer_points()[name])
     except _STRAYS as error:
@@ -228,8 +218,12 @@ def slicer(name: str) -> Slicer:
     """Return the slicer of that name, without a look at the others; :class:`BackendMissing` where there is none."""
     found = _loaded_slicer(name) if name in _slicer_points() else None
     if found is None:
-        raise BackendMissing(f"unknown backend {name!r}: installed are {', '.join(slicers()) or 'none'}")
+        raise _unknown(name)
     return found
+
+
+def _unknown(name: str) -> BackendMissing:
+    return BackendMissing(f"unknown backend {name!r}: installed are {', '.join(slicers()) or 'none'}")
 
 
 @cache
@@ -249,7 +243,7 @@ def available_slicer(name: str) -> Slicer:
 
 def default_backend() -> str:
     """Name of the available exact slicer of the highest priority."""
-    exact = [slicer(name) for name in house_slicers() if slicer(name).exact]
+    exact = [found for found in slicers().values() if found.exact and found.priority >= 0]
     # From the first choice down: most machines can run it, and none other is probed.
     for one in sorted(exact, key=lambda s: (s.priority, s.name), reverse=True):
         if probe(one.name).available:

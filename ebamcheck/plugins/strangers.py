@@ -1,11 +1,7 @@
-"""Plugins of other distributions: what a separate process found out about each, and their slicers as seen here.
-
-Answers are kept on disk until a plugin's code changes. Of a stranger's slicer this process knows what it has declared, and none of its code.
-"""
+"""Plugins of other distributions: what a process of their own found out about each, kept until their code changes, and their slicers as seen here."""
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.util
 import json
@@ -17,10 +13,9 @@ import threading
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NoReturn
+from typing import Annotated, Any, ClassVar, NoReturn, Self
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError
 
@@ -29,18 +24,12 @@ from ebamcheck.backend import BackendSettings, CoplanarRule, Probe
 from ebamcheck.errors import BackendFailed, SettingsError
 from ebamcheck.installed import distribution_of
 from ebamcheck.plugins.processes import one_line, run_limited
-from ebamcheck.plugins.trial import ANSWERS, QUESTION, Question
+from ebamcheck.plugins.trial import ANSWERS, QUESTION, Line, ProbeTold, Question, Told
 from ebamcheck.version import __version__
-
-CODE_SUFFIXES = (".py", ".so", ".pyd", ".pth")  # files whose change makes what is known of a plugin stale
-MOST_FILES = 5000  # files of a plugin that are looked at; of a larger one nothing is kept
 
 
 def code_stamp(point: EntryPoint) -> str:
-    """Hash of names, sizes and times of the files of a plugin's package; nothing is imported.
-
-    Empty where they cannot be told: what is known of such a plugin is not kept.
-    """
+    """Hash of names, sizes and times of the files of a plugin's package; nothing is imported. Empty where they cannot be told."""
     top = str(point.value).split(":")[0].split(".")[0].strip()
     try:
         spec = importlib.util.find_spec(top)
@@ -48,17 +37,15 @@ def code_stamp(point: EntryPoint) -> str:
         return ""
     if spec is None:
         return "none"
-    files: list[Path] = []
-    if spec.origin and Path(spec.origin).is_file():
-        files.append(Path(spec.origin))
+    files = {Path(spec.origin)} if spec.origin and Path(spec.origin).is_file() else set()
     for folder in spec.submodule_search_locations or ():
         for file in Path(folder).rglob("*"):
-            if file.suffix in CODE_SUFFIXES:
-                files.append(file)
-            if len(files) > MOST_FILES:
+            if file.suffix in (".py", ".so", ".pyd", ".pth"):
+                files.add(file)
+            if len(files) > 5000:  # what is known of so large a plugin is not kept
                 return ""
     lines = []
-    for file in sorted(set(files)):
+    for file in sorted(files):
         with suppress(OSError):
             status = file.stat()
             lines.append(f"{file} {status.st_size} {status.st_mtime_ns}")
@@ -68,22 +55,13 @@ def code_stamp(point: EntryPoint) -> str:
 TIME_VARIABLE = "EBAMCHECK_PLUGIN_TIME_S"  # takes the place of :data:`TRIAL_TIME_S`
 TRIAL_TIME_S = 60.0  # time to import a plugin and to ask it what it is: a large one that has never been imported takes 20 s
 TRIAL_MEMORY_MB = 4096.0  # resident memory of a plugin that does no work yet
-LARGEST_ANSWER_BYTES = 1_000_000  # answers are a few lines; what is longer is none
 FAILURE_KEPT_S = 600.0  # a failure is believed for so long where the plugin's code stays the same: what it lacked may be installed since
-CACHE_FORMAT = 1
+CACHE_FORMAT = 2
 
 _KEEPING = threading.Lock()
 
-Line = Annotated[str, Field(max_length=1000)]
 
-
-class _Told(BaseModel):
-    """What a stranger says, checked by type, range and form."""
-
-    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
-
-
-class Attributes(_Told):
+class Attributes(Told):
     """Attributes of a slicer that are plain values."""
 
     name: Line
@@ -94,27 +72,13 @@ class Attributes(_Told):
     inside_rule: Line
 
 
-class _ProbeTold(_Told):
-    available: bool
-    why: Line
-    hint: Line
-    versions: dict[Line, Line]
-    device: Line
-
-
 # What each value has to be, in a user's words
 KINDS: Mapping[str, str] = {
-    "name": "a line of text",
-    "summary": "a line of text",
-    "exact": "True or False",
+    **dict.fromkeys(("name", "summary", "inside_rule", "why", "hint", "device"), "a line of text"),
+    **dict.fromkeys(("exact", "available"), "True or False"),
     "priority": "a whole number from -1000000 to 1000000",
     "coplanar_rule": "'half-open' or 'undefined'",
-    "inside_rule": "a line of text",
-    "available": "True or False",
-    "why": "a line of text",
-    "hint": "a line of text",
     "versions": "texts by name",
-    "device": "a line of text",
 }
 
 
@@ -127,17 +91,9 @@ class Answer(BaseModel):
     attributes: Attributes | None = None
     lineage: tuple[str, ...] = ()
     defaults: dict[str, Any] | None = None
-    available: bool = False
-    why: str = ""
-    hint: str = ""
-    versions: dict[str, str] = {}
-    device: str = "CPU"
+    probed: Probe = Probe(False)
+    # Of a cube of 100 mm under default settings; None where it told no finite ones
     bounds_mm: tuple[float, float] | None = None
-    """Error bound and height bound of a cube of 100 mm under default settings; None where it told no finite ones."""
-
-    def probe(self) -> Probe:
-        """The probe's answer."""
-        return Probe(self.available, self.why, self.hint, self.versions, self.device)
 
 
 def ask(point: EntryPoint, kind: str, values: Mapping[str, Any] | None = None) -> tuple[dict[str, Any], str]:
@@ -161,7 +117,7 @@ def ask(point: EntryPoint, kind: str, values: Mapping[str, Any] | None = None) -
 
 def _time_s() -> float:
     text = os.environ.get(TIME_VARIABLE, "")
-    with contextlib.suppress(ValueError):
+    with suppress(ValueError):
         if not text or float(text) > 0.0:
             return float(text or TRIAL_TIME_S)
     raise SettingsError(f"{TIME_VARIABLE}={text!r}: give a positive number of seconds, or unset it")
@@ -169,9 +125,9 @@ def _time_s() -> float:
 
 def _told(file: Path) -> dict[str, Any]:
     told: dict[str, Any] = {}
-    with contextlib.suppress(OSError), file.open("rb") as answers:
-        for line in answers.read(LARGEST_ANSWER_BYTES).splitlines():
-            with contextlib.suppress(ValueError, RecursionError):
+    with suppress(OSError), file.open("rb") as answers:
+        for line in answers.read(1_000_000).splitlines():
+            with suppress(ValueError, RecursionError):
                 found = json.loads(line)
                 told.update(found if isinstance(found, dict) else {})
     return told
@@ -192,24 +148,24 @@ def ask_slicer(point: EntryPoint) -> Answer:
     if "defaults" not in told:
         return Answer(failure=wrong or "it told nothing of its settings")
     defaults, lineage = told["defaults"], told.get("lineage")
-    known: dict[str, Any] = {
-        "attributes": attributes,
-        "defaults": defaults if isinstance(defaults, dict) else None,
-        "lineage": tuple(map(str, lineage)) if isinstance(lineage, list) else (),
-        "bounds_mm": _bounds(told.get("bounds")),
-    }
-    return Answer(**known, **_probe(told, wrong))
+    return Answer(
+        attributes=attributes,
+        defaults=defaults if isinstance(defaults, dict) else None,
+        lineage=tuple(map(str, lineage)) if isinstance(lineage, list) else (),
+        bounds_mm=_bounds(told.get("bounds")),
+        probed=_probe(told, wrong),
+    )
 
 
-def _probe(told: Mapping[str, Any], wrong: str) -> dict[str, Any]:
+def _probe(told: Mapping[str, Any], wrong: str) -> Probe:
     if "probe" not in told:
         why = wrong or "it told nothing"
         raised = "ended the process" not in why and ": " in why
-        return {"why": f"its probe {'raised ' if raised else 'failed: '}{why}"}
+        return Probe(False, f"its probe {'raised ' if raised else 'failed: '}{why}")
     try:
-        return _ProbeTold.model_validate(told["probe"]).model_dump()
+        return Probe(**ProbeTold.model_validate(told["probe"]).model_dump())
     except ValidationError as error:
-        return {"why": f"its probe's {_first(error)}"}
+        return Probe(False, f"its probe's {_first(error)}")
 
 
 def _bounds(told: Any) -> tuple[float, float] | None:
@@ -231,12 +187,15 @@ def _first(error: ValidationError) -> str:
 
 def slicer_answer(point: EntryPoint, fresh: bool = False) -> Answer:
     """What a stranger's slicer is: as kept on disk, or asked for now, and always if `fresh`."""
-    key, stamp = _key(point), _stamp(point)
-    kept = {} if fresh or not stamp else _kept()
+    key, code = f"{point.group} {point.name} {point.value}", code_stamp(point)
+    # What has to be the same for a kept answer to hold.
+    distribution = " ".join(distribution_of(point))
+    stamp = f"{distribution} | {code} | {platform.python_version()} | {__version__}"
+    kept = {} if fresh or not code else _kept()
     if (found := _sound(kept.get(key), stamp)) is not None:
         return found
     answer = ask_slicer(point)
-    if stamp:
+    if code:
         _keep(key, stamp, answer)
     return answer
 
@@ -247,20 +206,9 @@ def cache_file() -> Path:
     return (Path(home) if home else Path.home() / ".cache") / "ebamcheck" / "plugins.json"
 
 
-def _key(point: EntryPoint) -> str:
-    return f"{point.group} {point.name} {point.value}"
-
-
-def _stamp(point: EntryPoint) -> str:
-    """What has to be the same for a kept answer to hold: distribution, its version and code, Python, and this program."""
-    code = code_stamp(point)
-    distribution = " ".join(distribution_of(point))
-    return f"{distribution} | {code} | {platform.python_version()} | {__version__}" if code else ""
-
-
 def _kept() -> dict[str, Any]:
     """Everything that is kept; nothing where the file is missing, damaged or of another format."""
-    with contextlib.suppress(OSError, ValueError, RecursionError, RuntimeError):
+    with suppress(OSError, ValueError, RecursionError, RuntimeError):
         found = json.loads(cache_file().read_text(encoding="utf-8"))
         if isinstance(found, dict) and found.get("format") == CACHE_FORMAT:
             plugins = found.get("plugins")
@@ -277,14 +225,14 @@ def _sound(kept: Any, stamp: str) -> Answer | None:
         asked_s = float(kept["asked_s"])
     except (KeyError, TypeError, ValueError):
         return None
-    good = answer.attributes is not None and answer.available
+    good = answer.attributes is not None and answer.probed.available
     return answer if good or 0.0 <= time.time() - asked_s <= FAILURE_KEPT_S else None
 
 
 def _keep(key: str, stamp: str, answer: Answer) -> None:
     """Keep an answer; where there is no room for it, the next process asks again."""
     record = {"stamp": stamp, "asked_s": time.time(), "answer": answer.model_dump_json()}
-    with contextlib.suppress(OSError, SettingsError, RuntimeError):
+    with suppress(OSError, SettingsError, RuntimeError):
         cache_file().parent.mkdir(parents=True, exist_ok=True)
         with _KEEPING, replacing(cache_file()) as temporary:
             plugins = {**_kept(), key: record}
@@ -297,6 +245,13 @@ class StrangerSettings(BackendSettings):
     model_config = ConfigDict(extra="allow", frozen=True)
     _defaults: dict[str, Any] = PrivateAttr(default_factory=dict)
 
+    @classmethod
+    def of(cls, values: Mapping[str, Any], defaults: Mapping[str, Any] | None) -> Self:
+        """Settings that a slicer has checked, with its own defaults."""
+        made = cls(**{str(k): v for k, v in values.items()})
+        made._defaults = dict(defaults or {})
+        return made
+
     def model_dump(self, **options: Any) -> dict[str, Any]:
         """Settings as plain values; ``exclude_defaults`` leaves out what is the slicer's own default."""
         found = super().model_dump(**options)
@@ -305,29 +260,11 @@ class StrangerSettings(BackendSettings):
         return {k: v for k, v in found.items() if k not in self._defaults or self._defaults[k] != v}
 
 
-def stranger_settings(values: Mapping[str, Any], defaults: Mapping[str, Any] | None) -> StrangerSettings:
-    """Settings that a slicer has checked, with its own defaults."""
-    made = StrangerSettings(**{str(k): v for k, v in values.items()})
-    made._defaults = dict(defaults or {})
-    return made
+class StrangerSlicer(Attributes):
+    """What a slicer of another distribution has told of itself, a :class:`~ebamcheck.backend.Slicer` in form; its code runs elsewhere."""
 
-
-@dataclass(frozen=True)
-class StrangerSlicer:
-    """What a slicer of another distribution has told of itself.
-
-    It satisfies :class:`~ebamcheck.backend.Slicer` in form. What would run its code is refused:
-    :mod:`ebamcheck.slicers.isolation` runs it in a process of its own.
-    """
-
-    name: str
-    summary: str
-    exact: bool
-    priority: int
-    coplanar_rule: CoplanarRule
-    inside_rule: str
     answer: Answer
-    point: EntryPoint
+    point: Any  # its EntryPoint
     Settings: ClassVar[type[BackendSettings]] = StrangerSettings
 
     @property
@@ -337,36 +274,27 @@ class StrangerSlicer:
 
     def probe(self) -> Probe:
         """What its probe has answered."""
-        return self.answer.probe()
+        return self.answer.probed
 
     def checked(self, values: Mapping[str, Any]) -> BackendSettings:
         """Have it check settings; raises :class:`SettingsError` naming the first that is wrong."""
         if not values and self.answer.defaults is not None:
-            return stranger_settings(self.answer.defaults, self.answer.defaults)
+            return StrangerSettings.of(self.answer.defaults, self.answer.defaults)
         told, wrong = ask(self.point, "settings", values)
         if isinstance(told.get("wrong"), str):
             raise SettingsError(told["wrong"])
         if wrong or not isinstance(told.get("settings"), dict):
             raise SettingsError(f"backend {self.name!r} did not check its settings: {wrong or 'no answer'}")
-        return stranger_settings(told["settings"], self.answer.defaults)
+        return StrangerSettings.of(told["settings"], self.answer.defaults)
 
-    def error_bound_mm(self, *_: object) -> NoReturn:
-        """Refuse: see the class."""
-        self._refuse()
-
-    def height_bound_mm(self, *_: object) -> NoReturn:
-        """Refuse: see the class."""
-        self._refuse()
-
-    def prepare(self, *_: object) -> NoReturn:
-        """Refuse: see the class."""
-        self._refuse()
-
-    def _refuse(self) -> NoReturn:
+    def _refuse(self, *_: object) -> NoReturn:
+        """Refuse what would run its code: see the class."""
         raise BackendFailed(
             f"backend {self.name!r} of {self.distribution or 'another distribution'} runs in a process of its own only: "
             "slice with ebamcheck.slice or `ebamcheck slice`"
         )
+
+    error_bound_mm = height_bound_mm = prepare = _refuse
 
 
 def stranger(point: EntryPoint, answer: Answer) -> StrangerSlicer:

@@ -1,7 +1,5 @@
 """Trial of a plugin in a process of its own: it is imported and asked what it is, and every answer is checked.
-
-``python -m ebamcheck.plugins.trial FOLDER PARENT`` reads ``question.json`` in the folder and writes one line of JSON for
-each answer to ``answers``, so that what was said before a crash is kept.
+``python -m ebamcheck.plugins.trial FOLDER PARENT`` reads ``question.json`` and writes a line of JSON for each answer, kept in a crash.
 """
 
 from __future__ import annotations
@@ -13,7 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Annotated, Any, TypedDict
+
+from pydantic import BaseModel, ConfigDict, Field
 
 from ebamcheck.backend import BackendSettings, Probe, Slicer
 from ebamcheck.errors import SettingsError
@@ -29,7 +29,24 @@ SLICER_ATTRIBUTES = (
 
 TOLD_ATTRIBUTES = SLICER_ATTRIBUTES[:6]  # attributes that are plain values
 
-Tell = Callable[..., None]
+
+class Told(BaseModel):
+    """What a process of others says, checked by type, range and form."""
+
+    model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
+
+
+Line = Annotated[str, Field(max_length=1000)]
+
+
+class ProbeTold(Told):
+    """A probe's answer."""
+
+    available: bool
+    why: Line
+    hint: Line
+    versions: Annotated[dict[Line, Line], Field(max_length=99)]
+    device: Line
 
 
 class Question(TypedDict):
@@ -51,8 +68,7 @@ def cube() -> Part:
 def checked_slicer(point: EntryPoint) -> Slicer:
     """Load a slicer in this process; raises :class:`TypeError` where it is none."""
     slicer: Slicer = point.load()()
-    missing = [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]
-    if missing:
+    if missing := [a for a in SLICER_ATTRIBUTES if not hasattr(slicer, a)]:
         raise TypeError(f"it lacks {', '.join(missing)} of the Slicer protocol")
     if slicer.name != point.name:
         raise TypeError(f"it calls itself {slicer.name!r}, its entry point {point.name!r}")
@@ -81,21 +97,18 @@ def checked_settings(name: str, kind: Any, values: Mapping[str, Any]) -> Backend
 def lineage(slicer: object) -> list[str]:
     """Names of a slicer's class and of the classes that it is made from, without those of this harness and Python."""
     named = [f"{kind.__module__}:{kind.__qualname__}" for kind in type(slicer).__mro__]
-    return [
-        name for name in named if not name.startswith(("builtins:", "typing:", "abc:", "ebamcheck.backend:"))
-    ]
+    ours = ("builtins:", "typing:", "abc:", "ebamcheck.backend:")
+    return [name for name in named if not name.startswith(ours)]
 
 
 # -- the process ---------------------------------------------------------------------------------------
 
 
-def _answer(question: Question, tell: Tell) -> None:
+def _answer(question: Question, tell: Callable[..., None]) -> None:
     point = EntryPoint(question["name"], question["value"], question["group"])
     if question["kind"] == "load":
         tell(kind=type(point.load()).__name__)
         return
-    from pydantic import BaseModel
-
     slicer = checked_slicer(point)
     kind: Any = slicer.Settings
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
@@ -110,27 +123,24 @@ def _answer(question: Question, tell: Tell) -> None:
             tell(settings=checked.model_dump(mode="json"))
         return
     tell(attributes={a: getattr(slicer, a) for a in TOLD_ATTRIBUTES}, lineage=lineage(slicer))
-    _tell_defaults(kind, tell)
+    # Where there are no default settings they are asked for with the user's own.
+    tell(defaults=_or_none(lambda: kind().model_dump(mode="json")))
     found = probed(slicer)
     tell(probe={**asdict(found), "versions": dict(found.versions)})
-    _tell_bounds(slicer, tell)
+    # A slicer that cannot tell its bounds may still slice.
+    tell(bounds=_or_none(lambda: _bounds(slicer)))
 
 
-def _tell_defaults(kind: Any, tell: Tell) -> None:
-    """Default settings; where there are none they are asked for with the user's own."""
+def _bounds(slicer: Slicer) -> list[float]:
+    settings, part = slicer.Settings(), cube()
+    return [slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)]
+
+
+def _or_none(asked: Callable[[], Any]) -> Any:
     try:
-        tell(defaults=kind().model_dump(mode="json"))
+        return asked()
     except Exception:
-        tell(defaults=None)
-
-
-def _tell_bounds(slicer: Slicer, tell: Tell) -> None:
-    """Bounds of the cube of lists; a slicer that cannot tell them may still slice."""
-    try:
-        settings, part = slicer.Settings(), cube()
-        tell(bounds=[slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)])
-    except Exception:
-        tell(bounds=None)
+        return None
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
+import itertools
 import math
+import sys
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler
@@ -14,10 +19,7 @@ from ebamcheck.errors import SettingsError
 
 @dataclass(frozen=True)
 class Between:
-    """Range of a number, both ends allowed: outside of it there is no machine, no material and no sense.
-
-    Truth values, texts, NaN and infinities are refused, too, and every message tells the range.
-    """
+    """Range of a number, both ends allowed, that every message tells; truth values, texts, NaN and infinities are refused, too."""
 
     least: float
     greatest: float
@@ -25,6 +27,8 @@ class Between:
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Check a number before pydantic does, whose messages name one end alone."""
         whole = source is int
+        kind = "whole number" if whole else "number"
+        told = f"give a {kind} from {self.least:.10g} to {self.greatest:.10g}"
         number = (
             core_schema.int_schema(ge=math.ceil(self.least), le=math.floor(self.greatest))
             if whole
@@ -32,26 +36,20 @@ class Between:
         )
 
         def checked(value: Any) -> Any:
+            wrong = ""
             if isinstance(value, bool) or not isinstance(value, int | float):
-                raise self._error(whole, "is no number")
-            if not math.isfinite(value):
-                raise self._error(whole, "is not finite")
-            if not self.least <= value <= self.greatest:
-                raise self._error(whole, "is out of range")
-            if whole and value != int(value):
-                raise self._error(whole, "is no whole number")
+                wrong = "is no number"
+            elif not math.isfinite(value):
+                wrong = "is not finite"
+            elif not self.least <= value <= self.greatest:
+                wrong = "is out of range"
+            elif whole and value != int(value):
+                wrong = "is no whole number"
+            if wrong:
+                raise PydanticCustomError("range", f"{wrong}: {told}")
             return value
 
         return core_schema.no_info_before_validator_function(checked, number)
-
-    def _error(self, whole: bool, what: str) -> PydanticCustomError:
-        values = {
-            "what": what,
-            "kind": "whole number" if whole else "number",
-            "least": f"{self.least:.10g}",
-            "greatest": f"{self.greatest:.10g}",
-        }
-        return PydanticCustomError("range", "{what}: give a {kind} from {least} to {greatest}", values)
 
 
 NotNegative = Annotated[float, Between(0.0, 1e9)]  # a number for which no narrower range is known
@@ -66,10 +64,38 @@ Share = Annotated[float, Between(0.001, 1.0)]  # part of a whole, which is 1
 Temperature = Annotated[float, Between(1.0, 1e4)]  # temperature, K: no metal is liquid at 10,000 K
 
 
+@cache
+def _source(module: str) -> ast.Module:
+    return ast.parse(inspect.getsource(sys.modules[module]))
+
+
+@cache
+def explanations(kind: type[BaseModel]) -> dict[str, str]:
+    """What each setting of a section is, by name: the text under its annotation; those that say nothing are left out."""
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        if issubclass(base, BaseModel) and base is not BaseModel:
+            classes = (one for one in ast.walk(_source(base.__module__)) if isinstance(one, ast.ClassDef))
+            made = next(one for one in classes if one.name == base.__name__)
+            for line, under in itertools.pairwise(made.body):
+                if isinstance(line, ast.AnnAssign) and isinstance(under, ast.Expr):
+                    found[ast.unparse(line.target)] = inspect.cleandoc(ast.literal_eval(under.value))
+    found |= {name: info.description for name, info in kind.model_fields.items() if info.description}
+    return {name: text for name, text in found.items() if name in kind.model_fields}
+
+
+def _described(schema: dict[str, Any], kind: type[BaseModel]) -> None:
+    """Tell in a JSON schema what each setting is."""
+    for name, text in explanations(kind).items():
+        schema["properties"][name]["description"] = text
+
+
 class Section(BaseModel):
     """Base of every section: unknown keys are refused, values do not change, defaults are checked."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, validate_default=True, json_schema_extra=_described
+    )
 
 
 # Other names of each unit

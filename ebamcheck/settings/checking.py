@@ -1,23 +1,17 @@
-"""Checks of the values that a user gives, and settings in words: what each is and takes, and all of them as a TOML text that explains itself.
-
-A message reads ``WHERE: KEY: what it takes (given VALUE); which keys there are``, whether the value came from a settings
-file, a plate, a table of tolerances, the command line or the arguments of a function.
-"""
+"""Checks of the values that a user gives, and settings in words: what each is and takes, and all of them as a TOML text that explains itself."""
 
 from __future__ import annotations
 
-import ast
-import inspect
 import itertools
+import json
 import math
-import sys
+import re
 import textwrap
 import tomllib
 import types
 from collections.abc import Mapping, Sequence
-from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from annotated_types import Ge, Gt, Le, Lt, MinLen
 from pydantic import BaseModel, ValidationError
@@ -25,7 +19,7 @@ from pydantic.fields import FieldInfo
 
 from ebamcheck.atomic_file import regular_file
 from ebamcheck.errors import EbamcheckError, SettingsError
-from ebamcheck.settings.base import Between, Section
+from ebamcheck.settings.base import Between, Section, explanations
 from ebamcheck.settings.stages import MachineChoice
 from ebamcheck.showing.short_text import did_you_mean
 
@@ -56,108 +50,71 @@ def checked(
     keys: str = "",
     error: type[EbamcheckError] = SettingsError,
 ) -> _Kind:
-    """Check values against a kind of settings, or of all sections of them.
+    """Check values against a kind of settings, or of all sections of them; raises `error`.
 
-    A message begins with `where` they were given, and names the first key that is unknown or missing, or whose value is wrong. `keys`
-    is where a user finds the keys that there are; empty: the message lists them. `error` is raised.
+    A message begins with `where` they were given, and names the first key that is wrong. `keys` is where a user finds the keys that there
+    are; empty: the message lists them.
     """
     try:
         return kind.model_validate(values)
     except ValidationError as found:
         first = found.errors()[0]
-        place = _place(kind, first["loc"])
-        known = keys or f"known keys: {', '.join(place.known) or 'none'}"
-        raise error(f"{where}: {_told(place, first)}; {known}") from None
-
-
-class _Place(NamedTuple):
-    """A setting that something is wrong with."""
-
-    section: str  # section that it stands in; empty where the settings have none
-    kind: type[BaseModel]  # settings that it is one of
-    path: tuple[int | str, ...]
-    """Its key, and behind it keys and numbers within it, and types that were tried."""
-
-    @property
-    def info(self) -> FieldInfo | None:
-        """The setting; None for a key that is none."""
-        return self.kind.model_fields.get(str(self.path[0])) if self.path else None
-
-    @property
-    def inner(self) -> type[BaseModel] | None:
-        """Kind of the tables in a setting that is a list of them."""
-        kinds = get_args(self.info.annotation) if self.info is not None else ()
-        return next((k for k in kinds if _is_settings(k)), None)
-
-    def is_key(self, name: int | str) -> bool:
-        """Whether a part of the path is a key of a table, by itself or in a list."""
-        if self.info is not None and get_origin(self.info.annotation) is dict:
-            return name == self.path[1]
-        return self.inner is not None and name in self.inner.model_fields
-
-    def told(self, unknown: bool = False) -> str:
-        """Its name for a user, to whom types that were tried mean nothing; tables of a list are counted from 1."""
-        last = len(self.path) - 1
-        behind = [
-            k
-            for n, k in enumerate(self.path[1:], 1)
-            if isinstance(k, int) or self.is_key(k) or (unknown and n == last)
-        ]
-        names = [self.section] if self.section else []
-        names += map(str, self.path[:1])
-        if self.inner is not None and behind and isinstance(behind[0], int):
-            names[-1] += f" {behind[0] + 1}"
-            behind = behind[1:]
-        return ".".join([*names, *map(str, behind)]) or "settings"
-
-    @property
-    def known(self) -> Sequence[str]:
-        """Keys of the table that it stands in."""
-        return [*(self.inner or self.kind).model_fields]
-
-    def takes(self) -> str:
-        """What it takes."""
-        if self.info is None and self.path:
-            return "a table with " + ", ".join(MachineChoice.model_fields)
-        if self.info is None or _is_settings(self.info.annotation):
-            return "a table of settings"
-        key = next((str(k) for k in self.path[1:] if self.is_key(k)), "")
-        if self.inner is not None and key in self.inner.model_fields:
-            prefix = f"{self.section}." if self.section else ""
-            return wanted(f"{prefix}{self.path[0]}", key, self.inner.model_fields[key])
-        return wanted(self.section, str(self.path[0]), self.info)
+        told, known = _told(kind, first)
+        raise error(f"{where}: {told}; {keys or 'known keys: ' + (', '.join(known) or 'none')}") from None
 
 
 def _is_settings(kind: Any) -> bool:
     return isinstance(kind, type) and issubclass(kind, BaseModel)
 
 
-def _place(kind: type[BaseModel], loc: tuple[int | str, ...]) -> _Place:
-    """Find the settings that a place is in: a section, or a table of a table of settings by name."""
+def _place(kind: type[BaseModel], loc: tuple[int | str, ...], unknown: bool) -> tuple[str, list[str], str]:
+    """Name of the setting at a place, for a user, to whom types that were tried mean nothing; the keys of its table; and what it takes."""
     info = kind.model_fields.get(str(loc[0])) if loc else None
-    section: Any = None if info is None else info.annotation
-    used = 1
-    while get_origin(section) is dict:
-        section, used = get_args(section)[1], used + 1
-    if _is_settings(section) and len(loc) > used:
-        return _Place(".".join(map(str, loc[:used])), section, loc[used:])
-    return _Place("", kind, loc)
+    table: Any = info and info.annotation
+    section, used = "", 1
+    while get_origin(table) is dict:
+        table, used = get_args(table)[1], used + 1
+    if _is_settings(table) and len(loc) > used:
+        section, kind, loc = ".".join(map(str, loc[:used])), table, loc[used:]
+        info = kind.model_fields.get(str(loc[0]))
+    annotation = info and info.annotation
+    # Kind of the tables in a setting that is a list of them; these are counted from 1.
+    inner = next((one for one in get_args(annotation) if _is_settings(one)), None)
+    keys = list(loc[1:2]) if get_origin(annotation) is dict else list(inner.model_fields) if inner else []
+    behind: list[Any] = [
+        k for n, k in enumerate(loc[1:], 2) if isinstance(k, int) or k in keys or (unknown and n == len(loc))
+    ]
+    names = [name for name in (section, *map(str, loc[:1])) if name]
+    if inner and behind and isinstance(behind[0], int):
+        names[-1] += f" {behind.pop(0) + 1}"
+    key = next((str(k) for k in loc[1:] if k in keys), "")
+    if loc and info is None:
+        takes = f"a table with {', '.join(MachineChoice.model_fields)}"
+    elif info is None or _is_settings(annotation):
+        takes = "a table of settings"
+    elif inner and key:
+        takes = wanted(".".join(names).partition(" ")[0], key, inner.model_fields[key])
+    else:
+        takes = wanted(section, str(loc[0]), info)
+    return ".".join([*names, *map(str, behind)]) or "settings", list((inner or kind).model_fields), takes
 
 
-def _told(place: _Place, first: Mapping[str, Any]) -> str:
-    given = first.get("input")
+def _told(kind: type[BaseModel], first: Mapping[str, Any]) -> tuple[str, list[str]]:
+    """What is wrong with a setting, and the keys that there are beside it."""
+    loc, given, unknown = first["loc"], first.get("input"), first["type"] == "extra_forbidden"
+    name, known, takes = _place(kind, loc, unknown)
     shown = "" if isinstance(given, dict | BaseModel) else f" (given {given!r})"
-    if first["type"] == "extra_forbidden":
-        return f"{place.told(unknown=True)}: unknown key{did_you_mean(str(place.path[-1]), place.known)}"
-    if first["type"] == "missing" and isinstance(first["loc"][-1], str):
-        return f"{place.told()}: is missing: it takes {place.takes()}"
-    if isinstance(given, float) and not math.isfinite(given):
-        return f"{place.told()}: it takes {place.takes()}, and a finite one{shown}"
-    if first["type"] == "value_error":
-        return f"{place.told()}: {str(first['msg']).removeprefix('Value error, ')}{shown}"
-    return f"{place.told()}: it takes {place.takes()}" + (
-        shown or f" (given a {'table' if isinstance(given, dict) else 'value'})"
-    )
+    if unknown:
+        told = f"unknown key{did_you_mean(str(loc[-1]), known)}"
+    elif first["type"] == "missing" and isinstance(loc[-1], str):
+        told = f"is missing: it takes {takes}"
+    elif isinstance(given, float) and not math.isfinite(given):
+        told = f"it takes {takes}, and a finite one{shown}"
+    elif first["type"] == "value_error":
+        told = f"{str(first['msg']).removeprefix('Value error, ')}{shown}"
+    else:
+        told = f"it takes {takes}{shown or ' (given a table)'}"
+    return f"{name}: {told}", known
 
 
 # -- settings in words -----------------------------------------------------------------------------
@@ -206,18 +163,6 @@ EXAMPLES: Mapping[str, str] = {
     "slicing.witnesses": '["all"]',
 }
 
-_NUMBERS = "a list of numbers"
-
-
-def example_of(section: str, key: str, info: FieldInfo) -> str:
-    """An example of a setting as TOML; empty for one whose value shows nothing."""
-    if (told := EXAMPLES.get(f"{section}.{key}")) is not None:
-        return told
-    default = None if info.is_required() else info.get_default(call_default_factory=True)
-    if default is None or default in ((), "", {}):
-        return ""
-    return value_text(default)
-
 
 def wanted(section: str, key: str, info: FieldInfo) -> str:
     """What a setting takes.
@@ -228,12 +173,12 @@ def wanted(section: str, key: str, info: FieldInfo) -> str:
     >>> wanted("machine", "clearance_mm", MachineSettings.model_fields["clearance_mm"])
     'a number from 0.01 to 10000, such as 5.0'
     """
-    kind = _kind(info.annotation, info.metadata)
-    if key in TEMPLATES and section == "machine":
-        kind = "a list of blocks"
-    example = example_of(section, key, info)
-    choices = get_origin(info.annotation) is Literal
-    return kind + (f", such as {example}" if example and not choices else "")
+    default = None if info.is_required() else info.get_default(call_default_factory=True)
+    shown = "" if default is None or default in ((), "", {}) else value_text(default)
+    example = EXAMPLES.get(f"{section}.{key}", shown)
+    is_template = key in TEMPLATES and section == "machine"
+    kind = "a list of blocks" if is_template else _kind(info.annotation, info.metadata)
+    return kind + (f", such as {example}" if example and get_origin(info.annotation) is not Literal else "")
 
 
 def _kind(annotation: Any, metadata: Sequence[Any] = ()) -> str:
@@ -259,16 +204,13 @@ def _kind(annotation: Any, metadata: Sequence[Any] = ()) -> str:
 def _list(inside: Sequence[Any], metadata: Sequence[Any]) -> str:
     if len(inside) == 2 and inside[1] is Ellipsis:
         one = _kind(inside[0])
-        if one.startswith("a number"):
-            one = one.replace("a number", _NUMBERS, 1)
-        names = {"a text in quotes": "a list of texts in quotes"}
         least = next((m.min_length for m in _flat(metadata) if isinstance(m, MinLen)), 0)
-        told = one if one.startswith(_NUMBERS) else names.get(one, f"a list, each {one}")
+        told = "a list of texts in quotes" if one == "a text in quotes" else f"a list, each {one}"
+        if one.startswith(("a number", "a list of numbers")):
+            told = one.replace("a number", "a list of numbers", 1)
         return told + (f" ({least} or more)" if least else "")
-    kinds = {_kind(one) for one in inside}
-    return f"a list of {len(inside)} numbers" + (
-        next(iter(kinds)).removeprefix("a number") if len(kinds) == 1 else ""
-    )
+    first, *others = {_kind(one) for one in inside}
+    return f"a list of {len(inside)} numbers{'' if others else first.removeprefix('a number')}"
 
 
 def _flat(metadata: Sequence[Any]) -> list[Any]:
@@ -280,142 +222,62 @@ def _flat(metadata: Sequence[Any]) -> list[Any]:
 
 
 def _range(metadata: Sequence[Any]) -> str:
-    words = []
-    for one in _flat(metadata):
-        if isinstance(one, Between):
-            words.append(f"from {one.least:.10g} to {one.greatest:.10g}")
-        elif isinstance(one, Gt):
-            words.append(f"over {one.gt:g}")
-        elif isinstance(one, Ge):
-            words.append(f"from {one.ge:g} up")
-        elif isinstance(one, Lt):
-            words.append(f"under {one.lt:g}")
-        elif isinstance(one, Le):
-            words.append(f"up to {one.le:g}")
+    forms: dict[type, str] = {
+        Gt: "over {one.gt:g}",
+        Ge: "from {one.ge:g} up",
+        Lt: "under {one.lt:g}",
+        Le: "up to {one.le:g}",
+    }
+    forms[Between] = "from {one.least:.10g} to {one.greatest:.10g}"
+    words = [forms[type(one)].format(one=one) for one in _flat(metadata) if type(one) in forms]
     return (" " + " and ".join(words)).replace(" up and up to", " to") if words else ""
-
-
-@cache
-def explanations(kind: type[BaseModel]) -> dict[str, str]:
-    """What each setting of a section is, by name: the text under its annotation; those that say nothing are left out."""
-    found: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        if issubclass(base, BaseModel) and base is not BaseModel:
-            made = _classes(base.__module__).get(base.__qualname__)
-            # One that is defined within something else is not at the top of its module.
-            tree: Any = made or ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-            for line, under in itertools.pairwise(tree.body):
-                if (
-                    isinstance(line, ast.AnnAssign)
-                    and isinstance(under, ast.Expr)
-                    and isinstance(under.value, ast.Constant)
-                ):
-                    found[ast.unparse(line.target)] = inspect.cleandoc(str(under.value.value))
-    found |= {name: info.description for name, info in kind.model_fields.items() if info.description}
-    return {name: text for name, text in found.items() if name in kind.model_fields}
-
-
-@cache
-def _classes(module: str) -> dict[str, ast.ClassDef]:
-    """Classes of the top level of a module by name, its source read once for all of them."""
-    found = ast.parse(inspect.getsource(sys.modules[module])).body
-    return {made.name: made for made in found if isinstance(made, ast.ClassDef)}
-
-
-def explained_schema(kind: type[BaseModel]) -> dict[str, Any]:
-    """JSON schema of settings, with what each of them is."""
-    schema = kind.model_json_schema()
-    known = {one.__name__: one for one in _below(kind.__mro__[-3])}  # above it are BaseModel and object
-    for name, part in ((kind.__name__, schema), *schema.get("$defs", {}).items()):
-        for key, text in explanations(known[name]).items():
-            if key in part.get("properties", {}):
-                part["properties"][key]["description"] = text
-    return schema
-
-
-def _below(kind: type[BaseModel]) -> list[type[BaseModel]]:
-    return [kind, *(below for one in kind.__subclasses__() for below in _below(one))]
-
-
-WIDTH = 100
 
 
 def values_as_toml(config: Config) -> str:
     """Settings as TOML without a word of explanation, which takes a while to find: for a file that programs read."""
-    lines = ["# Settings of ebamcheck: `ebamcheck config` explains every key.", ""]
-    for name in type(config).model_fields:
-        lines += _of_section(name, getattr(config, name), False)
-    return "\n".join(lines)
+    return _as_toml(config, "# Settings of ebamcheck: `ebamcheck config` explains every key.", False)
 
 
 def as_toml(config: Config) -> str:
-    """Settings as TOML: every key with its value, its explanation as a comment before it.
-
-    A key that is not set has its automatic meaning explained and stands as a comment.
-    """
-    lines = ["# Settings of ebamcheck. Every key may be left out; these are the values in force.", ""]
-    for name in type(config).model_fields:
-        lines += _of_section(name, getattr(config, name))
-    return "\n".join(lines)
+    """Settings as TOML: every key with its value, its explanation as a comment before it; one that is not set stands as a comment."""
+    head = "# Settings of ebamcheck. Every key may be left out; these are the values in force."
+    return _as_toml(config, head, True)
 
 
-# Lines of sections that were written last. Sections do not change, and settings that differ in one share the others
-_written: dict[tuple[int, bool], tuple[Section, list[str]]] = {}
+def _as_toml(config: Config, head: str, explained: bool) -> str:
+    sections = (_of_section(name, getattr(config, name), explained) for name in type(config).model_fields)
+    return "\n".join([head, "", *itertools.chain.from_iterable(sections)])
 
-MOST_WRITTEN = 64
 
-
-def _of_section(name: str, section: Section, explained: bool = True) -> list[str]:
-    """Lines of one section; those of the same object are written once."""
-    known = _written.get((id(section), explained))
-    if known is not None and known[0] is section:
-        return known[1]
-    lines = [f"# {(type(section).__doc__ or '').strip().splitlines()[0]}"] if explained else []
+def _of_section(name: str, section: Section, explained: bool) -> list[str]:
+    """Lines of one section."""
+    kind = type(section)
+    lines = [f"# {first_line(kind)}"] if explained else []
     lines.append(f"[{name}]")
     tables: list[str] = []
-    said = explanations(type(section)) if explained else {}
-    for key in type(section).model_fields:
+    for key in kind.model_fields:
         value = getattr(section, key)
-        lines += _explained(said.get(key, ""))
-        lines += told_beside(name, key) if explained else []
+        lines += explained_in_comments(name, kind, key) if explained else []
         if isinstance(value, dict):
             tables += _tables(f"{name}.{key}", value)
             lines += [f"# [{name}.{key}.NAME]"] if explained and not value else []
         elif value is None:
             lines += [f"# {key} ="] if explained else []
         else:
-            lines.append(f"{key} = {_same_text(f'{name}.{key}', value)}")
-    if section.model_extra:
-        named = {key: table.model_dump(mode="json") for key, table in section.model_extra.items()}
-        import tomlkit
-
-        tables += tomlkit.dumps({name: named}).removeprefix(f"[{name}]\n").splitlines()
-    while len(_written) >= MOST_WRITTEN:
-        del _written[next(iter(_written))]
-    made = [*lines, "", *tables]
-    _written[id(section), explained] = section, made
-    return made
+            lines.append(f"{key} = {value_text(value)}")
+    named = {key: table.model_dump(mode="json") for key, table in (section.model_extra or {}).items()}
+    return [*lines, "", *tables, *_tables(name, named)]
 
 
-@cache
-def _explained(description: str) -> tuple[str, ...]:
-    return tuple(textwrap.wrap(description, WIDTH, initial_indent="# ", subsequent_indent="# "))
+def first_line(kind: type[Section]) -> str:
+    """What a section is."""
+    return (kind.__doc__ or "").strip().splitlines()[0]
 
 
-# Value and text of each key as it was written last: a section that differs in one value shares the others
-_texts: dict[str, tuple[Any, str]] = {}
-
-
-def _same_text(key: str, value: Any) -> str:
-    known = _texts.get(key)
-    if known is None or known[0] is not value:
-        known = _texts[key] = value, value_text(value)
-    return known[1]
-
-
-def told_beside(section: str, key: str) -> list[str]:
-    """Comments with the placeholders of the templates, before the first of them, and an example of what needs one."""
-    lines = []
+def explained_in_comments(section: str, kind: type[Section], key: str) -> list[str]:
+    """Comments that explain a setting, with an example of what needs one; the placeholders stand before the first template."""
+    said = explanations(kind).get(key, "")
+    lines = textwrap.wrap(said, 100, initial_indent="# ", subsequent_indent="# ")
     if section == "machine" and key == next(iter(TEMPLATES)):
         lines.append("# Placeholders, filled in where they stand in braces in the blocks of these templates:")
         lines += [f"#   {{{name}}}  {meaning}" for name, meaning in PLACEHOLDERS.items()]
@@ -424,25 +286,33 @@ def told_beside(section: str, key: str) -> list[str]:
     return lines
 
 
-def _tables(path: str, values: dict[str, Any]) -> list[str]:
-    plain = {name: value for name, value in values.items() if not isinstance(value, dict)}
+def _tables(path: str, values: Mapping[str, Any]) -> list[str]:
+    plain = {name: value for name, value in values.items() if not isinstance(value, Mapping)}
     tables = {path: plain} if plain else {}
-    tables |= {f"{path}.{name}": table for name, table in values.items() if name not in plain}
+    tables |= {f"{path}.{_key(name)}": values[name] for name in values if name not in plain}
     lines = []
     for name, table in tables.items():
-        rows = [f"{k} = {value_text(v)}" for k, v in table.items() if v is not None]
+        rows = [f"{_key(k)} = {value_text(v)}" for k, v in table.items() if v is not None]
         lines += [f"[{name}]", *rows, ""]
     return lines
 
 
 def value_text(value: Any) -> str:
     """Value of a key as TOML."""
-    import tomlkit
-
-    if isinstance(value, tuple):
-        return str(tomlkit.array("[" + ", ".join(value_text(v) for v in value) + "]").as_string())
     if isinstance(value, Section):
-        table = tomlkit.inline_table()
-        table.update(value.model_dump(mode="json"))
-        return str(table.as_string())
-    return str(tomlkit.item(value).as_string())
+        value = value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(k)} = {value_text(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(value_text, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, int | float) else _quoted(str(value))
+
+
+def _key(name: str) -> str:
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else _quoted(name)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

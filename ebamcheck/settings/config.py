@@ -1,8 +1,4 @@
-"""Settings of a run, read from ``ebamcheck.toml`` or from ``[tool.ebamcheck]`` of a ``pyproject.toml``.
-
-The sections are those of :mod:`ebamcheck.settings`; unknown keys are refused. The machine, process and material sections
-together are the *machine profile*.
-"""
+"""Settings of a run, read from ``ebamcheck.toml`` or from ``[tool.ebamcheck]`` of a ``pyproject.toml``; unknown keys are refused."""
 
 from __future__ import annotations
 
@@ -123,20 +119,13 @@ class Config(Section):
         return inset - self.process.machining_allowance_mm
 
     @model_validator(mode="after")
-    def _cut_splines_can_be_written(self) -> Self:
-        if (
-            self.machine.curve_form == "bspline"
-            and not self.machine.poly_licensed
-            and self.process.shapes_bead_ends
-        ):
+    def _sections_agree(self) -> Self:
+        splines = self.machine.curve_form == "bspline" and not self.machine.poly_licensed
+        if splines and self.process.shapes_bead_ends:
             raise ValueError(
                 "process.overlap_mm, seam_shift_mm, ramp_up_mm and crater_fill_mm cut splines, whose parts are written as "
                 "POLY: with machine.curve_form 'bspline' machine.poly_licensed is needed; use 'arcs' or 'lines'"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _allowance_within_the_inset(self) -> Self:
         if self.contour_offset_mm < 0.0:
             raise ValueError(
                 f"process.machining_allowance_mm {self.process.machining_allowance_mm:g} is over the inset of the contour "

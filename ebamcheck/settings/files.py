@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from tomlkit.items import Item
 from ebamcheck.atomic_file import regular_file, replacing
 from ebamcheck.errors import SettingsError
 from ebamcheck.settings.base import Section
-from ebamcheck.settings.checking import WIDTH, as_toml, explanations, told_beside, value_text
+from ebamcheck.settings.checking import as_toml, explained_in_comments, first_line, value_text
 from ebamcheck.settings.config import Config, validated
 from ebamcheck.showing.short_text import did_you_mean
 
@@ -25,10 +24,9 @@ class Merged:
     """What became of a settings file."""
 
     text: str = ""
+    # Keys that were added, each with its value; and keys that are none, or not any more, each with what may be meant
     added: list[str] = field(default_factory=list)
-    """Keys that were added, each with its value, as ``process.bead_width_mm = 6.0``."""
     unknown: list[str] = field(default_factory=list)
-    """Keys that no version takes, or not any more, each with what may be meant."""
 
 
 def write_new(path: Path, config: Config) -> None:
@@ -57,22 +55,19 @@ def merged(text: str, path: Path) -> Merged:
         document: Any = tomlkit.parse(text)
     except TOMLKitError as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from None
+    within = ("tool", "ebamcheck") if path.name == "pyproject.toml" else ()
     root = document
-    for key in ("tool", "ebamcheck") if path.name == "pyproject.toml" else ():
-        if key not in root:
-            root[key] = tomlkit.table()
-        root = root[key]
+    for key in within:
+        root = root.setdefault(key, tomlkit.table())
     found = Merged(unknown=_unknown(root))
     before = validated(_known(root), str(path))
-    default = Config()
-    for name in Config.model_fields:
-        section: Section = getattr(default, name)
+    for name, section in Config():
         if type(section).model_fields:
             _complete(root, name, section, found)
     found.text = tomlkit.dumps(document)
     after: Any = tomlkit.parse(found.text)
-    if path.name == "pyproject.toml":
-        after = after["tool"]["ebamcheck"]
+    for key in within:
+        after = after[key]
     if validated(_known(after), str(path)) != before:
         raise SettingsError(
             f"{path}: keys cannot be added to a file of this form: write its sections as [NAME]"
@@ -90,10 +85,7 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
         value = getattr(section, key)
         if key in table:
             continue
-        said = textwrap.wrap(
-            explanations(type(section)).get(key, ""), WIDTH, initial_indent="# ", subsequent_indent="# "
-        )
-        explained = "".join(f"{line}\n" for line in [*said, *told_beside(name, key)])
+        explained = "".join(f"{line}\n" for line in explained_in_comments(name, type(section), key))
         if value is None or isinstance(value, dict):
             # What is not set stands as a comment, with the next key that is.
             empty = f"# {key} =" if value is None else f"# [{name}.{key}.NAME]"
@@ -108,7 +100,7 @@ def _complete(root: Any, name: str, section: Section, found: Merged) -> None:
         item.trivia.trail += waiting
     if is_new:
         # Last: keys that are appended to a table take up its indent.
-        table.trivia.indent = f"\n# {(type(section).__doc__ or '').strip().splitlines()[0]}\n"
+        table.trivia.indent = f"\n# {first_line(type(section))}\n"
         root.append(name, table)
 
 
@@ -116,20 +108,13 @@ def _unknown(root: Mapping[str, Any]) -> list[str]:
     found = []
     for name, table in root.items():
         if name not in Config.model_fields:
-            found.append(f"{name}: unknown key{_near(name, Config)}")
+            found.append(f"{name}: unknown key{did_you_mean(name, Config.model_fields)}")
             continue
-        kind = Config.model_fields[name].annotation
-        if isinstance(kind, type) and issubclass(kind, Section) and kind.model_config.get("extra") != "allow":
-            found += [
-                f"{name}.{key}: unknown key{_near(key, kind)}"
-                for key in table
-                if key not in kind.model_fields
-            ]
+        kind: Any = Config.model_fields[name].annotation
+        if kind.model_config.get("extra") != "allow":
+            known = kind.model_fields
+            found += [f"{name}.{k}: unknown key{did_you_mean(k, known)}" for k in table if k not in known]
     return found
-
-
-def _near(key: str, kind: type[Section]) -> str:
-    return did_you_mean(key, kind.model_fields)
 
 
 def _known(root: Any) -> dict[str, Any]:
@@ -154,9 +139,6 @@ def _read(path: Path) -> str:
         raise SettingsError(f"{path}: is not UTF-8 text, as TOML must be") from None
 
 
-MISSING = "nothing"  # stands for the value of a setting that one side lacks
-
-
 def differences(one: Config, other: Config) -> list[str]:
     """Settings whose values differ, in their order: ``SECTION.NAME is VALUE, not OTHER VALUE``.
 
@@ -168,7 +150,7 @@ def differences(one: Config, other: Config) -> list[str]:
 
 def _differing(one: Mapping[str, Any], other: Mapping[str, Any], within: str) -> Iterator[str]:
     for name in dict.fromkeys([*one, *other]):
-        mine, its = one.get(name, MISSING), other.get(name, MISSING)
+        mine, its = one.get(name, "nothing"), other.get(name, "nothing")
         if isinstance(mine, Mapping) and isinstance(its, Mapping):
             yield from _differing(mine, its, f"{within}{name}.")
         elif mine != its:

@@ -17,12 +17,9 @@ Acceleration = Annotated[float, Between(0.01, 1e7)]  # acceleration of an axis, 
 Jerk = Annotated[float, Between(0.1, 1e12)]  # jerk of an axis, mm/s3
 Increment = Annotated[float, Between(0.0, 1000.0)]  # least step of a process value
 PRINTED_PATH_MM = 1e-4  # distance that a path may have from its curve for the decimals of the program
+# Error of a printed path in units of its last decimal: half a unit of the end point, and 0.635 times half a unit of the coefficients of a
+# polynomial, in X and in Y
 ROUNDING_UNITS = 1.2
-"""Error of a printed path in units of its last decimal: half a unit of the end point, and 0.635 times half a unit of
-the coefficients of a polynomial, in X and in Y."""
-
-
-DEVICES = ("CON", "PRN", "AUX", "NUL")  # names that mean devices to the control
 
 
 class MachineSettings(Section):
@@ -175,10 +172,7 @@ class MachineSettings(Section):
     @property
     def park_position_mm(self) -> tuple[float, float]:
         """X and Y at which the program ends, within the travel."""
-        x, y = (
-            min(max(place, low), high)
-            for place, low, high in zip(self.park_mm, self.travel_min_mm, self.travel_max_mm, strict=False)
-        )
+        x, y = np.clip(self.park_mm, self.travel_min_mm[:2], self.travel_max_mm[:2]).tolist()
         return x, y
 
     @field_validator("layer_pause")
@@ -193,7 +187,7 @@ class MachineSettings(Section):
     @classmethod
     def _legal_name(cls, value: str) -> str:
         legal = re.fullmatch(r"([A-Z]{2}|_[A-Z])[A-Z0-9_]{0,17}|O[0-9]{4,8}", value)
-        if not legal or value in DEVICES:
+        if not legal or value in ("CON", "PRN", "AUX", "NUL"):  # devices
             raise ValueError(
                 "an NC name has 2 to 19 characters of A-Z, 0-9 and _, and starts with two letters or an underscore and a letter; "
                 "or it is the number of a program, such as O0001"
@@ -205,9 +199,8 @@ class MachineSettings(Section):
         if any(a >= b for a, b in zip(self.travel_min_mm, self.travel_max_mm, strict=True)):
             raise ValueError("travel_min_mm must be under travel_max_mm on every axis")
         low, high = self.base_plate_min_mm, self.base_plate_max_mm
-        if (low is None) != (high is None) or (
-            low and high and any(a >= b for a, b in zip(low, high, strict=True))
-        ):
+        crossed = low and high and any(a >= b for a, b in zip(low, high, strict=True))
+        if (low is None) != (high is None) or crossed:
             raise ValueError(
                 "give base_plate_min_mm and, over it on both axes, base_plate_max_mm; or neither"
             )
@@ -218,9 +211,8 @@ class MachineSettings(Section):
             raise ValueError(f"rotary: the axis {names[0]} stands there twice")
         if self.feed_min_mm_s >= self.feed_max_mm_s:
             raise ValueError("feed_min_mm_s must be under feed_max_mm_s")
-        if (self.curve_form == "poly" and not self.poly_licensed) or (
-            self.curve_form == "bspline" and not self.bspline_licensed
-        ):
+        licensed = {"poly": self.poly_licensed, "bspline": self.bspline_licensed}
+        if not licensed.get(self.curve_form, True):
             raise ValueError(
                 f"curve_form {self.curve_form!r} needs machine.{self.curve_form}_licensed: the control is said not to have that option"
             )

@@ -1,7 +1,5 @@
 """The material of a run, and presets by name: the entry points of the group ``ebamcheck.materials``, each a table of settings.
-
-``material.name`` names one, and its data take the place of the defaults; what is set beside the name counts for more. All
-figures are nominal: check them against the certificate of the wire and the books cited before a production build.
+All figures are nominal: check them against the certificate of the wire and the books cited before a production build.
 """
 
 from __future__ import annotations
@@ -99,8 +97,7 @@ TITANIUM: Mapping[str, Any] = {}  # ti-6Al-4V: the defaults of the section, each
 
 def preset(name: str) -> Mapping[str, Any] | None:
     """Settings of a material by its name, whatever its case; None where no material of that name is installed."""
-    point = _points().get(name.casefold())
-    if point is None:
+    if (point := _points().get(name.casefold())) is None:
         return None
     found = point.load()
     if not isinstance(found, Mapping):
@@ -121,9 +118,6 @@ Property = Annotated[float, Between(0.001, 1e6)]  # value of a property of a mat
 
 # Temperatures and values of a material, by rising temperature; two points of one temperature make a jump
 DataPoints = Annotated[tuple[tuple[Temperature, Property], ...], Field(min_length=2)]
-
-
-OF_ANY_MATERIAL = ("name", "melt_mixing")  # settings that a preset may leave out
 
 
 class MaterialSettings(Section):
@@ -187,9 +181,7 @@ class MaterialSettings(Section):
         found = preset(name)
         if found is not None:
             # The defaults are those of one material: what another one leaves out is not theirs.
-            lacking = [
-                f for f in cls.model_fields if f not in {**found, **given} and f not in OF_ANY_MATERIAL
-            ]
+            lacking = [f for f in cls.model_fields if f not in {*found, *given, "name", "melt_mixing"}]
             if found and lacking:
                 raise ValueError(
                     f"the preset {name!r} lacks {', '.join(lacking)}: set them, or complete the preset"

@@ -6,7 +6,7 @@ import itertools
 import math
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from ebamcheck.settings.base import Angle, Between, Length, Place, Section, Share, Temperature
 
@@ -27,6 +27,18 @@ Off = Annotated[float, Between(1e-9, 1.0)]  # share by which something may be of
 
 # Heights over the base plate, mm, rising, and the share of the beam's power there
 PowerTable = Annotated[tuple[tuple[Height, Share], ...], Field(min_length=1)]
+
+
+def _in_order(window: tuple[float, float], what: str = "") -> tuple[float, float]:
+    if window[0] >= window[1]:
+        raise ValueError(f"{what}give the lower one first")
+    return window
+
+
+def _not_falling(window: tuple[float, float]) -> tuple[float, float]:
+    if window[0] > window[1]:
+        raise ValueError("give the lower one first")
+    return window
 
 
 class KeepOut(Section):
@@ -67,25 +79,25 @@ class ProcessSettings(Section):
     published for wire electron-beam processes; check it on the machine."""
     wire_speed_max_mm_s: WireSpeed = 6000.0 / 60.0
     """Greatest wire speed at which the melt pool takes up the wire: 6 m/min, the upper end of what is published."""
-    layer_over_bead: tuple[Ratio, Ratio] = (0.5, 2.0)
+    layer_over_bead: Annotated[tuple[Ratio, Ratio], AfterValidator(_in_order)] = (0.5, 2.0)
     """Least and greatest layer height over the height of the bead that wire_speed_mm_s and travel_speed_mm_s give. Under a
     half the beam melts more of the layers below than of the wire; at twice the height of the default bead the layer is
     more than half as high as the bead is wide, the contact angle passes 90 degrees, and the melt runs over the sides."""
-    line_energy_j_mm: tuple[LineEnergy, LineEnergy] = (150.0, 3000.0)
+    line_energy_j_mm: Annotated[tuple[LineEnergy, LineEnergy], AfterValidator(_in_order)] = (150.0, 3000.0)
     """Least and greatest energy of the beam along a bead, P / v. The corners of the published window: 60 kV and 50 mA at
     20 mm/s, 60 kV and 250 mA at 5 mm/s. Less does not melt wire and base together, more boils and drops through."""
-    voltage_window_kv: tuple[Voltage, Voltage] = (10.0, 200.0)
+    voltage_window_kv: Annotated[tuple[Voltage, Voltage], AfterValidator(_in_order)] = (10.0, 200.0)
     """Least and greatest accelerating voltage that a program may set; guns for wire processes run at 40 to 150 kV."""
-    current_window_ma: tuple[Current, Current] = (1.0, 1000.0)
+    current_window_ma: Annotated[tuple[Current, Current], AfterValidator(_in_order)] = (1.0, 1000.0)
     """Least and greatest beam current of a bead; its ramps may go below by ramp_power. current_max_ma holds, too."""
     feed_along_path: bool = False
     """Change the feed along a bead where its wire would be under wire_speed_min_mm_s or over wire_speed_max_mm_s, within the windows of
     feed, travel and line energy. `live` and `relayer` set it for layers on a measured surface to which one feed leaves too little room."""
-    travel_window_mm_s: tuple[TravelSpeed, TravelSpeed] = (1.0, 100.0)
+    travel_window_mm_s: Annotated[tuple[TravelSpeed, TravelSpeed], AfterValidator(_in_order)] = (1.0, 100.0)
     """Least and greatest speed along a bead."""
-    bead_section_mm2: tuple[Metal, Metal] = (0.5, 60.0)
+    bead_section_mm2: Annotated[tuple[Metal, Metal], AfterValidator(_in_order)] = (0.5, 60.0)
     """Least and greatest metal of a bead over its length: section of the wire times wire speed over travel speed."""
-    metal_energy_j_mm3: tuple[LineEnergy, LineEnergy] = (10.0, 600.0)
+    metal_energy_j_mm3: Annotated[tuple[LineEnergy, LineEnergy], AfterValidator(_in_order)] = (10.0, 600.0)
     """Least and greatest energy of the beam over the wire that it melts, P / (section of the wire x wire speed). Ten is what
     titanium or steel needs to be molten at all."""
     least_wall_mm: Width | None = None
@@ -140,10 +152,10 @@ class ProcessSettings(Section):
     not melt is found (process.metal_energy_j_mm3)."""
     ramp_steps: Annotated[int, Between(1, 50)] = 4
     """Steps of power along a ramp."""
-    ramp_up_window_s: tuple[Seconds, Seconds] | None = None
+    ramp_up_window_s: Annotated[tuple[Seconds, Seconds], AfterValidator(_not_falling)] | None = None
     """Least and greatest time that the beam takes from the start of a bead to its full power, by feed and length as they stand
     in the program; None: measured and told, not limited. A bead under the length of both ramps may take less."""
-    crater_fill_window_s: tuple[Seconds, Seconds] | None = None
+    crater_fill_window_s: Annotated[tuple[Seconds, Seconds], AfterValidator(_not_falling)] | None = None
     """The same of the time from the full power to the end of a bead."""
     wire_retract_mm: Annotated[float, Between(0.0, 1000.0)] = 0.0
     """Wire drawn back at the end of a bead, so that it does not freeze in. The feeder, or the codes of `machine.wire_start`, have to
@@ -230,32 +242,15 @@ class ProcessSettings(Section):
 
     @model_validator(mode="after")
     def _limits_in_order(self) -> Self:
-        wire = (self.wire_speed_min_mm_s, self.wire_speed_max_mm_s)
-        for name, (low, high) in {
-            "wire_speed_min_mm_s and wire_speed_max_mm_s": wire,
-            "layer_over_bead": self.layer_over_bead,
-            "line_energy_j_mm": self.line_energy_j_mm,
-            "voltage_window_kv": self.voltage_window_kv,
-            "current_window_ma": self.current_window_ma,
-            "travel_window_mm_s": self.travel_window_mm_s,
-            "bead_section_mm2": self.bead_section_mm2,
-            "metal_energy_j_mm3": self.metal_energy_j_mm3,
-        }.items():
-            if low >= high:
-                raise ValueError(f"{name} {low:g}, {high:g}: give the lower one first")
+        _in_order(
+            (self.wire_speed_min_mm_s, self.wire_speed_max_mm_s),
+            "wire_speed_min_mm_s is not under wire_speed_max_mm_s: ",
+        )
         least_k, limit_k = self.least_entry_temperature_k, self.interpass_limit_k
         if least_k is not None and limit_k is not None and least_k >= limit_k:
             raise ValueError(
                 f"least_entry_temperature_k {least_k:g} is not under interpass_limit_k {limit_k:g}"
             )
-        ramps = {"ramp_up_window_s": self.ramp_up_window_s, "crater_fill_window_s": self.crater_fill_window_s}
-        for name, window in ramps.items():
-            if window is not None and window[0] > window[1]:
-                raise ValueError(f"{name} {window[0]:g}, {window[1]:g}: give the lower one first")
-        return self
-
-    @model_validator(mode="after")
-    def _current_in_range(self) -> Self:
         if self.current_ma > self.current_max_ma:
             raise ValueError(f"current_ma {self.current_ma} is over current_max_ma {self.current_max_ma}")
         return self

@@ -1,8 +1,4 @@
-"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced; and the feed along a bead.
-
-The program's text is held against the same limits, motion by motion: :mod:`ebamcheck.checks.value_checks`. Wire over feed is the metal of
-a bead: where the wire stands at a limit of its feeder, the feed does what is left, within the windows of feed, travel and line energy.
-"""
+"""The process window: what wire, beam and layers a profile allows, held against the settings before anything is sliced; and the feed along a bead."""
 
 from __future__ import annotations
 
@@ -17,18 +13,13 @@ from ebamcheck.kernels import Floats
 from ebamcheck.result import Check, Severity
 from ebamcheck.settings.config import Config
 
+# Layer heights over that of one bead at which wire and beam need no trial: as far as published parameters of one machine vary; nominal
 USUAL_OVER_BEAD = (0.75, 1.25)
-"""Layer heights over that of one bead at which wire and beam need no trial of their own: as far as published parameters of
-one machine and wire vary from layer to layer; nominal."""
-
+# Greatest width of a bead over the spacing: it stands that much higher over the layer than its neighbours, which the next layer still melts
 MOST_SPACINGS = 1.6
-"""Greatest width of a bead over the spacing: it stands that much higher over the layer than its neighbours, which the
-next layer still melts."""
-
+# Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is part of the melt pool,
+# and a border at 60 degrees makes it 1.15 spacings long
 TURN_SPACINGS = 1.5
-"""Lines of one island whose ends are at most this many bead spacings apart are joined with the beam on: the turn is
-part of the melt pool. 1.5, because a border at 60 degrees makes the turn 1.15 spacings long."""
-
 ROUNDING = 1e-9  # of a ratio of floats
 
 
@@ -72,11 +63,7 @@ def least_window_share(config: Config) -> float:
 
 
 def least_wall_mm(config: Config) -> float:
-    """Thinnest wall that beads can lay: the one set, else the bead's width at the least wire speed.
-
-    Wire and width go together in the mass balance, so that at the same travel speed and layer height the narrowest bead has
-    the share of the bead's width that the least wire speed has of the nominal one.
-    """
+    """Thinnest wall that beads can lay: the one set, else the bead's width at the least wire speed, to which it is proportional."""
     process = config.process
     if process.least_wall_mm is not None:
         return process.least_wall_mm
@@ -90,10 +77,7 @@ def least_hole_mm(config: Config) -> float:
 
 
 def layer_steps_mm(config: Config) -> list[tuple[str, float]]:
-    """Heights of the layers that the settings ask for, each with the name of its setting.
-
-    Listed heights are those of the cuts; a step is from one to the next, and the first layer is as high as the second.
-    """
+    """Heights of the layers that the settings ask for, each with the name of its setting; of listed cuts the steps from one to the next."""
     heights = config.layers.heights_mm
     if len(heights) < 2:
         named = "layers.layer_height_mm" if config.layers.layer_height_mm else "process.wire_speed_mm_s"
@@ -106,30 +90,20 @@ def outside_window(config: Config, severity: Severity = "fault") -> Iterator[Che
     for setting, layer_mm in layer_steps_mm(config):
         if layer_mm > 0.0:  # heights that do not rise have an error of their own
             yield from _layer(config, severity, setting, layer_mm)
-    yield from _single_values(config, severity)
-    energy, limits = line_energy_j_mm(config), config.process.line_energy_j_mm
-    if (limit := _broken(energy, limits)) is not None:
-        text = (
-            f"process.voltage_kv x current_ma / travel_speed_mm_s give {energy:.4g} J/mm, {_beyond(energy, limit)} {limit:g} J/mm "
-            "(process.line_energy_j_mm)"
-        )
-        place, remedy = "process.travel_speed_mm_s", "change the current or the travel speed"
-        yield Check.finding(severity, "process-limit", text, place, energy, limit, "J/mm", remedy)
-
-
-def _single_values(config: Config, severity: Severity) -> Iterator[Check]:
-    process = config.process
-    for name, value, window, unit in (
-        ("voltage_kv", process.voltage_kv, "voltage_window_kv", "kV"),
-        ("current_ma", process.current_ma, "current_window_ma", "mA"),
-        ("travel_speed_mm_s", process.travel_speed_mm_s, "travel_window_mm_s", "mm/s"),
+    process, energy = config.process, line_energy_j_mm(config)
+    of_energy = "process.voltage_kv x current_ma / travel_speed_mm_s give"
+    to_change = "change the current or the travel speed"
+    for place, told, value, window, unit, remedy in (
+        ("voltage_kv", "", process.voltage_kv, "voltage_window_kv", "kV", ""),
+        ("current_ma", "", process.current_ma, "current_window_ma", "mA", ""),
+        ("travel_speed_mm_s", "", process.travel_speed_mm_s, "travel_window_mm_s", "mm/s", ""),
+        ("travel_speed_mm_s", of_energy, energy, "line_energy_j_mm", "J/mm", to_change),
     ):
         if (limit := _broken(value, getattr(process, window))) is not None:
-            text = f"process.{name} is {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
-            remedy = f"change process.{name}"
-            yield Check.finding(
-                severity, "process-limit", text, f"process.{name}", value, limit, unit, remedy
-            )
+            told = told or f"process.{place} is"
+            text = f"{told} {value:.4g} {unit}, {_beyond(value, limit)} {limit:g} {unit} (process.{window})"
+            where, remedy = f"process.{place}", remedy or f"change process.{place}"
+            yield Check.finding(severity, "process-limit", text, where, value, limit, unit, remedy)
 
 
 def checked_window(config: Config) -> None:
@@ -196,8 +170,6 @@ def _beyond(value: float, limit: float) -> str:
     return "over" if value > limit else "under"
 
 
-# -- the feed along a bead -------------------------------------------------------------------------
-
 SHARE_DIGITS = 6  # decimals of a feed over that of the process
 
 
@@ -209,17 +181,9 @@ def speed_window(config: Config, power_share: float = 1.0) -> tuple[float, float
     """
     process, machine = config.process, config.machine
     usual, energy = process.travel_speed_mm_s, power_share * line_energy_j_mm(config)
-    low = max(
-        machine.feed_min_mm_s / usual,
-        process.travel_window_mm_s[0] / usual,
-        energy / process.line_energy_j_mm[1],
-    )
-    high = min(
-        machine.feed_max_mm_s / usual,
-        process.travel_window_mm_s[1] / usual,
-        energy / process.line_energy_j_mm[0],
-    )
-    return low, high
+    (slow, fast), (least, most) = process.travel_window_mm_s, process.line_energy_j_mm
+    low = max(machine.feed_min_mm_s / usual, slow / usual, energy / most)
+    return low, min(machine.feed_max_mm_s / usual, fast / usual, energy / least)
 
 
 def along_window(config: Config, power_share: float = 1.0) -> tuple[float, float]:

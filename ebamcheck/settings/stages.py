@@ -358,17 +358,10 @@ def machine_name() -> str:
 
 
 def for_this_machine(config: Config) -> Config:
-    """Return the settings with the choice of this machine in force.
-
-    The primary slicer is that of the machine's section, and what it requires is required on top of what the
-    settings require anyway. Without a section for this machine nothing changes. The sections themselves go, so that
-    the hash of a run's settings does not depend on what other machines use.
-    """
-    choice = config.machines.of(machine_name())
+    """Return the settings with the choice of this machine in force: its primary slicer, and what it requires besides; the sections of machines go."""
     slicing = config.slicing
-    if choice is not None:
+    if (choice := config.machines.of(machine_name())) is not None:
         required = tuple(dict.fromkeys((*slicing.required, *choice.required)))
-        slicing = slicing.model_copy(
-            update={"primary": choice.primary or slicing.primary, "required": required}
-        )
+        primary = choice.primary or slicing.primary
+        slicing = slicing.model_copy(update={"primary": primary, "required": required})
     return config.model_copy(update={"slicing": slicing, "machines": MachineSections()})

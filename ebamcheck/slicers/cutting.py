@@ -1,7 +1,5 @@
 """Cuts a part block by block into a file of layers, in whatever process it is, and tells how it goes; and does so in this one.
-
-A process of its own is what ends a crash, a hang or a flood of memory. Kernels of this project (and shapely), tested on hostile
-meshes, have none of these to fear, and an interpreter takes longer to come up than most parts take to be cut.
+Kernels of this project, tested on hostile meshes, need no process of their own, which takes longer to come up than most parts to be cut.
 """
 
 from __future__ import annotations
@@ -49,7 +47,14 @@ def cut(
     try:
         with slicer.prepare(part, settings) as prepared:
             tell(prepare_s=time.perf_counter() - start)
-            _write(_blocks(prepared, part, heights, borders, tell, kept), file, tell)
+            blocks = _blocks(prepared, part, heights, borders, tell, kept)
+            # A file that cannot be written is no slicer that refuses.
+            try:
+                layer_files.write_blocks(blocks, file)
+            except SettingsError as error:
+                tell(unwritable=str(error))
+            else:
+                tell(written=True)
     except NotLayers as error:
         tell(failure="crashed", why=str(error))
     except EbamcheckError as error:
@@ -59,16 +64,6 @@ def cut(
     else:
         return True
     return False
-
-
-def _write(blocks: Iterator[Layers], file: Path, tell: Callable[..., None]) -> None:
-    """Write what the slicer gives, and tell a file that cannot be written from a slicer that refuses."""
-    try:
-        layer_files.write_blocks(blocks, file)
-    except SettingsError as error:
-        tell(unwritable=str(error))
-    else:
-        tell(written=True)
 
 
 def _blocks(
@@ -105,10 +100,6 @@ def _blocks(
         del layers  # so that there are never two blocks in memory
 
 
-FACET_BYTES, POINT_BYTES = 400.0, 160.0  # memory of a facet and of a point in a block, at most
-SHARE = 0.25  # of the memory that a backend may hold, what it may come to here; beyond it somebody watches from outside
-
-
 class _OutOfTime(Exception):
     """The backend has used up its time."""
 
@@ -120,8 +111,9 @@ def may_run_here(name: str) -> bool:
 
 def fits_here(part: Part, block_points: int, limits: Limits) -> bool:
     """Whether a part is so small that its memory need not be watched."""
-    most = FACET_BYTES * len(part.faces) + POINT_BYTES * block_points
-    return most < SHARE * 1e6 * limits.memory_mb
+    # Memory of a facet and of a point in a block, at most; beyond a quarter of what a backend may hold somebody watches from outside.
+    most = 400.0 * len(part.faces) + 160.0 * block_points
+    return most < 0.25 * 1e6 * limits.memory_mb
 
 
 def cut_here(
@@ -133,10 +125,7 @@ def cut_here(
     limits: Limits,
     borders: NDArray[np.int64],
 ) -> Outcome:
-    """Slice with one backend into ``NAME.parquet`` in this process; see :func:`isolation.slice_all`.
-
-    Time is looked at whenever layers are done.
-    """
+    """Slice with one backend into ``NAME.parquet`` in this process; time is looked at whenever layers are done."""
     told: dict[str, Any] = {}
     start = time.perf_counter()
 

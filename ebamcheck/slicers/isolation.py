@@ -1,9 +1,4 @@
-"""One process per backend, with limits: a crash, a hang or a kill of one is a finding, not the end of a run; workers
-are started ahead, so that their imports run while the part is read.
-
-The parent writes the part once as plain columns, gives each worker its order, and watches its resident memory and its
-time; a worker writes its layers to a file, block by block.
-"""
+"""One process per backend, with limits on time and memory: a crash, a hang or a kill of one is a finding, not the end of a run."""
 
 from __future__ import annotations
 
@@ -39,19 +34,7 @@ from ebamcheck.plugins.processes import (
     started,
 )
 from ebamcheck.scratch import scratch_folder
-from ebamcheck.slicers.outcome import (
-    CHUNK_BYTES,
-    FLOOD_BYTES,
-    FLOOD_BYTES_S,
-    LONGEST_LINE_BYTES,
-    MOST_CHUNKS,
-    Failure,
-    NoEvent,
-    bounds_fault,
-    event_of,
-    file_fault,
-    probe_of,
-)
+from ebamcheck.slicers.outcome import Failure, NoEvent, bounds_fault, event_of, file_fault, probe_of
 from ebamcheck.slicers.outcome import Limits as Limits
 from ebamcheck.slicers.outcome import Outcome as Outcome
 from ebamcheck.slicers.worker import write_part
@@ -61,10 +44,17 @@ if TYPE_CHECKING:
     from ebamcheck.slicers.worker import Order
 
 DEFAULT_LIMITS = Limits()
+OVER_MEMORY = "held {:.0f} MB, over the limit of {:.0f} MB (slicing.memory_limit_mb)"
 
+FIGURES = ("rings", "open_paths", "points", "prepare_s", "slice_s")  # what a worker tells of its layers
 KILLS = ("SIGKILL", "SIGTERM", "SIGINT", "SIGHUP")  # signals that come from outside
 POLL_S = 0.05  # how often memory and time of the workers are looked at
 CHILDREN_S = 1.0  # how often processes that a worker has started are looked for
+# What is read of one worker before its limits and the others are looked at
+CHUNK_BYTES, MOST_CHUNKS = 1 << 16, 16
+LONGEST_LINE_BYTES = 1_000_000  # an event is a line of a few hundred bytes
+# More events than the first, and so much more for each second, are a flood: progress is some 1000 bytes a second
+FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
 
 
 def slice_isolated(
@@ -91,20 +81,17 @@ def declared_bounds(
 ) -> dict[str, tuple[float, float]]:
     """Error bound and height bound of a part, mm, by backend; strangers are asked in processes of their own."""
     asked = {name: settings for name, settings in backends.items() if registry.is_stranger(name)}
-    found: dict[str, tuple[float, float]] = {}
+    outcomes: dict[str, Outcome] = {}
     if asked:
         with scratch_folder() as folder:
             outcomes = slice_all(part, np.zeros(0), asked, folder, limits, bounds_only=True)
-        for name, outcome in outcomes.items():
-            if outcome.failure:
-                raise BackendFailed(f"backend {name!r} {outcome.failure}: {outcome.why}")
-            found[name] = (outcome.error_bound_mm, outcome.height_bound_mm)
+    for name, outcome in outcomes.items():
+        if outcome.failure:
+            raise BackendFailed(f"backend {name!r} {outcome.failure}: {outcome.why}")
+    found = bounds_of(outcomes)
     for name in backends.keys() - asked:
-        slicer = registry.slicer(name)
-        found[name] = (
-            slicer.error_bound_mm(part, backends[name]),
-            slicer.height_bound_mm(part, backends[name]),
-        )
+        slicer, settings = registry.slicer(name), backends[name]
+        found[name] = slicer.error_bound_mm(part, settings), slicer.height_bound_mm(part, settings)
     return found
 
 
@@ -125,10 +112,10 @@ def slice_all(
 
     Heights (L,), mm, strictly increase; layers go to `target`, one file ``NAME.parquet`` a backend that comes to an end. `progress` takes
     a backend's name and the layers done since its last call. The blocks between `borders`
-    (:func:`~ebamcheck.layers.heights.layer_blocks`) are cut and written one after the other; with `keep_blocks` they are kept until
-    the file is whole, and those that a killed process left in `target` are taken. `pool` has workers that were spawned early, to
-    hide the time of their imports. With `bounds_only` outcomes have no file. `meanwhile` is called once, when the first backends are at
-    work; it has to be short, for nothing watches them while it runs. Only a `target` that cannot be written raises.
+    (:func:`~ebamcheck.layers.heights.layer_blocks`) are cut one after the other; with `keep_blocks` they are kept until the file is whole,
+    and those that a killed process left in `target` are taken. `pool` has workers that were started early. With `bounds_only` outcomes
+    have no file. `meanwhile` is called once, when the first backends are at work, while nothing watches them. Only a `target` that cannot
+    be written raises.
     """
     outcomes: dict[str, Outcome] = {}
     with ExitStack() as opened:
@@ -143,9 +130,13 @@ def slice_all(
             while waiting or running:
                 while waiting and len(running) < most:
                     name = waiting.pop(0)
-                    running.append(
-                        _started(pool, name, backends[name], target, heights.size, keep_blocks, bounds_only)
-                    )
+                    worker = pool.worker(name)
+                    worker.begin({
+                        "backend": name, "folder": str(pool.folder), "file": str(target.absolute() / f"{name}.parquet"),
+                        "settings": backends[name].model_dump(mode="json"),
+                        "keep_blocks": keep_blocks, "bounds_only": bounds_only,
+                    }, heights.size)  # fmt: skip
+                    running.append(worker)
                 if meanwhile is not None:
                     meanwhile()
                     meanwhile = None
@@ -157,49 +148,23 @@ def slice_all(
                         outcomes[worker.name] = _collect(worker, part, heights, limits)
         finally:
             for worker in running:
-                worker.end()
-                worker.close()
-                _discard(worker)
+                worker.discard()
     return {name: outcomes[name] for name in backends}
-
-
-def _started(
-    pool: WorkerPool,
-    name: str,
-    settings: BackendSettings,
-    target: Path,
-    layers: int,
-    keep_blocks: bool,
-    bounds_only: bool,
-) -> Worker:
-    worker = pool.worker(name)
-    worker.stranger, worker.layers, worker.bounds_only = registry.is_stranger(name), layers, bounds_only
-    file = target.absolute() / f"{name}.parquet"
-    worker.begin({
-        "backend": name, "folder": str(pool.folder), "file": str(file), "settings": settings.model_dump(mode="json"),
-        "keep_blocks": keep_blocks, "bounds_only": bounds_only,
-    })  # fmt: skip
-    return worker
 
 
 def _listen(running: Sequence[Worker], progress: Callable[[str, int], None] | None) -> None:
     with selectors.DefaultSelector() as selector:
         for worker in running:
             selector.register(worker.events, selectors.EVENT_READ, worker)
-        ready = selector.select(POLL_S)
+        ready = [key.data for key, _ in selector.select(POLL_S)]
     # Each of them is heard, however much one tells.
-    silent = [has_ended(key.data.process) or not _take_in(key.data, progress) for key, _ in ready]
+    silent = [has_ended(worker.process) or not _take_in(worker, progress) for worker in ready]
     if ready and all(silent):
-        # A closed pipe is always ready; its worker is about to end.
-        time.sleep(POLL_S)
+        time.sleep(POLL_S)  # A closed pipe is always ready; its worker is about to end.
 
 
 def _take_in(worker: Worker, progress: Callable[[str, int], None] | None) -> bool:
-    """Read some of what a worker has told; false where its pipe is closed or empty.
-
-    No more than some: a worker that never stops telling must not keep the others waiting, or its limits from being
-    looked at. One that tells no events is ended.
-    """
+    """Read some of what a worker has told, so that none keeps the others waiting; false where its pipe is closed or empty."""
     some = False
     for _ in range(MOST_CHUNKS):
         if worker.failure or not (chunk := worker.events.read(CHUNK_BYTES)):
@@ -209,24 +174,13 @@ def _take_in(worker: Worker, progress: Callable[[str, int], None] | None) -> boo
         *lines, worker.unread = (worker.unread + chunk).split(b"\n")
         try:
             for line in lines:
-                _take(worker, event_of(line), progress)
+                worker.take(event_of(line), progress)
         except NoEvent as error:
             worker.lose("crashed", str(error))
         allowed = FLOOD_BYTES + FLOOD_BYTES_S * (time.monotonic() - worker.started)
         if len(worker.unread) > LONGEST_LINE_BYTES or worker.heard_bytes > allowed:
             worker.lose("crashed", f"told {worker.heard_bytes} bytes of events: a flood")
     return some
-
-
-def _take(worker: Worker, event: dict[str, Any], progress: Callable[[str, int], None] | None) -> None:
-    """Take one event in; progress beyond the work that there is counts for nothing."""
-    if "done" not in event:
-        worker.told.update(event)
-        return
-    done = min(event["done"], worker.layers - worker.done)
-    worker.done += done
-    if progress is not None and done:
-        progress(worker.name, done)
 
 
 def _enforce(worker: Worker, limits: Limits) -> None:
@@ -236,15 +190,11 @@ def _enforce(worker: Worker, limits: Limits) -> None:
         return
     worker.peak_mb = max(worker.peak_mb, resident)
     if resident > limits.memory_mb:
-        worker.lose("out of memory", _over_memory(resident, limits))
+        worker.lose("out of memory", OVER_MEMORY.format(resident, limits.memory_mb))
     elif time.monotonic() - worker.started > limits.time_s:
         worker.lose("timed out", f"took over {limits.time_s:g} s (slicing.time_limit_s)")
     elif size_of(worker.errors) > LARGEST_SAID_BYTES:
         worker.lose("crashed", f"wrote over {LARGEST_SAID_BYTES // 1_000_000} MB to the terminal")
-
-
-def _over_memory(held_mb: float, limits: Limits) -> str:
-    return f"held {held_mb:.0f} MB, over the limit of {limits.memory_mb:.0f} MB (slicing.memory_limit_mb)"
 
 
 def _resident_mb(worker: Worker) -> float:
@@ -267,31 +217,30 @@ def _collect(worker: Worker, part: Part, heights: NDArray[np.float64], limits: L
         pass
     worker.close()
     told = worker.told
+    bounds: dict[str, Any] = {
+        name: float(told[name])
+        for name in ("error_bound_mm", "height_bound_mm")
+        if abs(told.get(name, math.inf)) < math.inf
+    }
     outcome = Outcome(
         worker.name,
         probe=probe_of(told),
-        error_bound_mm=_finite(told.get("error_bound_mm", 0.0)),
-        height_bound_mm=_finite(told.get("height_bound_mm", 0.0)),
-        **{name: told.get(name, 0) for name in ("rings", "open_paths", "points")},
-        **{name: told.get(name, 0.0) for name in ("prepare_s", "slice_s")},
         peak_mb=max(worker.peak_mb, told.get("peak_mb", 0.0)),
+        **bounds,
+        **{name: told[name] for name in FIGURES if name in told},
     )
     failure, why = _failure(worker, part, heights)
     if not failure and outcome.peak_mb > limits.memory_mb:
         # It came to its end between two looks.
-        failure, why = "out of memory", _over_memory(outcome.peak_mb, limits)
+        failure, why = "out of memory", OVER_MEMORY.format(outcome.peak_mb, limits.memory_mb)
     if "unwritable" in told and not worker.stranger:
-        _discard(worker)
+        worker.discard()
         raise SettingsError(told["unwritable"])
     if not failure:
         return replace(outcome, file=None if worker.bounds_only else worker.file)
-    _discard(worker)
+    worker.discard()
     worker.file.unlink(missing_ok=True)
     return replace(outcome, failure=failure, why=why)
-
-
-def _finite(number: float) -> float:
-    return float(number) if abs(number) < math.inf else 0.0
 
 
 def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[Failure, str]:
@@ -311,11 +260,6 @@ def _failure(worker: Worker, part: Part, heights: NDArray[np.float64]) -> tuple[
     if not fault and not worker.bounds_only:
         fault = file_fault(worker.file, part, heights, whole=worker.stranger)
     return ("crashed", fault) if fault else ("", "")
-
-
-def _discard(worker: Worker) -> None:
-    for part in worker.file.parent.glob(f".{worker.file.name}.*.part"):
-        part.unlink(missing_ok=True)
 
 
 @dataclass
@@ -343,13 +287,24 @@ class Worker:
     children: list[psutil.Process] = field(default_factory=list)
     children_seen: float = 0.0
 
-    def begin(self, order: Order) -> None:
+    def begin(self, order: Order, layers: int) -> None:
         """Give the worker its order; its time counts from here."""
-        self.file, self.started = Path(order["file"]), time.monotonic()
+        self.file, self.bounds_only, self.layers = Path(order["file"]), order["bounds_only"], layers
+        self.stranger, self.started = registry.is_stranger(self.name), time.monotonic()
         assert self.process.stdin is not None
         # A worker that has ended already is found out by whoever waits for it.
         with contextlib.suppress(BrokenPipeError), self.process.stdin as orders:
             orders.write(json.dumps(order).encode() + b"\n")
+
+    def take(self, event: dict[str, Any], progress: Callable[[str, int], None] | None) -> None:
+        """Take one event in; progress beyond the work that there is counts for nothing."""
+        if "done" not in event:
+            self.told.update(event)
+            return
+        done = min(event["done"], self.layers - self.done)
+        self.done += done
+        if progress is not None and done:
+            progress(self.name, done)
 
     def lose(self, failure: Failure, why: str) -> None:
         """End it for a reason; the first one counts."""
@@ -367,17 +322,20 @@ class Worker:
         if self.process.stdin is not None:
             self.process.stdin.close()
 
+    def discard(self) -> None:
+        """End it, and remove what it has begun to write."""
+        self.end()
+        self.close()
+        for part in self.file.parent.glob(f".{self.file.name}.*.part"):
+            part.unlink(missing_ok=True)
+
 
 class WorkerPool:
-    """Workers, and the folder where they find their work; those that got no order are ended with it.
-
-    The workers of backends in `ahead` are started at once, others when they are asked for.
-    """
+    """Workers, those of backends in `ahead` started at once, and the folder where they find their work; who got no order is ended with it."""
 
     def __init__(self, ahead: Iterable[str] = ()) -> None:
         self._opened = ExitStack()
         self.folder = self._opened.enter_context(scratch_folder())
-        """Folder of this pool alone."""
         self._count = 0
         self._idle = {name: self._start(name) for name in dict.fromkeys(ahead)}
 
@@ -397,8 +355,7 @@ class WorkerPool:
 
     def worker(self, name: str) -> Worker:
         """Take the worker of a backend, whose name it carries in a list of processes: the one that waits, or a new one."""
-        waiting = self._idle.pop(name, None)
-        return waiting if waiting is not None else self._start(name)
+        return self._idle.pop(name, None) or self._start(name)
 
     def _start(self, name: str) -> Worker:
         read, write = os.pipe()
@@ -415,8 +372,5 @@ class WorkerPool:
 
 
 def longest_first(names: Iterable[str]) -> list[str]:
-    """Names of slicers in the order in which they are to begin: those that are not exact cast rays, and take longest.
-
-    What ends last is short then, and no core waits long for it.
-    """
+    """Slicers in the order in which they begin: those that are not exact cast rays and take longest, so that what ends last is short."""
     return sorted(names, key=lambda name: registry.slicer(name).exact)

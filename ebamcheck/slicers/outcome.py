@@ -1,7 +1,4 @@
-"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of layers.
-
-Events are checked on arrival: malformed ones, or floods of them, make the worker lost; so do layers of wrong types, sizes, order or range.
-"""
+"""What becomes of a backend that slices: its file of layers and figures, or why it has none; events of a worker, and the form of layers, checked."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from ebamcheck.backend import Probe
 from ebamcheck.errors import BackendFailed, BackendMissing, InputError
@@ -23,6 +20,7 @@ from ebamcheck.layers.files import LayerFile
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part
 from ebamcheck.plugins.processes import one_line
+from ebamcheck.plugins.trial import ProbeTold, Told
 
 # What can become of a backend but success
 Failure = Literal["", "unavailable", "refused", "crashed", "timed out", "out of memory", "killed"]
@@ -69,16 +67,8 @@ class Outcome:
         return read_parquet(self.made())
 
 
-CHUNK_BYTES = 1 << 16
-MOST_CHUNKS = 16  # chunks that are read of one worker before its limits and the other workers are looked at
-LONGEST_LINE_BYTES = 1_000_000  # an event is a line of a few hundred bytes
-
-# More than the first, and so much more for each second, is a flood: progress is some 1000 bytes a second
-FLOOD_BYTES, FLOOD_BYTES_S = 4_000_000, 100_000
-
 LONGEST_TEXT = 4000
 
-_Text = Annotated[str, Field(max_length=LONGEST_TEXT)]
 _Count = Annotated[int, Field(ge=0, lt=2**53)]
 _Amount = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
@@ -87,23 +77,11 @@ class NoEvent(Exception):
     """A worker told something that is none of its words."""
 
 
-class _Told(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid")
-
-
-class _ProbeTold(_Told):
-    available: bool
-    why: _Text
-    hint: _Text
-    versions: Annotated[dict[_Text, _Text], Field(max_length=99)]
-    device: _Text
-
-
-class _Event(_Told):
-    """Every word of an event, and what may stand behind it."""
+class _Event(Told):
+    """Every word of an event, and what may stand behind it; of what is seen from outside a worker says no failure."""
 
     done: _Count = 0
-    probe: _ProbeTold = _ProbeTold(available=False, why="", hint="", versions={}, device="")
+    probe: ProbeTold = ProbeTold(available=False, why="", hint="", versions={}, device="")
     error_bound_mm: float = 0.0
     height_bound_mm: float = 0.0
     prepare_s: _Amount = 0.0
@@ -114,7 +92,6 @@ class _Event(_Told):
     points: _Count = 0
     written: Literal[True] = True
     failure: Literal["unavailable", "refused", "crashed", "out of memory"] = "crashed"
-    """What a worker says of itself; what is seen from outside it cannot say."""
     why: str = ""
     unwritable: str = ""
 
@@ -124,9 +101,10 @@ def event_of(line: bytes) -> dict[str, Any]:
     try:
         event = json.loads(line)
     except (ValueError, RecursionError):
-        raise NoEvent(f"told what is no event: {_shown(line)}") from None
+        event = None
     if not isinstance(event, dict) or not event:
-        raise NoEvent(f"told what is no event: {_shown(line)}")
+        shown = repr(one_line(line[:200].decode("utf-8", "replace"), 60))
+        raise NoEvent(f"told what is no event: {shown}")
     try:
         _Event.model_validate(event)
     except ValidationError as error:
@@ -159,15 +137,11 @@ def probe_of(told: Mapping[str, Any]) -> Probe:
     return Probe(**told["probe"]) if "probe" in told else Probe(False)
 
 
-def _shown(line: bytes) -> str:
-    return repr(one_line(line[:200].decode("utf-8", "replace"), 60))
-
-
 # -- form of layers --------------------------------------------------------------------------------
 
+# Coordinates so many times farther off than the largest extent or coordinate of the part are no section of it: no mistake of units is
+# that large, and squares of such numbers overflow
 ABSURD = 1e6
-"""Coordinates farther off than this many times the largest extent or coordinate of the part are no section of it: no
-mistake of units is that large, and squares of such numbers overflow."""
 
 
 def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
@@ -182,18 +156,13 @@ def form_fault(layers: object, part: Part, heights: NDArray[np.float64]) -> str:
 
 
 def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool) -> str:
-    """What is wrong with a worker's file of layers, in one line; empty if nothing.
-
-    With `whole` every layer is read: of a stranger's worker even what it has checked itself is not believed.
-    """
+    """What is wrong with a worker's file of layers, in one line; empty if nothing. With `whole` every layer is read: a stranger is not believed."""
     try:
         with LayerFile(file) as stack:
             if stack.part != part.sha256:
                 return f"its file holds layers of part {stack.part[:12] or 'unknown'}, given was {part.sha256[:12]}"
             if not np.array_equal(stack.heights, heights):
-                return (
-                    f"its file holds {len(stack)} layers, and not those of the {heights.size} heights given"
-                )
+                return f"its file holds {len(stack)} layers, not those of the {heights.size} heights given"
             for fault in doubt_faults(stack.settings):
                 return fault
             borders = stack.borders if whole else np.zeros(1, np.int64)
@@ -206,21 +175,22 @@ def file_fault(file: Path, part: Part, heights: NDArray[np.float64], whole: bool
 
 
 def _column_faults(layers: Layers) -> Iterable[str]:
-    columns: Mapping[str, tuple[Any, type[np.generic], tuple[int | None, ...]]] = {
-        "heights": (layers.heights, np.float64, (None,)),
-        "points": (layers.points, np.float64, (None, 2)),
-        "ring_starts": (layers.ring_starts, np.int64, (None,)),
-        "layer_starts": (layers.layer_starts, np.int64, (None,)),
-        "closed": (layers.closed, np.bool_, (None,)),
-        "dropped": (layers.dropped, np.int64, (None,)),
+    kinds = {
+        "heights": "float64",
+        "points": "float64",
+        "ring_starts": "int64",
+        "layer_starts": "int64",
+        "closed": "bool",
+        "dropped": "int64",
     }
-    for name, (column, kind, shape) in columns.items():
+    for name, kind in kinds.items():
+        column: Any = getattr(layers, name)
         if not isinstance(column, np.ndarray):
             yield f"{name} is {type(column).__name__}, not an array"
             return
         if column.dtype != kind:
-            yield f"{name} is of {column.dtype}, not of {np.dtype(kind)}"
-        if column.ndim != len(shape) or (len(shape) == 2 and column.shape[1] != shape[1]):
+            yield f"{name} is of {column.dtype}, not of {kind}"
+        if column.shape[1:] != ((2,) if name == "points" else ()) or not column.ndim:
             yield f"{name} has the shape {column.shape}"
 
 
@@ -247,20 +217,18 @@ def _ring_faults(layers: Layers) -> Iterable[str]:
     elif layers.dropped.size != layers.heights.size:
         yield f"{layers.dropped.size} counts of dropped rings for {layers.heights.size} layers"
     else:
-        least = np.where(layers.closed, 3, 1)
-        short = np.flatnonzero(np.diff(layers.ring_starts) < least)
+        sizes = np.diff(layers.ring_starts)
+        short = np.flatnonzero(sizes < np.where(layers.closed, 3, 1))
         if short.size:
-            yield f"ring {int(short[0])} has {int(np.diff(layers.ring_starts)[short[0]])} points"
+            yield f"ring {short[0]} has {sizes[short[0]]} points"
 
 
 def _value_faults(layers: Layers, part: Part) -> Iterable[str]:
     """Coordinates that are no numbers, or are nowhere near the part."""
-    if not layers.points.size:
-        return
     largest = ABSURD * float(max(np.abs(part.bounds).max(), part.size.max()))
-    good = np.abs(layers.points) <= largest  # false for NaN
-    if not good.all():
-        row, axis = np.argwhere(~good)[0]
+    wrong = np.argwhere(~(np.abs(layers.points) <= largest))  # NaN among them
+    if len(wrong):
+        row, axis = wrong[0]
         yield (
             f"point {row}, {'xy'[axis]} is {layers.points[row, axis]}; the part lies from "
             f"{part.bounds[0, axis]:g} to {part.bounds[1, axis]:g} mm"

@@ -7,7 +7,7 @@ import weakref
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
@@ -110,10 +110,10 @@ def slice_to_file(
     pool: WorkerPool | None = None,
     **settings: Any,
 ) -> Outcome:
-    """Cut a part into a file of layers, which appears when it is whole, in a process of the backend's own.
+    """Cut a part into a file of layers, which appears when it is whole; errors are those of :func:`slice_part`.
 
-    A backend of this project's own kernels cuts in this process, unless the part is very large. Rising heights into Parquet are cut and
-    written block by block, each of at most `block_points` points of an exact contour. Errors are those of :func:`slice_part`.
+    A backend of this project's own kernels cuts in this process, unless the part is very large, others in one of theirs. Rising heights
+    into Parquet are cut and written block by block, each of at most `block_points` points of an exact contour.
     """
     name, path = backend or registry.default_backend(), Path(path)
     wanted = checked_heights(heights)
@@ -139,19 +139,15 @@ def slice_to_file(
     except OSError as error:
         raise SettingsError(f"{path}: cannot be written: {error.strerror or error}") from None
     layer_files.write_layers(layers, path)
-    closed = int(np.count_nonzero(layers.closed))
-    return replace(
-        outcome, file=path, rings=closed, open_paths=layers.closed.size - closed, points=len(layers.points)
-    )
+    closed, points = int(np.count_nonzero(layers.closed)), len(layers.points)
+    return replace(outcome, file=path, rings=closed, open_paths=layers.closed.size - closed, points=points)
 
 
 class Slicing:
     """A part made ready for one slicer, to be cut again at any height while a build goes on.
 
-    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here; one of another
-    distribution makes it in a process of its own at every call. Calls may come from
-    any thread: they are served one after the other by a thread of the object's own, which also is where
-    graphics contexts live.
+    What the slicer needs of the part (an index, a tree, a graphics context) is made once, here; one of another distribution makes it in a
+    process of its own at every call. Calls may come from any thread: they are served one after the other by a thread of the object's own.
 
     Parameters
     ----------
@@ -196,10 +192,8 @@ class Slicing:
         settings: BackendSettings,
         prepare: Callable[[], Prepared],
     ) -> None:
-        self.part, self.backend, self.settings = part, backend, settings
-        self._unturned = unturned
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}")
-        self._open = True
+        self.part, self.backend, self.settings, self._unturned = part, backend, settings, unturned
+        self._thread, self._open = ThreadPoolExecutor(1, thread_name_prefix=f"ebamcheck-{backend}"), True
         try:
             self._prepared: Prepared = self._in_thread(lambda: prepare().__enter__())
         except BaseException:
@@ -208,9 +202,8 @@ class Slicing:
         self._release = weakref.finalize(self, _leave, self._thread, self._prepared)
 
     def __repr__(self) -> str:
-        return short_text.line(
-            "Slicing", self.part.name, f"by {self.backend}", "" if self._open else "closed"
-        )
+        state = "" if self._open else "closed"
+        return short_text.line("Slicing", self.part.name, f"by {self.backend}", state)
 
     def __enter__(self) -> Self:
         return self
@@ -224,18 +217,7 @@ class Slicing:
         self._release()
 
     def at(self, height: float) -> Layers:
-        """Cut one layer.
-
-        Parameters
-        ----------
-        height
-            Absolute height, mm.
-
-        Returns
-        -------
-        Layers
-            A stack of one layer, the same in every bit as in a stack of many.
-        """
+        """Cut one layer at an absolute height, mm: a stack of one, the same in every bit as in a stack of many."""
         return self.layers([height])
 
     def layers(self, heights: ArrayLike, progress: Progress | None = None) -> Layers:
@@ -246,23 +228,7 @@ class Slicing:
         return layers if np.array_equal(increasing, wanted) else layers.take(where)
 
     def along(self, direction: ArrayLike) -> Slicing:
-        """Make the same part ready along another direction.
-
-        Parameters
-        ----------
-        direction
-            (3,) in the coordinates of the file; it will point up.
-
-        Returns
-        -------
-        Slicing
-            Another object; this one stays as it is.
-
-        Raises
-        ------
-        SettingsError
-            If the direction is zero or not finite, or the part was turned before it came here.
-        """
+        """Make the same part ready along another direction (3,), in the coordinates of the file; this object stays as it is."""
         part = self._unturned.along(direction)
         if isinstance(self._prepared, Turnable):
             turned = self._in_thread(self._prepared.turned, part)
@@ -276,17 +242,18 @@ class Slicing:
     def _in_thread(self, call: Callable[..., _Result], *arguments: Any) -> _Result:
         """Run a call in the thread of the slicer and wait for it."""
         if not self._open:
-            raise SettingsError(
-                f"the slicing of {self.part.name!r} by {self.backend!r} is closed: make another"
-            )
+            told = f"the slicing of {self.part.name!r} by {self.backend!r} is closed: make another"
+            raise SettingsError(told)
         return self._thread.submit(call, *arguments).result()
 
 
+@dataclass
 class _Apart:
     """A part for a slicer of another distribution, which is prepared anew in a process of its own at each call."""
 
-    def __init__(self, backend: str, part: Part, settings: BackendSettings) -> None:
-        self._backend, self._part, self._settings = backend, part, settings
+    backend: str
+    part: Part
+    settings: BackendSettings
 
     def __enter__(self) -> Self:
         return self
@@ -297,7 +264,7 @@ class _Apart:
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         from ebamcheck.slicers.isolation import slice_isolated
 
-        return slice_isolated(self._backend, self._part, heights, self._settings, progress=progress)
+        return slice_isolated(self.backend, self.part, heights, self.settings, progress=progress)
 
 
 def _leave(thread: ThreadPoolExecutor, prepared: Prepared) -> None:

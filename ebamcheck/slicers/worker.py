@@ -1,8 +1,5 @@
-"""A worker: one process that slices with one backend and tells its parent how it goes.
-
-``python -m ebamcheck.slicers.worker LABEL PIPE PARENT`` waits for one order (a line of JSON on standard input), writes the layers
-to the file that the order names, block by block, and one JSON line an event into the pipe. The label is for those who
-list processes.
+"""A worker, ``python -m ebamcheck.slicers.worker LABEL PIPE PARENT``: one process that slices with one backend and tells how it goes.
+Its order is a line of JSON on standard input; what it tells goes into the pipe, a line of JSON an event.
 """
 
 from __future__ import annotations
@@ -26,19 +23,15 @@ from ebamcheck.plugins.processes import die_with
 from ebamcheck.plugins.trial import probed
 from ebamcheck.slicers.cutting import cut
 
-TOLD_EVERY_S = 0.05  # progress is told no more often than this
-
 
 class Order(TypedDict):
     """What a worker is to do."""
 
     backend: str
-
     folder: str  # where part, heights and borders of the blocks lie
     file: str  # where the layers go
     settings: dict[str, Any]
     bounds_only: bool  # tell the bounds and slice nothing
-
     keep_blocks: bool  # whether a block that is cut is kept beside the file until that is whole, for a run that is killed
 
 
@@ -54,8 +47,7 @@ def write_part(folder: Path, part: Part) -> None:
 def read_part(folder: Path) -> Part:
     """Read a part from the columns that :func:`write_part` wrote."""
     labels = json.loads((folder / "part.json").read_text(encoding="utf-8"))
-    sha256 = labels.pop("sha256")
-    labels["direction"] = tuple(labels["direction"])
+    sha256, labels["direction"] = labels.pop("sha256"), tuple(labels["direction"])
     # Read whole, not mapped: compiled kernels know plain arrays only.
     part = Part(np.load(folder / "vertices.npy"), np.load(folder / "faces.npy"), **labels)
     part.__dict__["sha256"] = sha256
@@ -110,7 +102,7 @@ def _teller(pipe: int) -> Iterator[Callable[..., None]]:
             nonlocal pending, last
             if "done" in event:
                 pending += event["done"]
-                if time.monotonic() - last < TOLD_EVERY_S:
+                if time.monotonic() - last < 0.05:
                     return
                 last, event, pending = time.monotonic(), {"done": pending}, 0
             elif pending:

@@ -1,16 +1,5 @@
-"""Any heights by slicers that know evenly spaced planes only: which lattices of planes they need, each cut once;
-and the programs that are run for it.
-
-A program of others cuts a part from bottom to top at one layer height. Heights of equal steps are planes of one
-lattice, and the whole lattice is cut and kept, so that the next block of the same stack is there already. A height
-that belongs to no lattice is one of a single plane.
-
-A part is placed for such a program magnified across the plane as the program needs it, and stretched along z so that a plane of the
-lattice lies in the middle of every layer: then no layer height has to be rounded to what the program can read. A small mark in layer 0,
-below the part, and one above it keep the program from moving the part down and from leaving layers out.
-
-No shell, no configuration of the user, English messages, a time limit. A program that runs over it is ended together
-with everything that it started; where this process itself is killed, Linux ends the program.
+"""Slicers of others that know evenly spaced planes only: the lattices of planes that any heights need, and the program that is run for each.
+A part is stretched along z so that a plane lies in the middle of every layer. A program gets no shell, and a time limit.
 """
 
 from __future__ import annotations
@@ -20,7 +9,6 @@ import math
 import os
 import re
 import shutil
-import signal
 import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -36,21 +24,19 @@ from ebamcheck.backend import BackendSettings, Probe, Progress
 from ebamcheck.errors import BackendFailed, BackendMissing
 from ebamcheck.geometry.rings import EPSILON
 from ebamcheck.kernels import Bools, Floats, Ints
-from ebamcheck.layers.stack import Layers, canonical, concatenate
+from ebamcheck.layers.stack import Layers, concatenate, from_paths
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.topology import edge_groups
+from ebamcheck.plugins.processes import code_in_words, end_with_children
 from ebamcheck.scratch import scratch_folder
 from ebamcheck.settings.base import Between
 from ebamcheck.threads import worker_threads
 
 SAME_PLANE_MM = 1e-9  # heights ``bottom + (k + 0.5) * step`` are rounded
 LEAST_RUN = 3  # heights of equal step that make a lattice: any two heights have one step
+# Most planes of a lattice for each height that is asked of it: a program cuts some hundred of them in the time of starting once more
 PLANES_A_RUN = 2000
-"""Planes of a lattice for each height that is asked of it. A program cuts some hundred planes in the time of starting
-once more and reading the part, and blocks of the same stack are likely to follow."""
-
-KEPT_LATTICES = 4
-KEPT_PLANES = 256  # lattices and single planes that are kept; the oldest go first
+KEPT_LATTICES, KEPT_PLANES = 4, 256  # lattices and single planes that are kept; the oldest go first
 
 
 @dataclass(frozen=True)
@@ -91,7 +77,9 @@ def lattices_of(heights: Floats, least_mm: float, greatest_mm: float) -> list[La
     alone = np.ones(heights.size, np.bool_)
     for start, stop in _even_runs(heights):
         step_mm = float(heights[stop - 1] - heights[start]) / (stop - start - 1)
-        lattice = _whole(float(heights[start]), step_mm, least_mm, greatest_mm)
+        below = math.floor((heights[start] - least_mm) / step_mm)
+        above = math.floor((greatest_mm - heights[start]) / step_mm)
+        lattice = Lattice(float(heights[start]) - below * step_mm, step_mm, below + above + 1)
         if alone[start:stop].any() and lattice.count <= PLANES_A_RUN * (stop - start):
             found.append(lattice)
             alone &= lattice.indices(heights) < 0
@@ -112,26 +100,13 @@ def _even_runs(heights: Floats) -> list[tuple[int, int]]:
     return runs
 
 
-def _whole(height_mm: float, step_mm: float, least_mm: float, greatest_mm: float) -> Lattice:
-    """Lattice through a height, from the lowest of its planes in the part to the highest."""
-    below = math.floor((height_mm - least_mm) / step_mm)
-    above = math.floor((greatest_mm - height_mm) / step_mm)
-    return Lattice(height_mm - below * step_mm, step_mm, below + above + 1)
-
-
-Cut = Callable[[Lattice], Layers]  # cuts a part at all planes of a lattice
-
-
 class LatticeStack:
-    """A part that is cut by lattices, held ready; what a lattice gave is kept for the blocks that follow.
+    """A part that `cut` cuts at the planes of a lattice, from several threads; what a lattice gave, with the `labels`, is kept for later blocks."""
 
-    `cut` cuts the part at the planes of a lattice, and may be called from several threads; its layers get the `labels`.
-    """
-
-    def __init__(self, part: Part, labels: dict[str, Any], cut: Cut) -> None:
+    def __init__(self, part: Part, labels: dict[str, Any], cut: Callable[[Lattice], Layers]) -> None:
         self.part = part
         self._labels = labels
-        self._cut: Cut | None = cut
+        self._cut: Callable[[Lattice], Layers] | None = cut
         self._kept: dict[Lattice, Layers] = {}
         self._lock = Lock()
 
@@ -145,15 +120,15 @@ class LatticeStack:
     def slice(self, heights: NDArray[np.float64], progress: Progress | None = None) -> Layers:
         """Cut at strictly increasing heights (L,), mm."""
         with self._lock:
-            return self._slice(heights, progress or _silent)
+            return self._slice(heights, progress or (lambda _: None))
 
     def _slice(self, heights: Floats, progress: Progress) -> Layers:
         if self._cut is None:
             raise BackendFailed(f"part {self.part.name!r} was released: prepare it again")
         least, greatest = self.part.bounds[:, 2].tolist()
         waiting: Bools = (least < heights) & (heights < greatest)
-        blocks = [self._empty(heights[~waiting])]
         places = [np.flatnonzero(~waiting)]
+        blocks = [from_paths(heights[places[0]], [[]] * places[0].size, **self._labels)]
         if places[0].size:
             progress(places[0].size)
 
@@ -184,20 +159,6 @@ class LatticeStack:
             for old in alike[: max(0, len(alike) - most)]:
                 del self._kept[old]
 
-    def _empty(self, heights: Floats) -> Layers:
-        return canonical(
-            heights,
-            np.zeros((0, 2)),
-            [0],
-            np.zeros(heights.size + 1, np.int64),
-            np.zeros(0, np.bool_),
-            **self._labels,
-        )
-
-
-def _silent(done: int) -> None:
-    """Progress that nobody asked for."""
-
 
 LAYERS_OF_A_SINGLE = 16  # layers over the height of a part of which one single plane is wanted: coordinates then lose no bit to the margins
 MARK_SHARE = 2.0**-10  # side of a mark over the smaller side of the part
@@ -222,9 +183,8 @@ class Placement:
     @property
     def step_mm(self) -> float:
         """Height of a layer in the part, mm."""
-        return (
-            self.lattice.step_mm if self.lattice.count > 1 else float(self.part.size[2]) / LAYERS_OF_A_SINGLE
-        )
+        single_mm = float(self.part.size[2]) / LAYERS_OF_A_SINGLE
+        return self.lattice.step_mm if self.lattice.count > 1 else single_mm
 
     @property
     def first_layer(self) -> int:
@@ -249,17 +209,15 @@ class Placement:
 
     def layers(self, found: dict[int, list[Floats]], **labels: Any) -> Layers:
         """Make layers of rings by the program's layer; a ring that ends where it begins is closed, another open."""
-        wanted = [found.get(self.first_layer + k, []) for k in range(self.lattice.count)]
-        rings = [ring for layer in wanted for ring in layer]
-        points = np.concatenate(rings) if rings else np.zeros((0, 2))
-        return canonical(
-            self.lattice.heights,
-            points / self.scale + self.part.bounds[0, :2],
-            np.concatenate([[0], np.cumsum([len(ring) for ring in rings], dtype=np.int64)]),
-            np.concatenate([[0], np.cumsum([len(layer) for layer in wanted], dtype=np.int64)]),
-            np.array([bool((ring[0] == ring[-1]).all()) for ring in rings], np.bool_),
-            **labels,
-        )
+        corner, first = self.part.bounds[0, :2], self.first_layer
+        layers = [
+            [
+                (ring / self.scale + corner, bool((ring[0] == ring[-1]).all()))
+                for ring in found.get(first + k, [])
+            ]
+            for k in range(self.lattice.count)
+        ]
+        return from_paths(self.lattice.heights, layers, **labels)
 
 
 def scale_to(part: Part, size: float) -> float:
@@ -297,9 +255,7 @@ def refuse_what_is_mended(part: Part, program: str) -> None:
 
 
 VERSION_LIMIT_S = 20.0  # time that a program may take to tell its version: the first start after a boot reads it from a slow disk
-
 TAIL_BYTES = 8192  # how much of the end of a program's output is kept for messages
-LONGEST_REASON = 200  # characters of a program's own words in an error message
 
 
 class ProgramSettings(BackendSettings):
@@ -311,10 +267,7 @@ class ProgramSettings(BackendSettings):
 
 @dataclass(frozen=True)
 class Program:
-    """A program of others: its executable on the search path, or as the variable names it, and the Debian package that has it.
-
-    `version_arguments` ask for its version, which is the first group of `version_pattern` in the answer.
-    """
+    """A program of others: its command or the variable that names it, its Debian package, and what asks for its version and finds it in the answer."""
 
     name: str
     command: str
@@ -330,8 +283,7 @@ class Program:
 
     def find(self) -> Path | None:
         """Where it is: as its variable says, else on the search path; None where it is not."""
-        wanted = os.environ.get(self.variable) or self.command
-        found = shutil.which(wanted)
+        found = shutil.which(os.environ.get(self.variable) or self.command)
         return None if found is None else Path(found)
 
     def path(self) -> Path:
@@ -362,17 +314,13 @@ class Program:
         if code is None:
             raise BackendFailed(f"{self.name} was ended: it took over {time_limit_s:g} s (time_limit_s)")
         if code:
-            raise BackendFailed(f"{self.name} ended with {_exit(code)}{self._last_words(said)}")
+            raise self.failed(f"ended with {_exit(code)}", said)
         return said
 
     def failed(self, why: str, said: str = "") -> BackendFailed:
-        """Make the error for a run that came to an end without a result."""
-        return BackendFailed(f"{self.name} {why}{self._last_words(said)}")
-
-    @staticmethod
-    def _last_words(said: str) -> str:
+        """Make the error for a run that came to an end without a result, with the program's last words."""
         lines = [line.strip() for line in said.splitlines() if line.strip()]
-        return f": {lines[-1][:LONGEST_REASON]}" if lines else ""
+        return BackendFailed(f"{self.name} {why}{f': {lines[-1][:200]}' if lines else ''}")
 
 
 @cache
@@ -407,17 +355,10 @@ def _run(command: list[str], folder: Path, time_limit_s: float) -> tuple[int | N
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = process.wait(time_limit_s)
     finally:
-        _end(process)
+        end_with_children(process)
     with output.open("rb") as file:
         file.seek(max(0, output.stat().st_size - TAIL_BYTES))
         return code, file.read().decode("utf-8", "replace")
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a program's whole group, of which it is the leader: also what it started and left behind."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 @cache
@@ -431,7 +372,4 @@ def _ended_with_us() -> tuple[str, ...]:
 
 
 def _exit(code: int) -> str:
-    if code >= 0:
-        return f"exit code {code}"
-    known = -code in signal.Signals.__members__.values()
-    return signal.Signals(-code).name if known else f"signal {-code}"
+    return f"exit code {code}" if code >= 0 else code_in_words(code).removeprefix("by ")
