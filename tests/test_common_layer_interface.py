@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 
 import numpy as np
 import pytest
@@ -120,6 +121,74 @@ def test_a_layer_at_the_same_height_goes_on(tmp_path):
     assert layers.ring_counts().tolist() == [2]
 
 
+# -- the binary form --------------------------------------------------------------------------------
+
+BINARY_HEADER = b"$$HEADERSTART\n$$BINARY\n$$UNITS/0.01\n$$VERSION/200\n"
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 10**6))
+def test_binary_gives_32_bit_floats_back(tmp_path_factory, seed):
+    path = tmp_path_factory.getbasetemp() / "binary.cli"
+    layers = star_layers(seed)
+    write_cli(layers, path, binary=True)
+    found = read_cli(path)
+    assert np.array_equal(found.heights, layers.heights.astype(np.float32))
+    expected = from_rings(
+        layers.heights,
+        [[layers.ring(r).astype(np.float32) for r in layers.rings_of(k) if layers.closed[r]] for k in range(len(layers))],
+        [[layers.ring(r).astype(np.float32) for r in layers.rings_of(k) if not layers.closed[r]] for k in range(len(layers))],
+    )  # fmt: skip
+    assert np.array_equal(found.points, expected.points)
+    assert np.array_equal(found.ring_starts, layers.ring_starts)
+    assert found.labels_json() == layers.labels_json()
+
+
+def test_binary_data_follow_the_header_at_once(tmp_path):
+    write_cli(from_rings([0.5], [[SQUARE]]), tmp_path / "b.cli", binary=True)
+    _, _, body = (tmp_path / "b.cli").read_bytes().partition(b"$$HEADEREND")
+    assert body == struct.pack("<HfHiii10f", 127, 0.5, 130, 1, 1, 5, 0, 0, 4, 0, 4, 4, 0, 4, 0, 0)
+
+
+@pytest.mark.parametrize("ending", [b"", b"\n", b"\r\n"])
+def test_short_commands_of_the_binary_form(tmp_path, ending):
+    body = struct.pack("<HH", 128, 100)
+    body += struct.pack("<4H8H", 129, 1, 1, 4, 0, 0, 400, 0, 400, 400, 0, 400)
+    body += struct.pack("<3H4H", 131, 1, 1, 0, 0, 1, 1) + struct.pack("<Hii4f", 132, 1, 1, 0, 0, 1, 1)
+    (tmp_path / "s.cli").write_bytes(BINARY_HEADER + b"$$HEADEREND" + ending + body)
+    found = read_cli(tmp_path / "s.cli")
+    assert found.heights.tolist() == [1.0]
+    assert found.areas() == pytest.approx([16.0])
+
+
+def test_aligned_commands_of_the_binary_form(tmp_path):
+    body = struct.pack("<HHH2x", 128, 0, 100)
+    body += struct.pack("<HH3H6H2x", 129, 0, 1, 1, 3, 0, 0, 400, 0, 400, 400)
+    body += struct.pack("<HHiii6f", 130, 0, 1, 0, 3, 0, 0, 0, 100, 100, 0)
+    (tmp_path / "a.cli").write_bytes(BINARY_HEADER + b"$$ALIGN\n$$HEADEREND" + body)
+    assert read_cli(tmp_path / "a.cli").areas() == pytest.approx([8.0 - 0.5])
+
+
+def test_wrong_binary_data_are_refused_with_their_byte(tmp_path):
+    begin = len(BINARY_HEADER + b"$$HEADEREND")
+    layer = struct.pack("<Hf", 127, 1.0)
+    cases = [
+        (struct.pack("<Hf", 133, 1.0), f"byte {begin}: unknown command 133"),
+        (layer + b"\x01", f"byte {begin + 6}: .*cut off"),
+        (layer + struct.pack("<Hiii2f", 130, 1, 1, 2, 0, 0), f"byte {begin + 20}: 4 coordinates"),
+        (layer + struct.pack("<Hiii", 130, 1, 1, -1), "-2 coordinates"),
+        (layer + struct.pack("<Hiii", 130, 1, 1, 2**31 - 1), "cut off"),
+        (layer + struct.pack("<Hiii2f", 130, 1, 1, 1, np.nan, 0), f"byte {begin + 6}: coordinate 0"),
+        (struct.pack("<Hf", 127, np.inf), f"byte {begin}: layer height inf"),
+        (struct.pack("<Hiii", 130, 1, 1, 0), f"byte {begin}: polyline before"),
+        (b"", "no geometry"),
+    ]
+    for body, says in cases:
+        (tmp_path / "b.cli").write_bytes(BINARY_HEADER + b"$$HEADEREND" + body)
+        with pytest.raises(InputError, match=says):
+            read_cli(tmp_path / "b.cli")
+
+
 # -- what is refused -------------------------------------------------------------------------------
 
 POLYLINE = "$$POLYLINE/1,1,3,0,0,1,0,0,1"
@@ -159,7 +228,6 @@ BAD_HEADERS = {
     ("$$HEADERSTART\n$$ASCII\n", "no \\$\\$HEADEREND"),
     ("$$HEADERSTART\n$$ASCII\n$$HEADEREND\n$$GEOMETRYEND", "no \\$\\$UNITS"),
     ("$$HEADERSTART\n$$UNITS/1\n$$HEADEREND\n$$GEOMETRYEND", "neither"),
-    ("$$HEADERSTART\n$$BINARY\n$$UNITS/1\n$$HEADEREND\x7f", "line 4: .*binary form, which is not read"),
     ("$$HEADERSTART\n$$ASCII\n$$UNITS/0\n$$HEADEREND\n$$GEOMETRYEND", "line 3: .*UNITS"),
     ("$$HEADERSTART\n$$ASCII\n$$UNITS/nan\n$$HEADEREND\n$$GEOMETRYEND", "line 3: .*UNITS"),
     ("$$HEADERSTART\n$$ASCII\n$$UNITS/1\n$$VERSION/900\n$$HEADEREND\n", "line 4: .*VERSION '900'"),
@@ -183,19 +251,25 @@ def test_wrong_headers_are_refused(tmp_path, text, says):
 def test_every_truncation_is_refused(tmp_path):
     layers = star_layers(2, 4)
     assert layers.ring_counts()[-1] > 0
-    write_cli(layers, tmp_path / "w.cli")
-    whole = (tmp_path / "w.cli").read_bytes()
-    for size in [*range(0, len(whole) - 1, 7), len(whole) - 2]:
-        (tmp_path / "cut.cli").write_bytes(whole[:size])
-        with pytest.raises(InputError, match=r"cut\.cli"):
-            read_cli(tmp_path / "cut.cli")
+    for binary in (False, True):
+        write_cli(layers, tmp_path / "w.cli", binary=binary)
+        whole = (tmp_path / "w.cli").read_bytes()
+        for size in [*range(0, len(whole) - 1, 7), len(whole) - 2]:
+            (tmp_path / "cut.cli").write_bytes(whole[:size])
+            with pytest.raises(InputError, match=r"cut\.cli"):
+                read_cli(tmp_path / "cut.cli")
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200))
 def test_no_bytes_break_the_reader(tmp_path_factory, body):
     path = tmp_path_factory.getbasetemp() / "fuzz.cli"
-    for head in (b"", b"$$HEADERSTART$$ASCII$$UNITS/1", b"$$HEADERSTART$$ASCII$$UNITS/1$$HEADEREND$$LAYER/1"):
+    for head in (
+        b"",
+        BINARY_HEADER + b"$$HEADEREND",
+        b"$$HEADERSTART$$ASCII$$UNITS/1",
+        b"$$HEADERSTART$$ASCII$$UNITS/1$$HEADEREND$$LAYER/1",
+    ):
         path.write_bytes(head + body)
         message = ""
         try:
@@ -214,3 +288,6 @@ def test_missing_files_and_wrong_arguments(tmp_path):
         write_cli(layers, tmp_path / "a.cli")
     near = from_rings([1000.0, np.nextafter(1000.0, 2000.0)], [[], []])
     write_cli(near, tmp_path / "a.cli")
+    with pytest.raises(SettingsError, match="32-bit"):
+        write_cli(near, tmp_path / "b.cli", binary=True)
+    assert not (tmp_path / "b.cli").exists()

@@ -1,4 +1,5 @@
-"""The Common Layer Interface: slice files (``.cli``) of machines and other programs, in the text form of version 2.0 (Brite-EuRam BE 2578).
+"""The Common Layer Interface: slice files (``.cli``) of machines and other programs, version 2.0 (Brite-EuRam BE 2578).
+Text is exact; the binary form rounds coordinates and heights to 32-bit floats (6e-8 of them at most).
 The height of a layer is that of its cut; the format means the top of a layer, and other programs differ in which of the two they write.
 """
 
@@ -8,6 +9,7 @@ import json
 import logging
 import math
 import re
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -30,6 +32,17 @@ INTERNAL, EXTERNAL, OPEN_LINE = 0, 1, 2  # directions of a polyline: clockwise (
 # Least numbers of a command, the last of which counts what follows, and how many coordinates make one of that
 NUMBERS = {"LAYER": (1, 0), "POLYLINE": (3, 2), "HATCHES": (2, 4)}
 
+# Commands of the binary form, short and long: form of the head, whose last number is a count but for layers, and type of coordinates
+LAYER_LONG, POLYLINE_LONG = 127, 130
+COMMANDS = {
+    LAYER_LONG: ("LAYER", "<f", "<f4"),
+    128: ("LAYER", "<H", "<u2"),
+    129: ("POLYLINE", "<3H", "<u2"),
+    POLYLINE_LONG: ("POLYLINE", "<3i", "<f4"),
+    131: ("HATCHES", "<2H", "<u2"),
+    132: ("HATCHES", "<2i", "<f4"),
+}
+
 _COMMENT = re.compile(rb"//.*?//", re.DOTALL)
 _COMMAND = re.compile(rb"\$\$([A-Za-z]+)\s*/?")
 _USER_DATA = re.compile(rb"\$\$USERDATA\s*/\s*([^,$]*?)\s*,\s*(\d+)\s*,")
@@ -37,7 +50,7 @@ _log = logging.getLogger(__name__)
 
 
 def read_cli(path: str | Path) -> Layers:
-    """Read the contours of a slice file in the text form; errors name the line.
+    """Read the contours of a slice file, text or binary; errors name the line, or the byte.
 
     A polyline whose points contradict its declared direction is reversed, with a warning in the log: the direction shows which side is
     solid. A layer at the height of the previous one continues it. Polylines of all models are joined, hatch lines left out.
@@ -56,6 +69,7 @@ class _Reading:
     def __init__(self, path: Path, data: bytes) -> None:
         self.path, self.data = path, data
         self.form = b""
+        self.aligned = False
         self.units_mm = math.nan
         self.counts: dict[str, int] = {}  # layers and polylines by the header
         self.labels: dict[str, Any] = {}
@@ -74,7 +88,8 @@ class _Reading:
         if end < 0:
             raise self._error(len(self.data), "the header has no $$HEADEREND: the file is cut off")
         self._read_header(start, end)
-        self._read_geometry(end + len(b"$$HEADEREND"))
+        read = self._read_binary if self.form == b"BINARY" else self._read_geometry
+        read(end + len(b"$$HEADEREND"))
         for what, found in (("layers", self.commands), ("polylines", len(self.points))):
             said = self.counts.get(what, found)
             if found < said or (what == "polylines" and found != said):
@@ -90,10 +105,6 @@ class _Reading:
                 raise self._error(at, f"unknown or wrong: $${name} {_shown(value)}") from None
         if not self.form:
             raise self._error(end, "the header names neither $$ASCII nor $$BINARY")
-        if self.form == b"BINARY":
-            raise self._error(
-                end, "the file is in the binary form, which is not read: export it as text ($$ASCII)"
-            )
         if math.isnan(self.units_mm):
             raise self._error(end, "the header has no $$UNITS: the length of a unit is unknown")
 
@@ -133,8 +144,10 @@ class _Reading:
         elif name == "LAYERS":
             self.counts["layers"] = int(value)
             wrong = self.counts["layers"] < 0
+        elif name == "ALIGN":
+            self.aligned = True
         else:
-            wrong = name not in ("HEADERSTART", "DATE", "DIMENSION", "LABEL", "ALIGN")
+            wrong = name not in ("HEADERSTART", "DATE", "DIMENSION", "LABEL")
         if wrong:
             raise ValueError
 
@@ -148,6 +161,34 @@ class _Reading:
             elif name != "GEOMETRYSTART":
                 raise self._error(at, f"unknown command {_shown(text[at : at + 20])}")
         raise self._error(len(text), "the file ends without $$GEOMETRYEND: it is cut off")
+
+    def _read_binary(self, begin: int) -> None:
+        # Some writers end the header's last line; no command index looks like the end of a line.
+        while self.data[begin : begin + 1] in (b"\r", b"\n"):
+            begin += 1
+        at, step = begin, 4 if self.aligned else 2
+        while at < len(self.data):
+            (command,) = self._unpacked("<H", at)
+            if command not in COMMANDS:
+                raise self._error(at, f"unknown command {command}")
+            name, form, kind = COMMANDS[command]
+            head, after = self._unpacked(form, at + step), at + step + struct.calcsize(form)
+            count = NUMBERS[name][1] * int(head[-1]) if NUMBERS[name][1] else 0
+            if count < 0 or after + np.dtype(kind).itemsize * count > len(self.data):
+                left = len(self.data) - after
+                raise self._error(after, f"{count} coordinates belong here, {left} bytes are left: cut off")
+            coordinates = np.frombuffer(self.data, kind, count, after)
+            self._add(name, np.concatenate([head, coordinates]).astype(np.float64), at)
+            after += coordinates.nbytes
+            at = after + (begin - after) % step
+        if at == begin and "layers" not in self.counts:
+            raise self._error(at, "no geometry follows the header: the file is cut off")
+
+    def _unpacked(self, form: str, at: int) -> tuple[Any, ...]:
+        try:
+            return struct.unpack_from(form, self.data, at)
+        except struct.error:
+            raise self._error(at, "the file ends in the middle of a command: it is cut off") from None
 
     def _numbers(self, name: str, value: bytes, at: int) -> Floats:
         """Numbers of a command, of which there are as many as it says."""
@@ -207,7 +248,8 @@ class _Reading:
 
     def _error(self, offset: int, message: str) -> InputError:
         line = self.data.count(b"\n", 0, offset) + 1
-        return InputError(f"{self.path}, line {line}: {message}")
+        place = f"byte {offset}" if self.form == b"BINARY" else f"line {line}"
+        return InputError(f"{self.path}, {place}: {message}")
 
 
 def _blank(text: bytes) -> bytes:
@@ -236,18 +278,20 @@ def _shown(value: bytes) -> str:
     return repr(text if len(text) <= 40 else text[:40] + "..")
 
 
-def write_cli(layers: Layers, path: str | Path) -> None:
+def write_cli(layers: Layers, path: str | Path, *, binary: bool = False) -> None:
     """Write layers with strictly increasing heights as a slice file; it appears whole or not at all."""
-    wrong = ~np.isfinite(layers.heights)
-    wrong[1:] |= layers.heights[1:] <= layers.heights[:-1]
+    heights = layers.heights.astype(np.float32).astype(np.float64) if binary else layers.heights
+    wrong = ~np.isfinite(heights)
+    wrong[1:] |= heights[1:] <= heights[:-1]
     if wrong.any():
         k = int(np.flatnonzero(wrong)[0])
         raise SettingsError(
             f"{path}: layer {k + 1} at {layers.heights[k]} mm is not above the one before it: a slice file needs increasing heights"
+            + (" (as 32-bit floats)" if binary else "")
         )
     lines = [
         "$$HEADERSTART",
-        "$$ASCII",
+        "$$BINARY" if binary else "$$ASCII",
         "$$UNITS/1.0",
         "$$VERSION/200",
         "$$LABEL/1,part",
@@ -258,20 +302,28 @@ def write_cli(layers: Layers, path: str | Path) -> None:
         box = (x0, y0, float(layers.heights[0]), x1, y1, float(layers.heights[-1]))
         lines.append("$$DIMENSION/" + ",".join(map(repr, box)))
     labels = json.dumps({**json.loads(layers.labels_json()), "polylines": layers.closed.size})
-    lines += [f"$$USERDATA/{USER_DATA},{len(labels)},{labels}", "$$HEADEREND", "$$GEOMETRYSTART"]
-    with replacing(path) as temporary, temporary.open("w", encoding="ascii", newline="\n") as file:
-        file.write("\n".join(lines) + "\n")
-        for k, height in enumerate(layers.heights.tolist()):
-            file.write(f"$$LAYER/{height!r}\n")
+    # Binary data follow directly after the last character of the header.
+    lines += [
+        f"$$USERDATA/{USER_DATA},{len(labels)},{labels}",
+        "$$HEADEREND" + ("" if binary else "\n$$GEOMETRYSTART\n"),
+    ]
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write("\n".join(lines).encode("ascii"))
+        for k, height in enumerate(heights.tolist()):
+            file.write(struct.pack("<Hf", LAYER_LONG, height) if binary else f"$$LAYER/{height!r}\n".encode())
             for r in layers.rings_of(k):
-                file.write(_polyline(layers, r))
-        file.write("$$GEOMETRYEND\n")
+                file.write(_polyline(layers, r, binary))
+        file.write(b"" if binary else b"$$GEOMETRYEND\n")
 
 
-def _polyline(layers: Layers, ring: int) -> str:
+def _polyline(layers: Layers, ring: int, binary: bool) -> bytes:
     """Command of a ring; a closed one repeats its first point."""
     points, direction = layers.ring(ring), OPEN_LINE
     if layers.closed[ring]:
         points = np.concatenate([points, points[:1]])
         direction = EXTERNAL if layers.ring_areas[ring] >= 0.0 else INTERNAL
-    return f"$$POLYLINE/1,{direction},{len(points)},{','.join(map(repr, points.ravel().tolist()))}\n"
+    if binary:
+        head = struct.pack("<Hiii", POLYLINE_LONG, 1, direction, len(points))
+        return head + points.astype("<f4").tobytes()
+    numbers = ",".join(map(repr, points.ravel().tolist()))
+    return f"$$POLYLINE/1,{direction},{len(points)},{numbers}\n".encode()
