@@ -16,7 +16,7 @@ from ebamcheck.checks.hatch_form import form_checks
 from ebamcheck.checks.matching import APART_MM
 from ebamcheck.checks.subject import Subject
 from ebamcheck.geometry.nearest import distances, segments_of
-from ebamcheck.geometry.raster import BareSamples, bare_samples, covered_fraction
+from ebamcheck.geometry.raster import bare_samples, covered_fraction
 from ebamcheck.geometry.regions import ground, valid_polygons
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.motions import STRAIGHT, NCProgram
@@ -25,18 +25,16 @@ from ebamcheck.result import Check
 from ebamcheck.threads import run_each
 
 CRUMB = 0.25  # Bare pieces under this times the squared bead width are corners that a round bead never fills
-# Neighbouring lines of one island are at most this many spacings apart; where one is missing, it is two.
-SPACING_SHARE = 1.5
-# Lines of one island whose directions differ by more follow a wall, and have no common spacing.
-PARALLEL_RAD = 1e-3
+SPACING_SHARE = 1.5  # Neighbouring lines of an island in spacings, at most; where one is missing, it is two
+PARALLEL_RAD = 1e-3  # Lines of an island whose directions differ by more follow a wall, and have no spacing
 WIDEST_GAP = 0.95  # Width of a gap between beads over that of the one which a missing line leaves
-# Of the bead's width: by so much a gap may be wider than the plan leaves them, whose grid has samples of that size.
-GAP_MARGIN = 0.05
+# Of the bead's width: by how much a gap may be wider than the plan leaves them, whose grid has samples of that size; and what sound
+# plans leave where three islands meet, however near to one another their lines lie.
+GAP_MARGIN, LEAST_GAP_LIMIT = 0.05, 0.15
+MARGIN = (
+    2  # Samples by which the box around a patch is wider: what is bare between its samples and the next ones
+)
 _NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
-# Of the bead's width: what sound plans leave where three islands meet, however near to one another their lines lie.
-LEAST_GAP_LIMIT = 0.15
-# Samples by which the box around a patch is wider than the patch: what is bare between its samples and the next ones.
-MARGIN = 2
 
 
 def line_checks(subject: Subject) -> list[Check]:
@@ -146,19 +144,28 @@ def _words_of(line: bytes) -> list[bytes]:
 
 
 def coverage_check(subject: Subject) -> list[Check]:
-    """Check the least share of a section that the beads cover; the overlap of all, and the widest gap of the worst, are told."""
+    """Check the least share of a section that the beads cover; the overlap of all, and the largest gap of the worst, are told."""
     nc, config, sections = subject.nc, subject.config, subject.witness_sections or []
-    limit = config.scan.least_coverage
-    width = config.process.bead_width_mm
+    limit, width = config.scan.least_coverage, config.process.bead_width_mm
     solid = [k for k, section in enumerate(sections) if not section.is_empty]
-
     covered = run_each(lambda k: covered_fraction(sections[k], subject.chords(k), width), solid)
     laid = width * sum(float(np.nansum(nc.lengths[subject.bead_rows[k]])) for k in solid)
     area = sum(share * sections[k].area for share, k in zip(covered, solid, strict=True))
     worst, layer = min(zip(covered, solid, strict=True), default=(1.0, -1))
     if layer < 0:
         return [Check("coverage", True, 1.0, limit, "of the area", "", "there is no section to cover")]
-    where, gap = _gap(nc, subject.bead_rows[layer], subject.chords(layer), sections[layer], width)
+    rows, where, gap = subject.bead_rows[layer], f"{nc.files[0].name}:1", "; the layer has no bead"
+    if rows.size:
+        lines = np.asarray(shapely.linestrings(subject.chords(layer).reshape(-1, 2, 2)), object)
+        bare = shapely.get_parts(sections[layer].difference(ground(lines, width)))
+        parts = [part for part in bare if part.area > CRUMB * width**2]
+        where, gap = "", "; no gap"
+        if parts:
+            largest = max(parts, key=lambda part: float(part.area))
+            centre = largest.representative_point()
+            where = nc.where(_nearest(nc, rows, centre))
+            at = f"({centre.x:.3f}, {centre.y:.3f})"
+            gap = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at {at}"
     text = f"beads cover at least {100.0 * worst:.2f} % (layer {layer + 1}), overlap {100.0 * (laid / max(area, 1e-9) - 1.0):.0f} %{gap}"
     return [Check("coverage", worst >= limit, worst, limit, "of the area", where, text)]
 
@@ -205,59 +212,35 @@ def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
     return int(rows[known][np.argmin(shapely.distance(shapely.linestrings(chords[known]), place))])
 
 
-def _gap(
-    nc: NCProgram, rows: Ints, chords: Floats, section: BaseGeometry, width_mm: float
-) -> tuple[str, str]:
-    """``FILE:line`` nearest to the largest gap of a layer, and the gap in words."""
-    if not rows.size:
-        return f"{nc.files[0].name}:1", "; the layer has no bead"
-    lines = np.asarray(shapely.linestrings(chords.reshape(-1, 2, 2)), object)
-    bare = section.difference(ground(lines, width_mm))
-    parts = [p for p in shapely.get_parts(bare) if p.area > CRUMB * width_mm**2]
-    if not parts:
-        return "", "; no gap"
-    largest = max(parts, key=lambda p: float(p.area))
-    centre = largest.representative_point()
-    text = f"; {len(parts)} gaps, the largest of {largest.area:.4g} mm2 at ({centre.x:.3f}, {centre.y:.3f})"
-    return nc.where(_nearest(nc, rows, centre)), text
-
-
 def widest_part(
     region: BaseGeometry, segments: Floats, bead_width_mm: float, wider_than_mm: float = 0.0
 ) -> tuple[float, shapely.Polygon | None]:
-    """Diameter of the largest circle in a region, mm, that lies further than half a bead width from every segment, and the part that holds it.
+    """Diameter of the largest circle in a region, mm, that lies further than half a bead width from every segment (S, 4), and its part.
 
-    Patches of bare samples come the widest first, and beads are laid only where they reach one: a few bare spots of a layer of a thousand
-    beads cost no union of a thousand. What holds no sample, and no circle over `wider_than_mm`, is left out: that width, and None, where
-    there is no other. Segments (S, 4) x0, y0, x1, y1 are centre lines of beads with round ends, mm.
+    Where no circle is over `wider_than_mm`: that width, and None.
     """
     bare = bare_samples(region, segments, bead_width_mm)
     widest_mm, widest = wider_than_mm, None
     if bare.covered == 1.0:
         return widest_mm, widest
-    boxes, most_mm = _patches(bare)
+    # Patches of bare samples come the widest first, and beads are laid only where they reach one: a few bare spots of a layer of a
+    # thousand beads cost no union of a thousand.
+    labels, _ = ndimage.label(bare.grid, structure=np.ones((3, 3)))
+    places = [place for place in ndimage.find_objects(labels) if place is not None]
+    first = np.array([(x.start, y.start) for y, x in places], np.float64).reshape(-1, 2) - MARGIN
+    stop = np.array([(x.stop, y.stop) for y, x in places], np.float64).reshape(-1, 2) + MARGIN
+    boxes = np.hstack([first, stop]) * bare.step_mm + np.tile(bare.origin, 2)
+    most_mm = bare.step_mm * (stop - first).min(axis=1)
     low = np.minimum(segments[:, :2], segments[:, 2:]) - 0.5 * bead_width_mm
     high = np.maximum(segments[:, :2], segments[:, 2:]) + 0.5 * bead_width_mm
     for n in np.argsort(-most_mm, kind="stable"):
         if most_mm[n] <= widest_mm:
             break
         near = (low <= boxes[n, 2:]).all(axis=1) & (high >= boxes[n, :2]).all(axis=1)
-        beads = ground(
-            np.asarray(shapely.linestrings(segments[near].reshape(-1, 2, 2)), object), bead_width_mm
-        )
-        left = shapely.difference(shapely.clip_by_rect(region, *boxes[n]), beads)
+        lines = np.asarray(shapely.linestrings(segments[near].reshape(-1, 2, 2)), object)
+        left = shapely.difference(shapely.clip_by_rect(region, *boxes[n]), ground(lines, bead_width_mm))
         for part in valid_polygons(left):
             across_mm = 2.0 * float(shapely.length(shapely.maximum_inscribed_circle(part)))
             if across_mm > widest_mm:
                 widest_mm, widest = across_mm, part
     return widest_mm, widest
-
-
-def _patches(bare: BareSamples) -> tuple[Floats, Floats]:
-    """Boxes (P, 4) around patches of bare samples that touch, and the widest circle that each could hold, mm."""
-    labels, _ = ndimage.label(bare.grid, structure=np.ones((3, 3)))
-    places = [place for place in ndimage.find_objects(labels) if place is not None]
-    low = np.array([(x.start, y.start) for y, x in places], np.float64).reshape(-1, 2) - MARGIN
-    high = np.array([(x.stop, y.stop) for y, x in places], np.float64).reshape(-1, 2) + MARGIN
-    corners = np.hstack([low, high]) * bare.step_mm + np.tile(bare.origin, 2)
-    return corners, bare.step_mm * (high - low).min(axis=1)

@@ -1,7 +1,4 @@
-"""How checks of a program are made together, and how the worst place of many becomes one check; tolerances and remedies.
-
-The tolerances are those that no setting makes: the decimals of a program, and what fits and sections may be off by.
-"""
+"""How checks are made together, and how the worst place of many becomes one check; tolerances that no setting makes; remedies."""
 
 from __future__ import annotations
 
@@ -22,26 +19,25 @@ VALUE_SHARE = 1e-3  # Share by which a printed value may be off: volts, milliamp
 # The same of a figure at the border of a window: process values are printed with six decimals, wire speeds with the fewest.
 WINDOW_SHARE = 1e-5
 PRINTED = 1e-6  # Decimals of a process value, of a wait, and of heights in comments
-# Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to.
-PATH_TOLERANCE_MM = 1e-3
-# Contour path against the section: the fit of the curves and the roundness of the inset's corners.
-SECTION_TOLERANCE_MM = 0.05
-# Metal of a bead over what is asked for: the decimals of wire speed and feed, and nothing else.
-WIRE_TOLERANCE = 0.01
-# Lines nearer than this, along one another, are one line laid twice: far under any spacing.
-SAME_LINE_MM = 0.01
-# Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord.
-COLLINEAR_MM = 1e-3
-# Width up to which a slit is what rounding left of a face that two bodies share: far under any gap that a bead leaves open.
-SLIT_MM = 1e-3
-# Direction of a line of a few tenths of a millimetre whose ends are rounded to the program's decimals.
-DIRECTION_ROUNDING_DEG = 0.01
+PATH_TOLERANCE_MM = 1e-3  # Path read back against the fitted curve: a tenth of what a slicer agrees to
+SECTION_TOLERANCE_MM = (
+    0.05  # Contour path against the section: the fit of curves, and round corners of the inset
+)
+WIRE_TOLERANCE = 0.01  # Metal of a bead over what is asked for: the decimals of wire speed and feed
+SAME_LINE_MM = (
+    0.01  # Lines nearer than this, along one another, are one line laid twice: far under any spacing
+)
+COLLINEAR_MM = (
+    1e-3  # Points nearer to the chord of their neighbours are made by facets cut in two: they end none
+)
+SLIT_MM = 1e-3  # Width up to which a slit is what rounding left of a face that two bodies share
+DIRECTION_ROUNDING_DEG = 0.01  # Of a line of a few tenths of a millimetre whose ends are rounded to decimals
 LIMIT_ROUNDING_MM = 1e-9  # Rounding of a curve's extreme
 SAME_SIZE = 1e-4  # Share of its size by which a part may be off: coordinates of an STL file have seven digits
-# Share of the greatest section by which those of the mesh and of a slicer differ only where bodies overlap, or it is open.
-SAME_AREA = 1e-3
-# Wire changes between blocks, whose ends are rounded, and which other curve forms place elsewhere by so much.
-WIRE_PLACE_MM = 0.2
+SAME_AREA = 1e-3  # Share of the greatest section by which mesh and slicer differ only where bodies overlap
+WIRE_PLACE_MM = (
+    0.2  # By so much curve forms, and the rounded ends of blocks, place a change of the wire elsewhere
+)
 
 # What to do about a check that fails: texts that several checks, and findings, have in common.
 AGAIN = (
@@ -116,19 +112,13 @@ Faults = list[tuple[str, str]]  # Where (``FILE:line``), and what
 
 
 def smooth_tolerance_mm(config: Config) -> float:
-    """Distance of the path from a smooth section that was sliced and fitted anew.
-
-    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
-    """
+    """Distance of the path from a smooth section that was sliced, cleaned and fitted anew, as the bead's path was, too."""
     curves = config.curves
     return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def checks_of(groups: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
-    """Make all groups of checks, on all threads; results come in the order of the groups.
-
-    The last group begins first: the long ones stand at the end.
-    """
+    """Make all groups of checks, on all threads; results come in the order of the groups."""
     last = len(groups) - 1
     found = list(run_in_order(lambda k, _: groups[last - k](), range(len(groups) + 1)))
     return [check for group in reversed(found) for check in group]
@@ -174,11 +164,9 @@ def row_faults(nc: NCProgram, rows: Bools | Ints, what: str, *values: ArrayLike)
 
 
 def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> Faults:
-    """Events (E,) that break rules, in their order, each with a text or a function of the event.
+    """Events (E,) that break rules, in their order; of one that breaks several the first rule is named first.
 
-    Their ``name``, ``value`` and what they ``said`` behind their begin are filled into a text. Of an event that breaks several rules,
-    the first one is named first.
-    """
+    A rule's text is filled with their ``name``, ``value`` and what they ``said`` behind their begin, or is a function of the event."""
     found = sorted((i, n) for n, (which, _) in enumerate(rules) for i in np.flatnonzero(which).tolist())
     e, faults = nc.events, []
     for i, n in found:

@@ -139,10 +139,7 @@ def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> F
 def beads_in_the_air(
     nc: NCProgram, beads: Beads, bare_mm: Floats, below_mm: Floats, width_mm: float
 ) -> Bools:
-    """Find beads (P,) of islands that touch no metal of the layer below, nor anything else that stands.
-
-    The first bead of such an island has nothing under it; the others lie beside it, so that they alone do not show it.
-    """
+    """Find beads (P,) of islands that touch no metal of the layer below, nor anything else that stands."""
     long = beads.total(np.nan_to_num(nc.lengths[beads.rows]))
     bare = beads.total(bare_mm[beads.rows])
     alone = (long > 0.0) & (bare >= WHOLLY * long)
@@ -177,12 +174,7 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What every motion of a program meets, as columns (B,); zero where it meets nothing.
-
-    Depth to which the tip goes into what stands, and the head; how far a travel goes under the beads before and after it; what a travel
-    longer than a hop lacks of the clearance; travels from or to a place that no block has given (`lost`); length of a bead within half a
-    width of which nothing stands as high as the layer below, and the parameters of the motion between which that is.
-    """
+    """What every motion of a program meets, as columns (B,); zero where it meets nothing."""
 
     into_mm: Floats
     head_mm: Floats

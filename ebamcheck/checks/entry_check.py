@@ -1,8 +1,4 @@
-"""Check of a program that begins at a layer: what it commands is the end of the whole program, which was proved.
-
-Nothing of the part is judged anew. The motions from its layer on are those of the whole, value by value; its way there comes
-from above all that stands; and its first blocks establish a state of their own.
-"""
+"""Check of a program that begins at a layer: what it commands is the end of the whole program, which was proved."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Checks of the form of a hatch, from the text alone: lines driven to and fro are parallel and evenly apart, and no bead crosses another.
-
-A line that ends where it should not, a block that is missing, or two that changed places leave the metal of a layer within its
-limits more often than not: a pool is wider than the slip. The form of the hatch shows them. Beads that follow a wall have none
-and are left out.
-"""
+"""Checks of the form of a hatch, from the text alone: lines driven to and fro are parallel and evenly apart, and no bead crosses another."""
 
 from __future__ import annotations
 

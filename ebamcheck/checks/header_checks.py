@@ -1,8 +1,4 @@
-"""Checks that what a program says of itself is true: its status, part, layers, machine, control and place.
-
-Nothing rests on these comments, and a program without them is judged alike; one that says something untrue is refused,
-since a person reads them at the control.
-"""
+"""Checks that what a program says of itself is true: its status, part, layers, machine, control and place."""
 
 from __future__ import annotations
 
@@ -50,10 +46,7 @@ class Truth:
 def header_checks(
     nc: NCProgram, config: Config, truth: Truth, heights: ArrayLike | None = None
 ) -> list[Check]:
-    """Check status and header of a program against settings, text, and what is known of it from elsewhere.
-
-    `heights` (L,) are those of the cuts; None where they are not known.
-    """
+    """Check status and header of a program against settings, text, and what is known of it from elsewhere."""
     faults = [*_header(nc, config, truth), *_layers(nc, heights, config)]
     # Settings that name no control name the default one.
     if config.machine.control not in (nc.dialect, MachineSettings.model_fields["control"].default):
@@ -177,8 +170,6 @@ def marked_validated(files: ProgramFiles) -> ProgramFiles:
 def is_marked(checked: bytes, marked: bytes) -> bool:
     """Whether bytes are those that were checked, with the status of a program that is validated in one of its first lines.
 
-    Examples
-    --------
     >>> is_marked(b"%_N_A_MPF\\n; NOT VALIDATED\\nM30\\n", b"%_N_A_MPF\\n; VALIDATED\\nM30\\n")
     True
     >>> is_marked(b"%_N_A_MPF\\n; NOT VALIDATED\\nM30\\n", b"%_N_A_MPF\\n; VALIDATED\\nM3\\n")

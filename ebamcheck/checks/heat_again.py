@@ -1,11 +1,4 @@
-"""A second balance of a program's heat, in code of its own, and the limits of the heat gate worked out anew.
-
-Plan and check of the entries follow one heat column (:mod:`ebamcheck.heat.balance`): a mistake in it would give a plan too
-short waits, and then find its entries cool enough. Here the same heat is followed in the plainest way, from the data of
-the material and the text alone: cells as high as the layers, temperatures in place of heat contents, steps of first
-order, each with the data of its middle. It is coarser, so that it may find beads warmer by :func:`may_differ_k`; what is wrong by
-more has a mistake behind it, here or there.
-"""
+"""A second balance of a program's heat, in code of its own, and the limits of the heat gate worked out anew."""
 
 from __future__ import annotations
 
@@ -38,11 +31,7 @@ SUMMED = 4000  # Temperatures in the sum of the heat that melts: less than a kel
 
 
 def highest_entry_k(config: Config) -> float:
-    """Absolute temperature over which no bead may be entered, by the settings, K.
-
-    What the process sets; else the limit of the material, or its solidus where nothing keeps the part cool. Never over the
-    solidus.
-    """
+    """Absolute temperature over which no bead may be entered, by the settings, K."""
     process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return min(process.interpass_limit_k, material.solidus_k)
@@ -57,11 +46,7 @@ def may_differ_k(config: Config) -> float:
 
 
 def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
-    """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
-
-    Where the full power is too little for both, all of it, or that for the wire alone, is asked for. `thickness_mm` is the height of what
-    a bead lays where its metal is spread over one spacing, at the feed of the process.
-    """
+    """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W."""
     process, material = config.process, config.material
     each_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing
     kg_s = each_mm3_s * np.asarray(thickness_mm, np.float64) * 1e-9 * material.density_kg_m3

@@ -72,11 +72,7 @@ def heat_checks(
     nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     witness: Sequence[BaseGeometry] | None = None,
 ) -> list[Check]:  # fmt: skip
-    """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
-
-    Without `sections` those count that the contours of the program enclose; `witness` are those of the second balance. Of a program that
-    begins on a part that is half built, heat `before` it has to be known: nothing in its text tells how warm the part is.
-    """
+    """Check that the power of each layer melts its wire, and the temperature at which beads are entered."""
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
     melting = melting_check(nc, config, ramp_power(nc, np.flatnonzero(nc.deposit), config)[1] > 0.0)
@@ -93,11 +89,7 @@ def heat_checks(
 
 
 def layer_shares(nc: NCProgram, config: Config) -> Floats:
-    """Share of the power in each layer, (L,): that of its strongest motion whose own wire asks for less; NaN where it lays nothing.
-
-    Where every bead has the power that its own wire needs, that of the layer is the least of them at most. Ramps tell only where
-    there is nothing else.
-    """
+    """Share of the power in each layer, (L,): that of its strongest motion whose own wire asks for less; NaN where it lays nothing."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     share = nc.power_w[rows] / config.process.power_w
     slack = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
@@ -115,10 +107,7 @@ def layer_shares(nc: NCProgram, config: Config) -> Floats:
 
 
 def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None:
-    """Share of the power of each layer, (L,), where the settings have a table of it; None where the heat decides.
-
-    `heights` (L,) are those of the cuts, of which the first lies half a layer over the plate.
-    """
+    """Share of the power of each layer, (L,), where the settings have a table of it; None where the heat decides."""
     cuts = np.asarray(() if heights is None else heights, np.float64)
     if isinstance(config.process.power_schedule, str) or not cuts.size:
         return None
@@ -127,11 +116,7 @@ def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None
 
 
 def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:
-    """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
-
-    Power is taken back only where a bead would else be entered above the limit: a layer whose beads would all stay well
-    under it with more power has too little.
-    """
+    """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less."""
     shares = np.minimum(layer_shares(nc, config), 1.0)
     # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
     if config.process.power_schedule != "taper" or config.base_mm > 0.0:
@@ -213,12 +198,7 @@ def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
 
 
 def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
-    """Least temperature at which each bead may be entered, (P,) K; -inf where there is none.
-
-    Where `process.least_entry_temperature_k` is set, that. Else a bead that is waited for longer than `process.layer_pause_s` asks,
-    and that no preheating comes before, may not be colder than :data:`WARM_SHARE` allows; two balances of the heat may
-    differ by :data:`~ebamcheck.checks.heat_again.MODELS_K`, so that by so much any wait may cool.
-    """
+    """Least temperature at which each bead may be entered, (P,) K; -inf where there is none."""
     process = config.process
     if process.least_entry_temperature_k is not None:
         return np.full(len(beads), process.least_entry_temperature_k)
@@ -233,11 +213,7 @@ def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
-    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,).
-
-    Power and waits are planned for metal that is entered near the limit. What waits longer is entered colder than the power is
-    tapered for, and fuses worse with what lies under it.
-    """
+    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,)."""
     least_k = np.where(checked, least_entries_k(beads, bed_k, config), -np.inf)
     if not np.isfinite(least_k).any():
         return Check(COLD, True, 0.0, 0.0, "K", "", "no bead is waited for longer than the settings ask")

@@ -1,7 +1,4 @@
-"""Limits of the gates that a run has set wider than the default ones, and data of a material that are not its own.
-
-A gate that passes under them proves less than its name says.
-"""
+"""Limits of the gates that a run has set wider than the default ones, and data of a material that are not its own."""
 
 from __future__ import annotations
 
@@ -41,10 +38,7 @@ TOLD = 4  # Settings that are told by name
 
 
 def loose_limits(config: Config) -> Iterator[Check]:
-    """Tell which limits are wider than the default ones, each with both values, and which data of a known material are others.
-
-    Nothing where neither is.
-    """
+    """Tell which limits are wider than the default ones, each with both values, and which data of a known material are others."""
     yield from _other_material(config)
     found = [*_wider(config), *_wider_than_derived(config)]
     if found:

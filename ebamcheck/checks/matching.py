@@ -1,9 +1,4 @@
-"""Which bead of a program is which of a plan: found by where they lie and in which order they come.
-
-Beads and planned tracks of one layer with the same start and end are the same; what is left on both sides between two
-such pairs is taken together in its order, and then by nearness, so that a bead that was moved is compared with the
-track that it should have followed. A bead without a track is one that nobody planned.
-"""
+"""Which bead of a program is which of a plan: found by where they lie and in which order they come."""
 
 from __future__ import annotations
 
@@ -28,10 +23,7 @@ APART_MM = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Beads (P,) of a program, the track of a plan that each follows, and whether another bead follows it already.
-
-    A bead that nobody planned has track -1.
-    """
+    """Beads (P,) of a program, the track of a plan that each follows, and whether another bead follows it already."""
 
     beads: Beads
     track: Ints
@@ -222,10 +214,7 @@ def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
 
 
 def shape_distance(driven: Floats, motion: Ints, wanted: Floats) -> Floats:
-    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that of its points.
-
-    It is that of the motion from the other path, and of what lies nearest to the motion there.
-    """
+    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that of its points."""
     path, target = (
         np.hstack([at[:-1], at[1:]]) if len(at) > 1 else np.hstack([at, at]) for at in (driven, wanted)
     )

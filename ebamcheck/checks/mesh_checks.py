@@ -1,8 +1,4 @@
-"""Whether the layers of a program have the metal of the solid: what their sections alone cannot tell.
-
-A program's metal is held against sections times heights of layers. These may themselves be more or less than the part:
-a level face within a layer moves to one of its borders. That is held against the volume of the mesh.
-"""
+"""Whether the layers of a program have the metal of the solid: what their sections alone cannot tell."""
 
 from __future__ import annotations
 
@@ -308,11 +304,7 @@ class _Facets(NamedTuple):
 
 
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
-    """Check sections against the mesh, along lines in X and in Y across every layer.
-
-    Where there is metal in one and none in the other, the border of the one lies beside that of the other: by no more than
-    `curves.section_tolerance_mm`. Lines that graze a side have long pieces whose ends lie on both.
-    """
+    """Check sections against the mesh, along lines in X and in Y across every layer."""
     limit = config.curves.section_tolerance_mm
     sections = [layers.section(k) for k in range(len(layers))]
     step = config.process.bead_width_mm / LINES_PER_BEAD
@@ -335,10 +327,7 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
 
 
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
-    """Check that the layers reach from the bottom of the part to within half a layer of its top, each as high as it is set.
-
-    Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are.
-    """
+    """Check that the layers reach from the bottom of the part to within half a layer of its top, each as high as it is set."""
     # Cuts of layers of several heights do not tell where each of them begins.
     uneven = len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > PLACE_MM)
     if config.base_mm > 0.0 and len(cuts) and not uneven:

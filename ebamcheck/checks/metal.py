@@ -1,12 +1,4 @@
-"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by its place.
-
-Every motion with beam and wire on counts, whatever a comment says of it. The wire's section, speed and the feed give its
-metal; the pool, a half sphere as wide as the bead, spreads it (:mod:`ebamcheck.metal.footprints` plans by the same
-physics, in other code). A place stays molten while the beam is within a bead width of it, and is levelled over that
-distance; what is still too high or too low then is where the next layer begins.
-
-Nothing here is taken from what gives the wire of a program its speed: every check of the metal would confirm a mistake there.
-"""
+"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by its place."""
 
 from __future__ import annotations
 
@@ -110,13 +102,7 @@ class LayerField:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What the places (n,) along the beads of a layer lay, and what they ask for, in program order.
-
-    A place asks for the area of the section that is nearer to it than to any other, one layer high, and by part for what levels the
-    surface there. The columns of `laid`, `least` and `most` (n, 3) are metal by the nearest area, the same with all that lies in the pool, and the
-    metal over the width of the bead, mm2; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where the bead
-    has the least wire, 1 where it has the most, else 0.
-    """
+    """What the places (n,) along the beads of a layer lay, and what they ask for, in program order."""
 
     row: Ints
     along_mm: Floats
@@ -181,11 +167,7 @@ def deposit(
     nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = (),
     stands: Surface | None = None, asked: bool = False,
 ) -> Deposit:  # fmt: skip
-    """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
-
-    The layers lie at `z_of` (L,) in the program, the lowest on the surface `stands`, or level. The fields of the layers `keep` are
-    returned, too, and, where it is `asked`, what the place of each bead asks for.
-    """
+    """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one."""
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = nearest_layer(nc.end[rows, 2], z_of)
@@ -384,10 +366,6 @@ def _holes(parts: list[shapely.Polygon]) -> list[shapely.MultiPolygon]:
 def deep_cells(inside: Bools, bead_cells: float) -> Bools:
     """Cells of a section that lie further than a bead width from its border, where such cells are a bead wide or more.
 
-    A narrower strip, between two beads along a wall, holds less than a line: it levels with what lies beside it.
-
-    Examples
-    --------
     >>> wall, block = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
     >>> wall[8:22, 1:59], block[1:29, 1:59] = True, True
     >>> [int(deep_cells(cells, 6.0).any(axis=1).sum()) for cells in (wall, block)]
@@ -402,10 +380,7 @@ def deep_cells(inside: Bools, bead_cells: float) -> Bools:
 def zone_figures(
     target: Target, laid_mm: Floats, before_mm: Floats, parts: tuple[Bools, Bools], thickness_mm: float, process: ProcessSettings
 ) -> dict[str, float]:  # fmt: skip
-    """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows.
-
-    `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below.
-    """
+    """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows."""
     deep, rim = parts
     inside, bead_cells = deep | rim, process.bead_width_mm / target.step_mm
     wanted = target.share * thickness_mm
@@ -449,8 +424,6 @@ def zone_off(height: ArrayLike, owed: ArrayLike) -> Floats:
 def zone_limit(tolerance: Floats | float, area_mm2: ArrayLike, process: ProcessSettings) -> Floats:
     """What zones may be off by: the tolerance of all of them, and half a line over the lines that are side by side in one.
 
-    Examples
-    --------
     >>> zone_limit(0.03, [324.0, 3600.0], ProcessSettings()).round(3)
     array([0.15 , 0.066])
     """
@@ -512,10 +485,6 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
 def strip_of(bead_mm: float, step_mm: float) -> Floats:
     """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide.
 
-    The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc. The sum is 1.
-
-    Examples
-    --------
     >>> strip_of(6.0, 1.0).sum(axis=0).round(2).tolist()
     [0.0, 0.08, 0.17, 0.17, 0.17, 0.17, 0.17, 0.08, 0.0]
     """

@@ -1,7 +1,4 @@
-"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its place.
-
-Their limits are settings of the process, or follow from the bead; none is taken from what the program reaches.
-"""
+"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its place."""
 
 from __future__ import annotations
 
@@ -123,12 +120,7 @@ def _is_wide(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> Bools:
 def deposit_checks(
     nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
 ) -> list[Check]:
-    """Check the metal of a program, see :func:`ebamcheck.checks.metal.deposit`.
-
-    What holds for a whole part has to hold for the metal `below` and the program together. None: nothing stands there or, under the
-    only layer of a program that does not begin on the plate (``layers.base_mm``), it is not known; that layer is then held to the
-    limits of a single one alone.
-    """
+    """Check the metal of a program, see :func:`ebamcheck.checks.metal.deposit`."""
     solid = _with_metal(found.layers)
     if not len(solid):
         return [Check(name, False, math.inf, 0.0, "", "", "no layer has metal") for name in DEPOSIT_CHECKS]
@@ -343,11 +335,7 @@ class _Span(NamedTuple):
 
 
 def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
-    """Check that every bead has the wire that its place asks for, over any length of it, by a deposit whose places were `asked`.
-
-    A contour may change its wire along itself, and is judged over every span of :data:`SPANS`; a hatch bead has one wire, and is
-    judged as a whole, and where its wire changes.
-    """
+    """Check that every bead has the wire that its place asks for, over any length of it, by a deposit whose places were `asked`."""
     if config.base_mm > 0.0 or not found.asked:
         text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
         text = text if config.base_mm > 0.0 else "no bead has a place of its own"
@@ -363,8 +351,6 @@ def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
 def most_off(length_mm: Floats, bead_mm: float) -> Floats:
     """Wire that spans (m,) of a bead may lack, or have too much of, over what their places ask for.
 
-    Examples
-    --------
     >>> most_off(np.array([6.0, 18.0, 600.0]), 6.0).round(3).tolist()
     [0.301, 0.167, 0.151]
     """
@@ -470,13 +456,7 @@ class _Spot(NamedTuple):
 
 
 def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) -> Check:
-    """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer.
-
-    Where beads overlap they get less wire, so that every spot has about the metal of the layer. A bead more, or one laid again,
-    brings a spot 0.7 times that, where beads lie 0.7 widths apart. Spots count where the section is at least two bead widths wide:
-    contours around less than that lie in each other, and the feeder cannot give as little wire as they would need; the metal of such
-    layers is judged as a whole. The `layers` lie at Z `z_of` (L,).
-    """
+    """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer."""
     rows = nc.beads.rows
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & nc.deposit[rows] & nc.wire[rows]]
     thickness = np.diff(z_of, prepend=config.base_mm)

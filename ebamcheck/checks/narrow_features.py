@@ -1,9 +1,4 @@
-"""Features of the part that are narrower than a bead, found in its sections alone: openings that the melt bridges, and walls.
-
-An opening (a hole, a slot, a gap between bodies, a notch) is what a section lacks and its closing by a disc has; a wall is what the
-section has and its opening lacks (Serra 1982, chapter 2). Its width is measured from side to side. Corners are no features, but
-where their sides nearly face one another: every bead rounds a corner, and the checks of the metal judge that.
-"""
+"""Features of the part that are narrower than a bead, found in its sections alone: openings that the melt bridges, and walls."""
 
 from __future__ import annotations
 
@@ -60,11 +55,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class NarrowFeature:
-    """A feature over all layers that it goes through, from the `first` to the `last`.
-
-    It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead; openings are narrowed by the allowance
-    for machining. Its length and place are those in the layer where it is narrowest.
-    """
+    """A feature over all layers that it goes through, from the `first` to the `last`."""
 
     kind: Kind
     least_mm: float
@@ -94,8 +85,6 @@ class NarrowFeature:
     def in_words(self) -> str:
         """Return kind and size.
 
-        Examples
-        --------
         >>> NarrowFeature("slot", 6.0, False, 1.0, 1.0, 20.0, 0, 1.0, 2.0, 0, 5).in_words()
         'a slot 1 mm wide and 20 mm long on 6 layers'
         """
@@ -109,10 +98,7 @@ class NarrowFeature:
 
 
 def narrow_features(sections: Sequence[BaseGeometry], config: Config) -> list[NarrowFeature]:
-    """Find openings and walls narrower than the least that is set or, where none is, than beads can build; the narrowest first.
-
-    An allowance for machining takes its double from every opening of the part's sections, and adds it to every wall.
-    """
+    """Find openings and walls narrower than the least that is set or, where none is, than beads can build; the narrowest first."""
     process = config.process
     beads = config.changed(process={"least_hole_mm": None, "least_wall_mm": None})
     allowance_mm = 2.0 * process.machining_allowance_mm
@@ -170,8 +156,6 @@ def _lies(
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
     """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides.
 
-    Examples
-    --------
     >>> plate = shapely.box(0, 0, 40, 30).difference(shapely.box(10, 14, 30, 15))
     >>> [(p.kind, p.narrowest_mm, p.length_mm) for p in narrow_places(plate, False, 6.0, 1.0)]
     [('slot', 1.0, 20.0)]
@@ -417,8 +401,6 @@ def thinnest_wall(section: BaseGeometry, bead_width_mm: float) -> ThinWall | Non
 def narrow_bead(wall_mm: float, thickness_mm: float, config: Config) -> NarrowBead:
     """Bead as wide as a wall.
 
-    Examples
-    --------
     >>> bead = narrow_bead(4.0, Config().layer_height_mm, Config())
     >>> round(bead.wire_mm_s, 1), round(bead.power_w)
     (33.3, 3200)

@@ -1,10 +1,4 @@
-"""Whether the part that is built is the one in its file: of that size, that way up, at its place, and no other.
-
-Unit, slicing direction, turn and place are applied once, before anything else looks at the part: slicers, gates and `verify` all get
-it as it comes from there. So an STL file is read again here, by other code, and held against the part: how long it is along the
-slicing direction, its surface, and how high the middle of its surface lies. Then every corner of every facet is turned and placed
-anew, as settings or plate say, and held against where it stands; of other formats that alone is told.
-"""
+"""Whether the part that is built is the one in its file: of that size, that way up, at its place, and no other."""
 
 from __future__ import annotations
 
@@ -71,11 +65,7 @@ class _MeshFile:
 
 @dataclass(frozen=True)
 class _Body:
-    """A part in its file, and how it is to stand.
-
-    What points up, in the coordinates of the file; the turn about the vertical, counter-clockwise seen from above; X and Y of the middle
-    of its box, and Z of its lowest point, if that is told (None: it stays where it is).
-    """
+    """A part in its file, and how it is to stand."""
 
     file: _MeshFile
     direction: tuple[float, ...]

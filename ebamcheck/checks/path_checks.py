@@ -1,7 +1,4 @@
-"""Checks of the path that a program's text commands against what it was made from.
-
-The fitted curves are evaluated here by code of their own, as the writer and the reader do it each in theirs.
-"""
+"""Checks of the path that a program's text commands against what it was made from."""
 
 from __future__ import annotations
 
@@ -85,10 +82,7 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
 
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
-    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
-
-    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50.
-    """
+    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots."""
     span = np.flatnonzero(knots[1:] > knots[:-1])
     first = span - DEGREE
     place = [np.asarray(control)[first + k][:, None] for k in range(DEGREE + 1)]
@@ -130,11 +124,7 @@ def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
 
 
 def contour_checks(subject: Subject) -> list[Check]:
-    """Compare the contour motions with the fitted curves, both ways.
-
-    Where the program has one block for each span, both are evaluated at the same parameters, which bounds
-    the distance of either from the other; other rings are compared as shapes.
-    """
+    """Compare the contour motions with the fitted curves, both ways."""
     nc, curves, config = subject.nc, subject.curves, subject.config
     assert curves is not None
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))

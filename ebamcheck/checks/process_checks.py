@@ -133,10 +133,7 @@ def _seams(nc: NCProgram, config: Config) -> Check:
 
 
 def seam_turns(nc: NCProgram) -> tuple[Ints, Floats]:
-    """First motion (n,) of each contour that comes back to its start, and the angle of its seam, from 0 to 180 degrees.
-
-    It is that between the directions in which the path arrives there and sets out.
-    """
+    """First motion (n,) of each contour that comes back to its start, and the angle of its seam, from 0 to 180 degrees."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
     beads = nc.beads.among(rows)
     first, last = beads.first, beads.last
@@ -161,12 +158,7 @@ class Laid:
 
 
 def overhang_check(nc: NCProgram, config: Config) -> Check:
-    """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit.
-
-    A layer may reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle
-    is set: an angle is for slopes, and none lets metal begin on nothing. What closes a hole, or joins two posts, reaches out
-    from all sides of them: by half of its span.
-    """
+    """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit."""
     width_mm = config.process.bead_width_mm
     heights = nc.layer_heights
     worst, area, row, by_bead = 0.0, 0.0, -1, False
@@ -197,8 +189,6 @@ def overhang_check(nc: NCProgram, config: Config) -> Check:
 def allowed_reach_mm(rise_mm: float, config: Config) -> float:
     """How far a layer may reach out over the one below: by the angle that is set, and never farther than a bead is wide.
 
-    Examples
-    --------
     >>> round(allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 45.0})), 6)
     2.0
     >>> allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 89.0}))

@@ -34,11 +34,7 @@ CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of 
 
 @dataclass(frozen=True)
 class Evidence:
-    """By how much the contour path may leave the chords of a section, and why.
-
-    Fit, rounding and the arcs of an inset leave `base_mm` anywhere, and nothing allows more than `most_mm`. The path may lie between the
-    chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their ends leaves them by.
-    """
+    """By how much the contour path may leave the chords of a section, and why."""
 
     base_mm: float
     most_mm: float
@@ -80,16 +76,7 @@ def section_check(
     nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section",
     evidence: Evidence | None = None,
 ) -> Check:  # fmt: skip
-    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
-
-    A place on the path lies as deep in the section as the inset, within its limit: the depth moves no farther than
-    the outline does, where the inset itself, at a sharp corner or in a neck, moves farther. And the path passes every
-    place of the inset's border, so that no contour is missing: within `limit_mm`, or where outlines that near to
-    each other have insets that lie farther apart, within that.
-    A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
-    not being there. Nor does a slit narrower than :data:`SLIT_MM`, be it a hole, a notch or a gap: unions leave slits of no
-    width where shells touch, which an inset would widen. A path around either is not faulted.
-    """
+    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     index = nearest_layer(nc.end[rows, 2], z_of)
     known = evidence or Evidence(limit_mm, limit_mm)

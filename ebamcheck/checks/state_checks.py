@@ -99,11 +99,7 @@ def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
 
 
 def far_away(nc: NCProgram, config: Config) -> Check | None:
-    """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other.
-
-    A number that lost its point leads kilometres away. Nothing else can be said of such a program, and what follows its path
-    would take hours and all memory.
-    """
+    """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other."""
     longest = float(np.subtract(config.machine.travel_max_mm, config.machine.travel_min_mm).max())
     for each in (nc if nc.machine is None else nc.machine, nc.preheating):
         if each is not None and len(each):
@@ -226,11 +222,7 @@ def _offset_lost(nc: NCProgram, config: Config) -> Faults:
 
 
 def modes_of_scans(scans: NCProgram, config: Config) -> Faults:
-    """Words in preheating scans that are other than those that hold at every motion of the program, and stops.
-
-    A scan may leave a word out, since the program around it has set it. In another work offset it would heat beside the part, and so
-    would be what comes after it.
-    """
+    """Words in preheating scans that are other than those that hold at every motion of the program, and stops."""
     e, wanted = scans.events, wanted_words(scans.dialect, config.machine)
     said = {}
     for name in set(e.name):
@@ -405,10 +397,7 @@ def _order(nc: NCProgram, config: Config) -> Faults:
 
 
 def retract_check(nc: NCProgram, config: Config) -> Check:
-    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again, and by no other.
-
-    A wire that is drawn back twice, or where it did not run, begins the next bead without metal.
-    """
+    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again, and by no other."""
     wanted, e = config.process.wire_retract_mm, nc.events
     stops, back = (e.kind == Kind.WIRE_STOP) & e.wire[:-1], e.named("wire_retract_mm")
     ends = back | (e.kind == Kind.WIRE_START) | (e.kind == Kind.BEAM_OFF)
@@ -425,12 +414,7 @@ def retract_check(nc: NCProgram, config: Config) -> Check:
 
 
 def wait_height_check(nc: NCProgram, config: Config) -> Check:
-    """Check that the tip is clear of all that has been laid, by the clearance of the machine, wherever the program waits.
-
-    Where it stands at work height with beam off, the tip of the wire freezes into the pool that it has just left, and the head
-    takes the heat of the part for as long as the wait is. A rest that the profile's own templates hold beside a switch of beam or
-    wire is the user's: it may be where they stand.
-    """
+    """Check that the tip is clear of all that has been laid, by the clearance of the machine, wherever the program waits."""
     e, clear_mm = nc.events, config.machine.clearance_mm
     templates = checked_templates(config.machine, config.machine.control)
     actions = (action for name in SWITCHES for _, held in templates.get(name, ()) for action in held)
@@ -455,12 +439,7 @@ def wait_height_check(nc: NCProgram, config: Config) -> Check:
 
 
 def released_checks(nc: NCProgram, config: Config) -> list[Check]:
-    """Check the files of a layer that is called by itself; nothing for a whole program.
-
-    Its file sets what it needs, comes from above, and leaves nothing on. A main program that waits between layers calls one file after
-    the other. What its own main program sets before the call, or does after it, does not happen then: values are those that the layer
-    below has left, and the tool stands where that one ended, for as long as it takes until the next layer is released.
-    """
+    """Check the files of a layer that is called by itself; nothing for a whole program."""
     if not RELEASED.search(config.machine.program_name):
         return []
     # The table's ways are none of the part.

@@ -1,13 +1,4 @@
-"""Checks of a tilt table and of a part that is turned between layers.
-
-From the text alone, with the rotary axes of the profile: where and when the table turns, what the frame makes of the program, and that
-both are taken back. What table and frame do to the path goes into every other check, since the motions are followed to the part
-(:mod:`ebamcheck.nc.table`).
-
-From the mesh: sections of a turned part are cut across the whole of it. What was laid along the direction before stands on one side of
-a plane: a section that reaches into it would lay metal into metal. Seen along the new direction, what stands, the base plate among it,
-may rise beside a layer or over it: neither beam and wire may meet it, nor the head, a cylinder over the tip.
-"""
+"""Checks of a tilt table and of a part that is turned between layers."""
 
 from __future__ import annotations
 
@@ -268,11 +259,7 @@ def turned_checks(
 
 
 def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | None = None) -> list[Check]:
-    """Whether the part stands on a tilt table as the settings say, corner by corner of its mesh; nothing where none turns it.
-
-    The motion that the settings hold takes each corner of the part as it was built to where it is now, both counted from the lowest one. The height
-    `built_mm` up to which it was built, where it is known, is that of the settings.
-    """
+    """Whether the part stands on a tilt table as the settings say, corner by corner of its mesh; nothing where none turns it."""
     said = config.part.on_table
     if said is None:
         return []

@@ -40,12 +40,7 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TextBeads:
-    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off.
-
-    Who reads the text alone need not know which of them are of one island: each is entered, and each finds the part as
-    warm as it then is. The plan counts them so, too. Waits and moves are those before a bead; `row` is its first motion; `stray` are waits
-    that no bead follows, or that lie within one: (event, what).
-    """
+    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off."""
 
     layer: Ints
     ring: Ints
@@ -127,11 +122,7 @@ def text_bed_k(
     beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None,
     lowest: BaseGeometry | None = None, seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
-
-    By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
-    section. `seen` is called with each layer when it is entered, before it is preheated.
-    """
+    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead)."""
     # A plate that the program itself preheats was cold before.
     on_plate = before is None or (config.base_mm == 0.0 and 0 in beads.scans)
     column = begun_column(beads.scans, lowest, config) if before is None or on_plate else before.copy()
@@ -194,11 +185,7 @@ def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] 
 
 
 def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
-    """Times of a program as it is, without its waits, and at full power with waits alone, s.
-
-    The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; it is
-    NaN where the wait for one bead would be longer than :data:`LONGEST_WAIT_S`.
-    """
+    """Times of a program as it is, without its waits, and at full power with waits alone, s."""
     beads = text_beads(nc, config)
     busy_s = float((beads.time_s + beads.move_s).sum())
     known = sections_of_text(nc, config, sections)
@@ -281,14 +268,7 @@ def scanned(
     sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None,
     spot_share: float = 1.0,
 ) -> Scanned:  # fmt: skip
-    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
-
-    Plan and writer take region and lines from one place: a mistake there would be in the program and in what it is held against.
-
-    On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
-    or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
-    `spot_share`, that of the plate wholly.
-    """
+    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own."""
     half_mm = 0.5 * spot_share * config.preheat.spot_mm
     below = under if k == 0 else sections[k - 1]
     if below is not None:
@@ -313,10 +293,7 @@ def scanned_heat(
     way: BeamWay, sections: list[BaseGeometry], k: int, z_mm: float, column: HeatColumn | None, config: Config,
     under: BaseGeometry | None = None,
 ) -> tuple[SurfaceHeat, Scanned] | None:  # fmt: skip
-    """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan.
-
-    `column` is that of what stands, which is not changed; None: the bare plate.
-    """
+    """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan."""
     on = scanned(sections, k, z_mm, config, under)
     if on.region.is_empty or on.body.is_empty:
         return None

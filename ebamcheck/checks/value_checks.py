@@ -43,11 +43,7 @@ def _by_row(faults: Iterable[At]) -> Faults:
 
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
-    """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
-
-    With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool
-    hold, in layers whose height the program tells: those over a layer with beads, and the lowest.
-    """
+    """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be."""
     name, what = "mass balance", "metal of beads against the plan"
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     bead_mm2 = bead_sections_mm2(nc, config)[rows]
@@ -107,10 +103,7 @@ def spread_mm(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 
 def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
-    """Share of the full power, (n,), that motions need for themselves since they lay more than one spacing; 0 for others.
-
-    Written anew here: a fault of the writer would else confirm itself.
-    """
+    """Share of the full power, (n,), that motions need for themselves since they lay more than one spacing; 0 for others."""
     process, spread = config.process, np.nan_to_num(spread_mm(nc, rows, config), posinf=0.0)
     full_w = process.voltage_kv * process.current_ma
     metal_mm3_s = spread * process.bead_width_mm * process.bead_spacing * process.travel_speed_mm_s
@@ -121,10 +114,7 @@ def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 
 def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
-    """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts.
-
-    On a ramp (n,) of a bead the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`).
-    """
+    """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts."""
     rows, unit = np.flatnonzero(nc.deposit)[~on_ramp], "of the power needed"
     need_w = melting_power_w(config, spread_mm(nc, rows, config))
     rows, need_w = rows[need_w > 0.0], need_w[need_w > 0.0]
@@ -143,11 +133,7 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
 
 
 def window_check(nc: NCProgram, config: Config) -> Check:
-    """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits.
-
-    Wire speed, feed, line energy, metal over length and energy over metal by motion; volts and milliamperes where they are set.
-    A ramp belongs to its bead; but the wire runs along it, too, and what does not melt there stays in the part.
-    """
+    """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     feed_mm_s = nc.feed_mm_min[rows] / 60.0
@@ -213,8 +199,6 @@ def _outside(nc: NCProgram, rows: Ints, values: Floats, limits: tuple[float, flo
 def _apart(value: float, limits: tuple[float, float]) -> str:
     """Write a value with four digits, or as many as tell it from its limits.
 
-    Examples
-    --------
     >>> _apart(9.0, (16.6667, 100.0)), _apart(16.666479, (16.666667, 100.0))
     ('9', '16.666')
     """
@@ -226,13 +210,7 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
 
 
 def value_check(nc: NCProgram, config: Config) -> Check:
-    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
-
-    Voltage, feed and length of wire drawn back are those of the settings, or 0 where beam or wire are off; current and power are at most
-    those of the settings, since ramps and the heat of the part take from them; the wire is within the feeder's limits. A product hides an
-    exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is half as fast
-    throughout: each value is held against the one of the settings.
-    """
+    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process."""
     process = config.process
     speeds = f"up to {process.current_ma:g} mA, at {process.travel_speed_mm_s:g} mm/s"
     faults = _by_row([*_set_values(nc, config), *_feeds(nc, config)])
@@ -285,10 +263,7 @@ def _feeds(nc: NCProgram, config: Config) -> Iterator[At]:
 
 
 def increment_check(nc: NCProgram, config: Config) -> Check:
-    """Check values that are set, and feeds along beads, against the increments of the machine profile.
-
-    A control rounds what lies between, or refuses the block: then it drives other values than those that were proved.
-    """
+    """Check values that are set, and feeds along beads, against the increments of the machine profile."""
     steps, e, faults = increments_of(config.machine), nc.events, list[At]()
     for name, step in sorted(steps.items(), key=lambda one: one[0] == "feed_mm_min"):
         feed = name == "feed_mm_min"

@@ -1,8 +1,4 @@
-"""A control: how its programs are written, what their words mean, and how they are read back.
-
-A control is one plugin, an entry point of the group ``ebamcheck.controls`` that holds a :class:`Control`; the setting
-``machine.control`` names it. Writer and reader are named, not imported: neither can lean on the other.
-"""
+"""A control: how its programs are written, what their words mean, and how they are read back."""
 
 from __future__ import annotations
 
@@ -139,13 +135,7 @@ class Control:
 
 @cache
 def control(name: str) -> Control:
-    """Return the control of that name.
-
-    Raises
-    ------
-    SettingsError
-        With the names that there are; or if its entry point holds no :class:`Control` of that name.
-    """
+    """Return the control of that name."""
     found = registry.plugin(registry.CONTROLS, name)
     if not isinstance(found, Control) or found.name != name:
         raise SettingsError(

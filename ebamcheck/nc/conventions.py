@@ -16,8 +16,6 @@ LONGEST_COMMENT = 199  # Characters of a comment line; a SINUMERIK takes blocks 
 def comment(text: str) -> str:
     """Return one comment line: ASCII, without the reserved characters ! and ?, cut to the length of a block.
 
-    Examples
-    --------
     >>> comment("PART: ready?")
     '; PART: ready_'
     """
@@ -47,8 +45,6 @@ DECIMALS = 6  # Decimals of a process value, trailing zeros left out
 def plain(value: float) -> str:
     """Print a process value: no exponent, no trailing zeros, no negative zero.
 
-    Examples
-    --------
     >>> plain(33.50), plain(-1e-9)
     ('33.5', '0')
     """
@@ -79,8 +75,6 @@ def increments_of(machine: MachineSettings) -> dict[str, float]:
 def to_increment(value: float, increment: float) -> float:
     """Round a value to the nearest multiple of an increment; what is not 0 does not become 0. An increment of 0 leaves it.
 
-    Examples
-    --------
     >>> to_increment(46.83, 0.5), to_increment(0.1, 0.5), to_increment(0.0, 0.5), to_increment(46.83, 0.0)
     (47.0, 0.5, 0.0, 46.83)
     """
@@ -92,8 +86,6 @@ def to_increment(value: float, increment: float) -> float:
 def power_slack_w(machine: MachineSettings, voltage_kv: float, current_ma: float) -> float:
     """By how much the beam's power may differ for the increments of its values: half a step of each.
 
-    Examples
-    --------
     >>> power_slack_w(MachineSettings(current_increment_ma=1.0), 60.0, 120.0)
     30.0
     """

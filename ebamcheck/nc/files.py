@@ -71,8 +71,6 @@ def preheat_name(stem: str, layer: int, digits: int = 4) -> str:
 def layer_of_preheat(stem: str, name: str) -> int | None:
     """Layer, from 0, before which a subprogram of the program `stem` preheats; None for another one.
 
-    Examples
-    --------
     >>> layer_of_preheat("MAIN", "MAIN_P0003"), layer_of_preheat("MAIN", "MAIN_L0003")
     (2, None)
     """
@@ -82,11 +80,7 @@ def layer_of_preheat(stem: str, name: str) -> int | None:
 
 
 def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> ProgramFiles:
-    """Write all files of a program, the main one first in `texts`, or none of them.
-
-    They are written to a folder beside `folder` that takes its place when whole. An earlier program in
-    `folder` is replaced; a folder that holds anything else is refused.
-    """
+    """Write all files of a program, the main one first in `texts`, or none of them."""
     folder = Path(folder)
     _refuse_foreign_files(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -142,13 +136,7 @@ def _status(data: bytes) -> re.Match[bytes] | None:
 
 
 def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
-    """Rewrite the status of every file, and no other byte; the main program comes last.
-
-    Raises
-    ------
-    InputError
-        If a file is not the one that was written: its hash differs, or it has no status.
-    """
+    """Rewrite the status of every file, and no other byte; the main program comes last."""
     status = b"VALIDATED" if validated else b"NOT VALIDATED"
     stamped: dict[str, bytes] = {}
     for name in files.names:

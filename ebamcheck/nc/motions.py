@@ -261,13 +261,7 @@ class NCProgram(Columns[Motion]):
         return np.asarray(result)
 
     def samples(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
-        """Points along motions at most `step_mm` apart, each motion's start left out.
-
-        Returns
-        -------
-        row, points
-            (n,) motion of each point and (n, 2) its position, mm.
-        """
+        """Points along motions at most `step_mm` apart, each motion's start left out."""
         if not step_mm > 0.0:
             raise SettingsError(f"step {step_mm} mm: give a positive number of millimetres")
         curved = self.kind[rows] != STRAIGHT
@@ -357,13 +351,7 @@ class NCProgram(Columns[Motion]):
     # -- drawn -------------------------------------------------------------------------------------
 
     def plot(self, layer: int | None = None, ax: Any = None) -> Any:
-        """Draw the path of a program, or of one of its layers, as its text commands it, on matplotlib axes.
-
-        Raises
-        ------
-        SettingsError
-            If the program has no such layer.
-        """
+        """Draw the path of a program, or of one of its layers, as its text commands it, on matplotlib axes."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
         count = len(self.layer_files)
@@ -395,10 +383,7 @@ class NCProgram(Columns[Motion]):
 
 @dataclass(frozen=True, eq=False)
 class Beads:
-    """Beads of a program, or of some of its motions, in the order in which they are laid.
-
-    A bead ends where beam or wire are switched on, at a travel, and where the height or the layer changes.
-    """
+    """Beads of a program, or of some of its motions, in the order in which they are laid."""
 
     rows: Ints  # (n,) motions
     bead: Ints  # (n,) bead of each, from 0 without gaps

@@ -1,8 +1,4 @@
-"""Independent reader of programs: text in, motions out. It shares no code with the post-processors.
-
-One machine reads the programs of every control, by the table of its language (:class:`~ebamcheck.nc.words.Dialect`) and what is its
-own. It refuses every word that it does not know with its line and column: a word that is skipped is a path that is not checked.
-"""
+"""Independent reader of programs: text in, motions out. It shares no code with the post-processors."""
 
 from __future__ import annotations
 
@@ -110,10 +106,7 @@ def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> 
 
 
 class Reader:
-    """State of a control while it runs a program from top to bottom: lines, blocks, words and motions.
-
-    A dialect is a table; what is its own it overrides here.
-    """
+    """State of a control while it runs a program from top to bottom: lines, blocks, words and motions."""
 
     def __init__(self, folder: Path, config: Config, dialect: Dialect) -> None:
         known = control(dialect.name)
@@ -134,10 +127,7 @@ class Reader:
         raise NotImplementedError
 
     def percent(self, code: str) -> str | None:
-        """What a line with a percent sign is: no block (None), the end of what is read ("%"), or a block like others ("").
-
-        A lone one begins a program before its first block; anywhere else the control stops reading there.
-        """
+        """What a line with a percent sign is: no block (None), the end of what is read ("%"), or a block like others ("")."""
         if code.strip() != "%":
             return ""
         return "%" if self._begun or self.out.started else None
@@ -350,11 +340,7 @@ def arc(
     start: tuple[float, float], end: tuple[float, float], i: float, j: float, radius: float | None = None, *,
     counter_clockwise: bool,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle.
-
-    I and J lead from the start to the centre and count where there is no radius, which is negative for an arc of more than half a
-    circle. Where no circle fits, it is a ValueError.
-    """
+    """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle."""
     sense = 1.0 if counter_clockwise else -1.0
     x, y = start
     dx, dy = end[0] - x, end[1] - y

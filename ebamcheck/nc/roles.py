@@ -1,9 +1,4 @@
-"""Roles of motions by their geometry: contours, islands, turns, layers, preheating. What comments say of them counts for nothing.
-
-A motion with beam or wire on is metal. Metal that follows metal at one height is one bead; a bead that comes back to
-its start is a contour, any other is hatch. Who knows more of the part or of its plan gives better roles:
-:func:`by_section` and :func:`ebamcheck.checks.matching.matched`.
-"""
+"""Roles of motions by their geometry: contours, islands, turns, layers, preheating. What comments say of them counts for nothing."""
 
 from __future__ import annotations
 
@@ -44,11 +39,7 @@ def by_shape(nc: NCProgram) -> NCProgram:
 
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
-    """Give every bead its role by the sections of a part: contours run at a depth of the section.
-
-    The `layers` lie at `z_of` (L,) in the program; a contour runs within `near_mm` of the depth `offset_mm` for most of its length. In a
-    layer where no bead does, those that come back to their start are taken for contours.
-    """
+    """Give every bead its role by the sections of a part: contours run at a depth of the section."""
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
     layer = nearest_layer(nc.end[beads.first, 2], z_of)
@@ -181,10 +172,7 @@ def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
 
 
 def with_travel(layer: Ints) -> Ints:
-    """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to.
-
-    Its first motion away from a layer is still of that layer, and what follows the last bead is of the last layer.
-    """
+    """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to."""
     metal = np.flatnonzero(layer >= 0)
     if not metal.size:
         return layer
@@ -205,12 +193,7 @@ OF_MOTIONS = (
 
 
 def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
-    """Return a program with the motions and events of its preheating scans apart.
-
-    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus: from where it is set out to where
-    it is taken back. What runs there stays in the order in which it runs; positions of the rest begin where the scan before left
-    the tool.
-    """
+    """Return a program with the motions and events of its preheating scans apart."""
     if in_layers:
         return _by_focus(nc)
     stem = nc.files[0].name.rpartition(".")[0]
@@ -260,10 +243,6 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
 
-    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`.
-
-    Examples
-    --------
     >>> lines = depth_lines(shapely.box(0, 0, 10, 8), 3.0)
     >>> np.round(np.hypot(*(lines[:, 2:] - lines[:, :2]).T).sum(), 2)
     np.float64(12.0)

@@ -1,13 +1,4 @@
-"""Tilt table and programmable frame while a program is read: the frames of a text, what is in force, and the columns that it comes to.
-
-Frames are taken as a SINUMERIK takes them: TRANS and ROT begin anew, ATRANS and AROT go on from the frame in force. Source: Siemens NC
-Programming manual 12/2019, section 2.12. A turn about one axis, or by RPL in the plane G17, is counter-clockwise for one who looks
-against the axis. Turns about several axes in one block depend on a machine datum and are refused.
-
-The frames take the program to the work offset, the positions of the rotary axes tell how the table stands there, and what is undone
-of that is the place on the table: by the text alone. How the part lies on the table is told by the settings (``part.on_table``),
-which are held against the mesh elsewhere.
-"""
+"""Tilt table and programmable frame while a program is read: the frames of a text, what is in force, and the columns that it comes to."""
 
 from __future__ import annotations
 
@@ -110,13 +101,6 @@ def _times(turn: Floats, place: Floats) -> Floats:
 def frame_after(code: str, frame: Floats) -> Floats | None:
     """Frame (3, 4) that is in force after a block; None where the block sets none.
 
-    Raises
-    ------
-    WordError
-        For a frame that is not read.
-
-    Examples
-    --------
     >>> frame_after("TRANS X10 Z5", NONE)[:, 3].tolist()
     [10.0, 0.0, 5.0]
     >>> (frame_after("AROT Z90", NONE)[:, 0] + 0.0).round(6).tolist()
@@ -161,10 +145,7 @@ def _about(axis: int, angle_rad: float) -> Floats:
 
 
 def on_part(nc: NCProgram, config: Config) -> NCProgram:
-    """Return the motions of a program in the coordinates of its part; those of the machine itself apart, in ``machine``.
-
-    A program that neither turns a table nor sets a frame stays as it is.
-    """
+    """Return the motions of a program in the coordinates of its part; those of the machine itself apart, in ``machine``."""
     columns = nc.table
     if columns is None:
         return nc

@@ -1,10 +1,4 @@
-"""The beam and wire templates of a machine profile: what they may hold, and how they are filled.
-
-A template runs like any other text of the program, so that a word in it changes the machine's state as it would on the
-control. Each code in it is therefore one that the profile declares (:mod:`ebamcheck.nc.codes`), and these rules hold:
-a template switches what its name says, once, and no other; a value is filled with what its code means, without arithmetic;
-the beam does not stand waiting.
-"""
+"""The beam and wire templates of a machine profile: what they may hold, and how they are filled."""
 
 from __future__ import annotations
 
