@@ -133,9 +133,6 @@ def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> F
     return share
 
 
-# -- islands in the air ----------------------------------------------------------------------------
-
-
 def beads_in_the_air(
     nc: NCProgram, beads: Beads, bare_mm: Floats, below_mm: Floats, width_mm: float
 ) -> Bools:
@@ -167,9 +164,6 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
     lines = np.split(points, np.flatnonzero(np.diff(index)) + 1)
     known = [shapely.LineString(line) for line in lines if np.isfinite(line).all()]
     return shapely.union_all(shapely.buffer(known, 0.5 * width_mm))
-
-
-# -- what stands ---------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,9 +245,6 @@ def standing_of(
         height = result[row[inside], column[inside]]
         result[row[inside], column[inside]] = np.maximum(height, zone.z_mm[1])
     return result
-
-
-# -- kernels -----------------------------------------------------------------------------------------
 
 
 class Columns(NamedTuple):

@@ -219,9 +219,6 @@ def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     )  # fmt: skip
 
 
-# -- parts of a plate -------------------------------------------------------------------------------------
-
-
 def plate_record(part: Part, config: Config, program: NCProgram | None = None) -> list[dict[str, Any]]:
     """One entry a part of a plate, with its wire and layers where the program is known; none where there is but one part."""
     if not isinstance(part, PlatePart):

@@ -199,9 +199,6 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)
 
 
-# -- distance of paths as shapes ---------------------------------------------------------------------------
-
-
 @kernel
 def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
     """Nearest of segments (m, 4) to each of places (n, 2), and its distance (n,); the quicker the nearer a place is to the one before."""

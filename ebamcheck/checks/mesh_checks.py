@@ -165,9 +165,6 @@ def _summed_volumes(part: Part, borders: Floats) -> Floats:
     return np.asarray(mean * np.diff(borders), np.float64)
 
 
-# -- between the cuts ----------------------------------------------------------------------------------
-
-
 class Lost(NamedTuple):
     """An opening, or metal, that no layer has: the cut below it (-1: the bottom of the part), height and width, and where it is, mm."""
 
@@ -278,9 +275,6 @@ def _runs(faces: NDArray[np.int32], count: int) -> Ints:
     return np.asarray(label, np.int64)
 
 
-# -- sections of the mesh ------------------------------------------------------------------------------
-
-
 class _Crossings(NamedTuple):
     """Where lines cross borders, (n,) each: layer, line, place along it, and by how much the number of solids around it changes."""
 
@@ -369,9 +363,6 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
     if math.isnan(cut_mm):
         off = {"the layer has no cut of its own": np.inf}
     return _furthest_off(off, f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle")
-
-
-# -- lines -------------------------------------------------------------------------------------------
 
 
 def _different(

@@ -71,9 +71,6 @@ MOST_METAL = 1.5  # Metal of a spot over that of the layer: half a bead more tha
 STRETCH_BEADS = 3.0
 
 
-# -- metal of all beads together ----------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class MetalBelow:
     """Sums over the layers that stand: with them, what holds for a whole part holds for one that is half built."""
@@ -318,7 +315,6 @@ def _surface(metal: _Metal) -> Check:
     return metal.judged("surface", k, values[k], metal.config.process.largest_unevenness_mm, "mm", text)
 
 
-# -- wire of every bead -------------------------------------------------------------------------------
 # Where beads meet or lie side by side, one may lay what the other leaves: wire is wrong where the place says so by the area of the
 # section nearest to it, together with all that lies in its pool, and by the height of the metal over the width of the bead. What counts is the height that the error comes to, over any length of bead. Every pool levels some of it; along the bead it levels an
 # error that is not much longer than the bead is wide, and hardly any of a long one.
@@ -440,9 +436,6 @@ def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[I
     usual = (metal[end[bead]] - metal[begin[bead]] - laid) / rest
     with np.errstate(divide="ignore", invalid="ignore"):
         return first, stop, np.where(usual > 0.0, laid / length / usual - 1.0, 0.0)
-
-
-# -- metal laid twice ---------------------------------------------------------------------------------
 
 
 class _Spot(NamedTuple):

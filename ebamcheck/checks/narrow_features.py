@@ -341,9 +341,6 @@ def _feature(group: list[tuple[int, Place]], least_mm: float, is_set: bool) -> N
     )  # fmt: skip
 
 
-# -- thin walls ----------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class ThinWall:
     """The thinnest wall of a section: its width, and a point in it, mm."""

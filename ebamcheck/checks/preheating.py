@@ -89,9 +89,6 @@ def preheat_checks(
     ]
 
 
-# -- calls and state ---------------------------------------------------------------------------------
-
-
 def _calls(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
     """Scans that are not called by the main program right before their layer, and the one of the plate that is missing."""
     main, e = nc.files[0].name, nc.events
@@ -206,9 +203,6 @@ def _events(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
         yield where, "ends with the beam out of focus: beads would be laid with it"
 
 
-# -- the way -----------------------------------------------------------------------------------------
-
-
 def _paths(
     nc: NCProgram, config: Config, sections: list[BaseGeometry], under: BaseGeometry | None
 ) -> list[Check]:
@@ -302,9 +296,6 @@ def _gap_mm(region: BaseGeometry, start: Floats, end: Floats) -> float:
                     places.append(y)
         worst = max(worst, float(np.diff([*places, y1]).max()))
     return worst
-
-
-# -- how often, and how warm ---------------------------------------------------------------------------
 
 
 @dataclass

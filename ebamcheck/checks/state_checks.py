@@ -162,9 +162,6 @@ def _switched(nc: NCProgram, on: Kind, off: Kind, what: str) -> Faults:
     return faults
 
 
-# -- state of the machine ------------------------------------------------------------------------------
-
-
 def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check modes and smoothing at every motion, start state, order of events, and safe end."""
     wanted = list(wanted_words(nc.dialect, config.machine).values())
@@ -365,9 +362,6 @@ def _end(nc: NCProgram, config: Config) -> Faults:
     return faults
 
 
-# -- order and waits -----------------------------------------------------------------------------------
-
-
 def _order(nc: NCProgram, config: Config) -> Faults:
     """Blocks that come before what they need: values, then the beam, then the wire, and no wait under the beam."""
     e = nc.events
@@ -433,9 +427,6 @@ def wait_height_check(nc: NCProgram, config: Config) -> Check:
     )  # fmt: skip
     text = f"{int(stands.sum())} waits and stops, all {clear_mm:g} mm or more over what is laid"
     return count_check("waits over the part", faults, text)
-
-
-# -- a layer by itself -----------------------------------------------------------------------------
 
 
 def released_checks(nc: NCProgram, config: Config) -> list[Check]:

@@ -155,15 +155,13 @@ class Subject:
         return self._chords[k]
 
     @property
-    def deposit(self) -> Deposit | None:
+    def deposit(self) -> Deposit:
         """Metal that the program lays over the `layers`: laid once, whichever rule asks for it first."""
         with self._laying:
             return self._deposit
 
     @cached_property
-    def _deposit(self) -> Deposit | None:
+    def _deposit(self) -> Deposit:
         if self.laid is not None:
             return self.laid()
-        if self.layers is None:
-            return None
-        return deposit(self.nc, self.layers, self.z_of, self.config, asked="beads" in self.asked)
+        return deposit(self.nc, self.witness, self.z_of, self.config, asked="beads" in self.asked)

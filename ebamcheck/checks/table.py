@@ -100,9 +100,6 @@ def _left_as_they_were(full: NCProgram, table: TableColumns) -> Iterator[tuple[s
                 yield full.where(row), what
 
 
-# -- height ------------------------------------------------------------------------------------------
-
-
 def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
     """What the tip lacks of the clearance over all that the table carries: while it turns, and on ways beside a layer."""
     if config.part.on_table is None:
@@ -143,9 +140,6 @@ def _swept(corners: Floats, start: Floats, end: Floats, config: Config) -> float
     return max(float((corners @ up[:3] + up[3]).max()) for up in ups)
 
 
-# -- taken back --------------------------------------------------------------------------------------
-
-
 def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
     """Files that end with a frame in force or the table turned, and motions of the main program with either."""
     turned = (table.positions_deg[table.after] != 0.0).any(axis=1)
@@ -165,9 +159,6 @@ def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str
     changes = np.flatnonzero(np.diff(table.frame) != 0) + 1
     lit = changes[full.beam[changes] | full.beam[changes - 1]]
     yield from row_faults(full, lit, "the frame changes under the beam")
-
-
-# -- what stands of a turned part ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,30 +52,23 @@ class Control:
     False
     """
 
-    name: str
-    """As ``machine.control`` and the entry point name it."""
+    name: str  # As ``machine.control`` and the entry point name it
     writer: str
     """``module:function`` that writes a program; it takes what :func:`ebamcheck.write_program` takes."""
     reader: str = ""
     """``module:function`` that reads one back: main file and settings in, :class:`~ebamcheck.nc.motions.NCProgram`
     out. Empty: what is written is the input of a simulator, and no reader proves it."""
-    title: str = ""
-    """Name in the header of a program; that of the plugin where it is empty."""
-    suffixes: tuple[str, ...] = ()
-    """Endings of main files in capitals, the one that is written first."""
-    mark: bytes = b""
-    """First bytes of a file of this control, whatever its ending."""
-    subprogram_suffix: str = ""
-    """Ending of subprograms; empty for a program of one file."""
+    title: str = ""  # Name in the header of a program; that of the plugin where it is empty
+    suffixes: tuple[str, ...] = ()  # Endings of main files in capitals, the one that is written first
+    mark: bytes = b""  # First bytes of a file of this control, whatever its ending
+    subprogram_suffix: str = ""  # Ending of subprograms; empty for a program of one file
     loads: str = ""
     """Pattern of the names, in capitals, of all files that the control takes for its own when it is given a folder. Empty: it is
     given files one by one."""
     templates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Beam and wire blocks in place of the defaults of the machine section, for a profile that sets none."""
-    codes: Mapping[str, str] = field(default_factory=dict)
-    """Meanings of the codes in these templates."""
-    dwell_address: str = "F"
-    """Address of G4 that carries seconds."""
+    codes: Mapping[str, str] = field(default_factory=dict)  # Meanings of the codes in these templates
+    dwell_address: str = "F"  # Address of G4 that carries seconds
     groups: tuple[Group, ...] = ()
     """Modal groups. Words that the control does not know may be among those of their group all the same."""
     words: Callable[[MachineSettings], tuple[str, ...]] = _no_words
@@ -91,8 +84,7 @@ class Control:
     keeps_tolerance: tuple[str, ...] = ()
     """Words of smoothing under which the path stays within that tolerance, of which the profile needs one. Empty: the control has no
     others, or knows no tolerance."""
-    parentheses: bool = False
-    """Whether a comment stands in parentheses, and not behind a semicolon."""
+    parentheses: bool = False  # Whether a comment stands in parentheses, and not behind a semicolon
     waiting: str = ""
     """``module:function`` that writes the main program that waits between layers: (settings, Z of the part's top, header) in, name
     and text of the file out. Empty: there is none for this control."""

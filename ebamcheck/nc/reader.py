@@ -114,8 +114,7 @@ class Reader:
         self.rotary = tuple(axis.name for axis in config.machine.rotary) if known.frames else ()
         in_layers = bool(known.subprogram_suffix) and config.preheat.scan_in == "layer"
         self.out = Recorder(folder, dialect.name, self.rotary, in_layers)
-        self.mode = ""
-        """Word of motion in force."""
+        self.mode = ""  # Word of motion in force
         self._begun = False
         self._templates = Templates(checked_templates(config.machine, dialect.name))
         self._changes: dict[str, StateChange] = {}

@@ -278,8 +278,6 @@ def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floa
     return coefficients
 
 
-# -- templates in the text ---------------------------------------------------------------------------
-
 RUNNING = ("set_power", "set_wire")  # Templates that set values along a bead
 # Templates that may set a value to 0 at the end of a bead, before they switch off.
 ENDING = ("beam_off", "wire_stop")

@@ -235,7 +235,6 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
     return replace(nc, events=found, table=table, **kept)
 
 
-# -- depths ------------------------------------------------------------------------------------------
 # Who plans and writes contours takes them from an inset. Who reads and checks a program works out where they must lie in another way:
 # places straight in from every side, and around every inward corner, of which those count that no other side is nearer to.
 

@@ -30,8 +30,7 @@ class TableState:
         self.axes = axes
         self.frame = NONE
         self.changed = False
-        self.fresh = False
-        """Whether no motion has come yet since the last frame."""
+        self.fresh = False  # Whether no motion has come yet since the last frame
         self._frames = [NONE]
         self._positions = [(0.0,) * len(axes)]
         self._at, self._in = 0, 0

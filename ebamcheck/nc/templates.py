@@ -144,8 +144,6 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
     )  # fmt: skip
 
 
-# -- what templates may hold --------------------------------------------------------------------------
-
 FREE = ("layer", "height_mm", "feed_mm_min")  # Placeholders that an auxiliary code may carry
 # Values of which a template sets one, if it is not empty.
 NEEDED: Mapping[str, tuple[str, ...]] = {

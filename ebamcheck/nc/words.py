@@ -1,9 +1,7 @@
 """Words of NC blocks: the table of a control's language, its blocks taken apart, and the modal groups that words belong to.
 
-Of a modal group one word is in force at any time. A program here establishes every group in its own first blocks, and may repeat a
-word, but changes none: a word of a group other than the one wanted is a fault wherever it stands. Words that would bend the path as
-it is read (another plane, other units, distances from the position before) are refused by the reader.
-"""
+Of a modal group one word is in force at any time. A program establishes every group in its own first blocks, and changes none: a word
+of a group other than the one wanted is a fault. Words that would bend the path as it is read are refused by the reader."""
 
 from __future__ import annotations
 
@@ -24,52 +22,33 @@ MOST_OF_A_LIST = 3  # Numbers of a list: an end point, and coefficients of t^2 a
 
 @dataclass(frozen=True)
 class Dialect:
-    """The language of a control, as a table; see :class:`ebamcheck.nc.reader.Reader` for what its programs do.
+    """The language of a control, as a table; see :class:`ebamcheck.nc.reader.Reader` for what its programs do."""
 
-    Parameters
-    ----------
-    name
-        Of the control, whose modal groups its words belong to.
-    motions
-        Words of motion, and the kind of motion of each (:mod:`ebamcheck.nc.motions`).
-    codes, ends
-        Other words without a value; and those that end a program.
-    addresses
-        Words with a value, beside the rotary axes of a machine.
-    word
-        Pattern of one word in capitals. The last of its groups says what it is: ``number`` behind a ``letter``, ``value`` behind a
-        ``name``, ``list`` behind a ``list_address``, ``identifier``, or ``bad``.
-    code_letters, code_number
-        Letters whose numbers are no values, and how such a number is told; None: as it stands, without zeros before it.
-    block_number
-        Pattern of the number before a block; its group is the digits.
-    radius
-        How the radius of an arc is given.
-    curve
-        Pattern of the block that most curves of its programs are, in the spelling of most posts; its groups are numbers. It is run by
-        :meth:`~ebamcheck.nc.reader.Reader.run_curve`. Empty: none.
-    message
-        Pattern of a block that only says something to the operator.
-    alone
-        Words that stand by themselves in their block, and why.
-    unused
-        Addresses that a block without an axis has nothing to use for, as a refusal names them; empty: those that are there.
-    """
-
-    name: str
-    motions: Mapping[str, int]
-    codes: frozenset[str]
-    ends: frozenset[str]
-    addresses: frozenset[str]
+    name: str  # Of the control, whose modal groups its words belong to
+    motions: Mapping[
+        str, int
+    ]  # Words of motion, and the kind of motion of each (:mod:`ebamcheck.nc.motions`)
+    codes: frozenset[str]  # Other words without a value
+    ends: frozenset[str]  # Those that end a program
+    addresses: frozenset[str]  # Words with a value, beside the rotary axes of a machine
+    # One word in capitals. The last of its groups says what it is: ``number`` behind a ``letter``, ``value`` behind a ``name``, ``list``
+    # behind a ``list_address``, ``identifier``, or ``bad``.
     word: re.Pattern[str]
-    code_letters: str = "GM"
-    code_number: Callable[[str], str] | None = None
+    code_letters: str = "GM"  # Letters whose numbers are no values
+    code_number: Callable[[str], str] | None = (
+        None  # How such a number is told; None: without zeros before it
+    )
+    # The number before a block; its group is the digits.
     block_number: re.Pattern[str] = re.compile(r"\s*N(\d+)(?![\d.])\s*", re.IGNORECASE)
-    radius: str = "R"
+    radius: str = "R"  # How the radius of an arc is given
+    # Pattern of the block that most curves of its programs are, in the spelling of most posts; its groups are numbers, for
+    # :meth:`~ebamcheck.nc.reader.Reader.run_curve`. Empty: none.
     curve: str = ""
-    message: re.Pattern[str] | None = None
-    alone: Mapping[str, str] = field(default_factory=dict)
-    unused: str = ""
+    message: re.Pattern[str] | None = None  # A block that only says something to the operator
+    alone: Mapping[str, str] = field(default_factory=dict)  # Words that stand alone in their block, and why
+    unused: str = (
+        ""  # Addresses that a block without an axis cannot use, in words; empty: those that are there
+    )
 
 
 @dataclass(slots=True)
@@ -95,7 +74,9 @@ class UnknownWord(WordError):
 
 
 def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
-    """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table."""
+    """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
+
+    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`."""
     block = Block({}, {}, [])
     for found in dialect.word.finditer(code):
         kind, text = found.lastgroup, found[0].lstrip()
