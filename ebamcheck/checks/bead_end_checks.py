@@ -41,7 +41,17 @@ AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
 
 def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check]:
     """Check power, overlap and wire at the ends of all beads; `shares` (L,) of the power are those of the layers."""
-    checks = [_power(nc, config, shares), _overlap(nc, config)]
+    # Length by which each closed contour runs on over its start, against the one set or once around.
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    beads, over, length = nc.beads.among(rows), nc.overlap[rows], nc.lengths[rows]
+    driven, whole = beads.total(np.where(over, length, 0.0)), beads.total(np.where(over, 0.0, length))
+    closed = (nc.end[beads.last, :2] == nc.start[beads.first, :2]).all(axis=1) | (driven > 0.0)
+    off = np.where(closed, np.abs(driven - np.minimum(config.process.overlap_mm, whole)), 0.0)
+    what = f"off {config.process.overlap_mm:g} mm of overlap of {int(closed.sum())} closed contours"
+    checks = [
+        _power(nc, config, shares),
+        worst_check("overlap of contours", nc, beads.last, off, 2.0 * SHORTEST_BLOCK_MM, "mm", what),
+    ]
     if config.process.wire_retract_mm > 0.0:
         checks.append(retract_check(nc, config))
     if nc.goes_on.any():
@@ -134,17 +144,6 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
     faults.sort(key=lambda fault: fault[0])
     good = f"the beam rises in {rise.min():.3g} .. {rise.max():.3g} s and falls in {fall.min():.3g} .. {fall.max():.3g} s"
     return count_check("ramps in time", [(nc.where(row), what) for row, what in faults], good)
-
-
-def _overlap(nc: NCProgram, config: Config) -> Check:
-    """Length by which each closed contour runs on over its start, against the one set or once around."""
-    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
-    beads, over, length = nc.beads.among(rows), nc.overlap[rows], nc.lengths[rows]
-    driven, whole = beads.total(np.where(over, length, 0.0)), beads.total(np.where(over, 0.0, length))
-    closed = (nc.end[beads.last, :2] == nc.start[beads.first, :2]).all(axis=1) | (driven > 0.0)
-    off = np.where(closed, np.abs(driven - np.minimum(config.process.overlap_mm, whole)), 0.0)
-    what = f"off {config.process.overlap_mm:g} mm of overlap of {int(closed.sum())} closed contours"
-    return worst_check("overlap of contours", nc, beads.last, off, 2.0 * SHORTEST_BLOCK_MM, "mm", what)
 
 
 def _parts_of_lines(nc: NCProgram) -> Check:

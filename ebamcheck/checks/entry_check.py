@@ -46,16 +46,7 @@ def _faults(
     first, lower = int(laid[0]), before.size and not whole.end[before[-1], 2] < z_mm - PLACE_MM
     if not abs(entry.end[first, 2] - z_mm) <= PLACE_MM or lower:
         yield entry.where(first), f"begins at Z {entry.end[first, 2]:g}, layer {layer} lies at {z_mm:g}"
-    yield from _other_motions(whole, entry, offset)
-    yield from _other_events(whole, entry, offset, first)
-    yield from _way_in(entry, first, z_mm, config)
-    if not _same(entry.start[first], whole.start[first + offset]).all():
-        what = "the first bead begins at another place than in the whole program, or at one that nothing has given"
-        yield entry.where(first), what
-
-
-def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[tuple[str, str]]:
-    """First motion that is another than that of the whole program; places that nothing has given yet are left to the way in."""
+    # First motion that is another than that of the whole program; places that nothing has given yet are left to the way in.
     alike = np.ones(len(entry), np.bool_)
     for name in COLUMNS:
         alike &= _same(getattr(entry, name), getattr(whole, name)[offset:])
@@ -72,6 +63,11 @@ def _other_motions(whole: NCProgram, entry: NCProgram, offset: int) -> Iterator[
     alike |= same_way & unknown
     for row in np.flatnonzero(~alike)[:1].tolist():
         yield entry.where(row), "is another motion, or at other values, than in the whole program"
+    yield from _other_events(whole, entry, offset, first)
+    yield from _way_in(entry, first, z_mm, config)
+    if not _same(entry.start[first], whole.start[first + offset]).all():
+        what = "the first bead begins at another place than in the whole program, or at one that nothing has given"
+        yield entry.where(first), what
 
 
 def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -> Iterator[tuple[str, str]]:

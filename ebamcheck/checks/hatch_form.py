@@ -36,11 +36,7 @@ AT_ONCE = 1_000_000  # Pairs of lines that are held at once
 
 def form_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the form of all hatch beads, and that no bead crosses itself or another of its layer."""
-    return [_lines(nc, config), _crossings(nc, 0.5 * config.process.bead_width_mm)]
-
-
-def _lines(nc: NCProgram, config: Config) -> Check:
-    """Lines of beads driven to and fro: each parallel to the others, joined by one turn, all the same distance apart."""
+    # Lines of beads driven to and fro: each parallel to the others, joined by one turn, all the same distance apart.
     spacing = config.process.hatch_spacing_mm
     first, starts, way = _whole_lines(nc)
     state, at = form_of(first, nc.start[starts, :2], way, spacing)
@@ -50,7 +46,7 @@ def _lines(nc: NCProgram, config: Config) -> Check:
             BACK: "turns back on the track of the one before"}  # fmt: skip
     faults = [(nc.where(int(starts[at[i]])), f"this motion {said[int(state[i])]}") for i in known.tolist()]
     good = f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
-    return count_check(LINES, faults, good)
+    return [count_check(LINES, faults, good), _crossings(nc, 0.5 * config.process.bead_width_mm)]
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
@@ -91,7 +87,10 @@ def _forms(start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
     back = _first(_turned_back(way, length))
     if way.shape[1] < 3:
         return np.where(back >= 0, BACK, FINE), back
-    parallel = _parallel(way, length)
+    # Whether lines i and k (m, n, n) of a bead have one direction, as far as their rounded ends can tell.
+    x, y, one, other = way[..., 0], way[..., 1], length[:, :, None], length[:, None, :]
+    across = np.abs(x[:, :, None] * y[:, None, :] - y[:, :, None] * x[:, None, :])
+    parallel = np.asarray(across <= PARALLEL * one * other + TWO_PLACES_MM * np.maximum(one, other))
     # The longest line of the direction that most of a bead has, and how much of it that is, mm.
     share = np.cumsum(np.where(parallel, length[:, None, :], 0.0), axis=2)[..., -1]
     most = share.max(axis=1)
@@ -110,7 +109,11 @@ def _forms(start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
     judged = (back < 0) & to_and_fro & (most >= TO_AND_FRO * np.cumsum(length, axis=1)[:, -1])
     skew = _first(_skew(parallel, along, length <= longest, aside >= 0.5 * spacing))
     uneven = _first(_uneven(along, offset, mains_mm))
-    lie = judged & ((skew < 0) | _follow_walls(way, length, parallel))
+    index = np.arange(length.shape[1] - 1)
+    gentle = (way[:, :-1] * way[:, 1:]).sum(axis=2) >= GENTLE * length[:, :-1] * length[:, 1:]
+    bends = np.cumsum(gentle & ~parallel[:, index, index + 1], axis=1)
+    before = np.concatenate([np.zeros((len(bends), 1), bends.dtype), bends], axis=1)
+    lie = judged & ((skew < 0) | np.asarray((before[:, MANY:] - before[:, :-MANY] == MANY).any(axis=1)))
     state = np.where(back >= 0, BACK, np.where(lie, UNEVEN, np.where(judged, SKEW, FINE)))
     place = np.where(back >= 0, back, np.where(lie, uneven, np.where(judged, skew, -1)))
     return np.where(place >= 0, state, FINE), place
@@ -119,13 +122,6 @@ def _forms(start: Floats, way: Floats, spacing: float) -> tuple[Ints, Ints]:
 def _first(which: Bools) -> Ints:
     """Index (m,) of the first that is true of each row (m, n); -1 for none."""
     return np.where(which.any(axis=1), which.argmax(axis=1), -1)
-
-
-def _parallel(way: Floats, length: Floats) -> Bools:
-    """Whether lines i and k (m, n, n) of a bead have one direction, as far as their rounded ends can tell."""
-    x, y, one, other = way[..., 0], way[..., 1], length[:, :, None], length[:, None, :]
-    across = np.abs(x[:, :, None] * y[:, None, :] - y[:, :, None] * x[:, None, :])
-    return np.asarray(across <= PARALLEL * one * other + TWO_PLACES_MM * np.maximum(one, other))
 
 
 def _turned_back(way: Floats, length: Floats) -> Bools:
@@ -150,15 +146,6 @@ def _skew(parallel: Bools, along: Bools, short: Bools, aside: Bools) -> Bools:
     behind[:, 1:] = along[:, :-1]
     mated = (behind & inside & short) | (parallel.sum(axis=2) > parallel[:, index, index])
     return np.asarray(~along & np.where(short & ~inside, alone & aside, ~mated))
-
-
-def _follow_walls(way: Floats, length: Floats, parallel: Bools) -> Bools:
-    """Beads (m,) that bend gently at several joints one after the other, as along a wall."""
-    index = np.arange(length.shape[1] - 1)
-    gentle = (way[:, :-1] * way[:, 1:]).sum(axis=2) >= GENTLE * length[:, :-1] * length[:, 1:]
-    bends = np.cumsum(gentle & ~parallel[:, index, index + 1], axis=1)
-    before = np.concatenate([np.zeros((len(bends), 1), bends.dtype), bends], axis=1)
-    return np.asarray((before[:, MANY:] - before[:, :-MANY] == MANY).any(axis=1))
 
 
 def _uneven(along: Bools, offset: Floats, mains_mm: Floats) -> Bools:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from ebamcheck.checks.checks import PRINTED, Faults, count_check, limit_check, place_of
 from ebamcheck.nc.control import control
 from ebamcheck.nc.conventions import comment, header_lines
-from ebamcheck.nc.files import NOT_VALIDATED, STATUS, STATUS_LINES, VALIDATED, ProgramFiles, mark_validated
+from ebamcheck.nc.files import NOT_VALIDATED, STATUS_LINES, VALIDATED, ProgramFiles, mark_validated, status_of
 from ebamcheck.nc.inputs import deposition_heights
 from ebamcheck.nc.motions import NCProgram, SourceFile
 from ebamcheck.nc.timeline import Kind
@@ -26,8 +26,10 @@ OF_THE_TEXT = ("LAYERS", "PART SHA-256", "SETTINGS SHA-256")
 TOLD, LETTERS = 3, 12  # Differing settings that are told, and letters of a hash
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
 MEGABYTE = 1e6
-# What a program that is validated says of itself, and what a file loses when it is marked.
-MARK, NOT = b"VALIDATED", b"NOT "
+MARK, NOT = (
+    b"VALIDATED",
+    b"NOT ",
+)  # What a validated program says of itself, and what a file loses when marked
 
 
 @dataclass(frozen=True)
@@ -78,11 +80,8 @@ def status_check(nc: NCProgram, truth: Truth) -> Check:
 
 def _status_of(file: SourceFile) -> tuple[bool | None, int]:
     """Status of a file, and its line; None where it has none."""
-    head = b"\n".join(file.data.split(b"\n")[:STATUS_LINES])
-    found = STATUS.search(head)
-    if found is None:
-        return None, 0
-    return found[0] == b"VALIDATED", head.count(b"\n", 0, found.start()) + 1
+    found = status_of(file.data)
+    return (None, 0) if found is None else (found[0] == MARK, file.data.count(b"\n", 0, found.start()) + 1)
 
 
 def _header(nc: NCProgram, config: Config, truth: Truth) -> Faults:

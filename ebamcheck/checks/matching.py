@@ -1,4 +1,7 @@
-"""Which bead of a program is which of a plan: found by where they lie and in which order they come."""
+"""Which bead of a program is which of a plan: found by where they lie and in which order they come.
+
+Beads and planned tracks of one layer with the same start and end are the same; what is left on both sides between two such pairs is
+taken together in its order, and then by nearness. A bead without a track is one that nobody planned."""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ class Matching:
 
 
 def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
-    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one that nobody planned."""
+    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one not planned."""
     beads = nc.beads
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
@@ -44,17 +47,14 @@ def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
     if alike and (np.abs(found - ends) <= TWO_PLACES_MM).all():
         pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
     else:
-        pick, again = _pairs(_placed(found, found_layer), _placed(ends, layer))
+        # Ends as points that are far apart in different layers.
+        placed = (np.column_stack([found, APART_MM * found_layer]), np.column_stack([ends, APART_MM * layer]))
+        pick, again = _pairs(*(np.nan_to_num(places, nan=-APART_MM) for places in placed))
     track = np.where(pick >= 0, np.append(known, -1)[pick], -1)
     result = Matching(beads, track, again, path)
     turn, goes_on = _marks(nc, result)
     ring, island = (beads.spread(np.append(of, -1)[track], len(nc)) for of in (path.ring, path.island))
     return replace(nc, ring=ring, island=island, turn=turn, goes_on=goes_on), result
-
-
-def _placed(ends: Floats, layer: Ints) -> Floats:
-    """Ends (n, 4) as points (n, 5) that are far apart in different layers."""
-    return np.nan_to_num(np.column_stack([ends, APART_MM * layer]), nan=-APART_MM)
 
 
 def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
@@ -72,38 +72,27 @@ def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
             taken[free[0]] = True
         elif near:
             pick[i], again[i] = near[0], True
-    _in_order(found, wanted, pick, taken)
-    _by_nearness(found, wanted, pick, taken)
-    return pick, again
-
-
-def _in_order(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> None:
-    """Take what is left between two pairs of neighbours together, where it is as many beads as tracks."""
-    left = np.flatnonzero(pick < 0)
-    if not left.size:
-        return
-    before = np.maximum.accumulate(np.where(pick >= 0, np.arange(pick.size), -1))[left]
-    after = np.minimum.accumulate(np.where(pick >= 0, np.arange(pick.size), pick.size)[::-1])[::-1][left]
+    # What is left between two pairs of neighbours is taken together, where it is as many beads as tracks.
+    left, index = np.flatnonzero(pick < 0), np.arange(pick.size)
+    before = np.maximum.accumulate(np.where(pick >= 0, index, -1))[left]
+    after = np.minimum.accumulate(np.where(pick >= 0, index, pick.size)[::-1])[::-1][left]
     for low, high in dict.fromkeys(zip(before.tolist(), after.tolist(), strict=True)):
         mine = left[(before == low) & (after == high)]
         a = int(pick[low]) + 1 if low >= 0 else 0
         b = int(pick[high]) if high < pick.size else len(wanted)
-        free = np.arange(a, max(a, b))
-        free = free[~taken[free]]
-        if free.size == mine.size and (wanted[free, 4] == found[mine, 4]).all():
-            pick[mine], taken[free] = free, True
-
-
-def _by_nearness(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> None:
-    """Take each bead that is left with the free track of its layer that starts or ends where it does."""
-    free = np.flatnonzero(~taken)
+        open_ = np.arange(a, max(a, b))
+        open_ = open_[~taken[open_]]
+        if open_.size == mine.size and (wanted[open_, 4] == found[mine, 4]).all():
+            pick[mine], taken[open_] = open_, True
+    # Each bead that is left is taken with the free track of its layer that starts or ends where it does.
     for i in np.flatnonzero(pick < 0).tolist():
-        mine = free[~taken[free] & (wanted[free, 4] == found[i, 4])]
+        mine = np.flatnonzero(~taken & (wanted[:, 4] == found[i, 4]))
         apart = np.abs(wanted[mine, :4] - found[i, :4])
-        near = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
-        if mine.size and near.min() <= TWO_PLACES_MM:
-            pick[i] = mine[np.argmin(near)]
+        away = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
+        if mine.size and away.min() <= TWO_PLACES_MM:
+            pick[i] = mine[np.argmin(away)]
             taken[pick[i]] = True
+    return pick, again
 
 
 def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
@@ -117,7 +106,22 @@ def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
         mine = np.arange(beads.first[i], beads.last[i] + 1)
         a, b = (int(n) for n in path.track_starts[match.track[i] : match.track[i] + 2])
         begins = np.append(np.flatnonzero(~path.goes_on[a:b]), b - a) + a
-        line = _nearest_line(nc, mine, path.segment_start[begins[:-1]], path.end[begins[1:] - 1])
+        # Line (n,) from which the start, the middle and the end of each motion are least away in all.
+        lines = np.atleast_1d(
+            np.asarray(
+                shapely.linestrings(
+                    np.stack([(path.segment_start[begins[:-1]]), (path.end[begins[1:] - 1])], axis=1)
+                ),
+                dtype=np.object_,
+            )
+        )
+        away = np.zeros((mine.size, lines.size))
+        for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
+            points = np.atleast_1d(
+                np.asarray(shapely.points(np.nan_to_num(place[mine, :2])), dtype=np.object_)
+            )
+            away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
+        line = np.asarray(away.argmin(axis=1), np.int64)
         turn[mine] = path.turn[begins[line]]
         goes_on[mine] = (np.diff(line, prepend=-1) == 0) & ~turn[mine]
     return turn, goes_on
@@ -133,16 +137,6 @@ def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
     rows, bead = beads.rows[chosen], beads.bead[chosen]
     first = np.append(path.track_starts[:-1], 0)[match.track]
     return alike, rows, first[bead] + rows - beads.first[bead]
-
-
-def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
-    """Line (n,) from which the start, the middle and the end of each motion are least away in all."""
-    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.stack([start, end], axis=1)), dtype=np.object_))
-    away = np.zeros((rows.size, lines.size))
-    for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
-        points = np.atleast_1d(np.asarray(shapely.points(np.nan_to_num(place[rows, :2])), dtype=np.object_))
-        away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
-    return np.asarray(away.argmin(axis=1), np.int64)
 
 
 def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:

@@ -322,8 +322,7 @@ def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSett
     beside = figures["outside_mm3"] > process.outside_share * figures["laid_mm3"]
     beside = beside or figures["reach_mm"] > process.outside_reach_mm
     wall = thinnest_wall(section, process.bead_width_mm) if beside else None
-    values = (math.nan,) * 3 if wall is None else (wall.width_mm, wall.x_mm, wall.y_mm)
-    return dict(zip(("wall_mm", "wall_x_mm", "wall_y_mm"), values, strict=True))
+    return dict(zip(("wall_mm", "wall_x_mm", "wall_y_mm"), wall or (math.nan,) * 3, strict=True))
 
 
 def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:

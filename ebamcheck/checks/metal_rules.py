@@ -1,10 +1,11 @@
-"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its place."""
+"""Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its place.
+
+Their limits are settings of the process, or follow from the bead; none is taken from what the program reaches."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,18 +44,17 @@ DEPOSIT_CHECKS = (
 WIRE_OF_BEADS, LAID_ONCE = "wire of beads", "metal laid once"
 # Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off.
 LEAST_SPOTS = 1.0
-# A single layer may have so many times the share of metal outside that the whole program may.
-LAYER_OUTSIDE = 3.0
+LAYER_OUTSIDE = (
+    3.0  # A single layer may have so many times the share of metal outside that the whole program may
+)
+LEAST_ZONE = 25.0  # Zones of fewer squared bead widths do not count for the mean over all layers
 OF_LAYER = "of the layer's metal"
-# Zones of a layer under this many squared bead widths do not count for the mean over all layers.
-LEAST_ZONE = 25.0
 MEAN_ZONES = ("inside", "edge")  # Zones that have a mean over all layers
 HIGHEST = 0.35  # Share of a layer to which wrong wire that comes back in every layer may add up
 # Share of the height of a single line that its neighbours take when it levels, by a Gaussian of half a bead width: what comes back in
 # every layer adds up to one over this.
 LEVELLED = 0.43
-# Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames,
-# rings, tapers and meshes, as they are planned, are all within it.
+# Wire that a long bead may lack, or have too much of, over what its place asks for: webs, fins, frames and tapers as planned are within it.
 MOST = HIGHEST * LEVELLED
 # Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place.
 HATCH_ROOM = 1.2
@@ -66,9 +66,9 @@ HEAPED = 0.2
 SPANS = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(14))
 LEAST_BEADS = 0.1  # Length of a bead, in bead widths, under which it has hardly a place of its own
 MOST_METAL = 1.5  # Metal of a spot over that of the layer: half a bead more than all
-# Bead widths of the stretch of a bead over which the metal is averaged: more than what ends, turns and borders of islands pile up in one
-# place.
-STRETCH_BEADS = 3.0
+STRETCH_BEADS = (
+    3.0  # Bead widths of a bead over which metal is averaged: more than what ends and turns pile up
+)
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,10 @@ def _is_wide(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> Bools:
 def deposit_checks(
     nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
 ) -> list[Check]:
-    """Check the metal of a program, see :func:`ebamcheck.checks.metal.deposit`."""
+    """Check the metal of a program, together with the metal `below`, see :func:`ebamcheck.checks.metal.deposit`.
+
+    None: nothing stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it is not
+    known; that layer is then held to the limits of a single one alone."""
     solid = _with_metal(found.layers)
     if not len(solid):
         return [Check(name, False, math.inf, 0.0, "", "", "no layer has metal") for name in DEPOSIT_CHECKS]
@@ -173,19 +176,14 @@ class _Metal:
         self, name: str, k: int, figure: float, limit: float, unit: str, text: str, wall: bool = False
     ) -> Check:
         """Check whose worst layer is row `k`; with what to do about its thinnest `wall`, where it is over its limit."""
-        more, remedy = self._of_wall(k) if wall and not figure <= limit else ("", "")
-        where = self.where(int(self.solid["layer"].iloc[k]))
-        return limit_check(name, figure, limit, unit, text + more, where, remedy=remedy)
-
-    def _of_wall(self, k: int) -> tuple[str, str]:
-        """What a bead takes that is as narrow as the thinnest wall of a layer, and what to do; empty where beads fit its walls."""
-        row = self.solid.iloc[k]
-        if not math.isfinite(row["wall_mm"]):
-            return "", ""
-        bead = narrow_bead(float(row["wall_mm"]), float(self.thickness_mm[k]), self.config)
-        place = f"({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f})"
-        text = f"; the thinnest wall of that layer, at {place}, is {row['wall_mm']:.1f} mm thick: {bead}"
-        return text, COARSE if bead.can_be_laid else TOO_THIN
+        row, remedy = self.solid.iloc[k], ""
+        if wall and not figure <= limit and math.isfinite(row["wall_mm"]):
+            bead = narrow_bead(float(row["wall_mm"]), float(self.thickness_mm[k]), self.config)
+            place = f"({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f})"
+            text += f"; the thinnest wall of that layer, at {place}, is {row['wall_mm']:.1f} mm thick: {bead}"
+            remedy = COARSE if bead.can_be_laid else TOO_THIN
+        where = self.where(int(row["layer"]))
+        return limit_check(name, figure, limit, unit, text, where, remedy=remedy)
 
 
 def _whole(metal: _Metal) -> Check:
@@ -320,28 +318,22 @@ def _surface(metal: _Metal) -> Check:
 # error that is not much longer than the bead is wide, and hardly any of a long one.
 
 
-class _Span(NamedTuple):
-    """The span of a bead in one layer that is furthest over its limit, or nearest to it: what it is off, and its limit."""
-
-    over: float
-    off: float
-    limit: float
-    length_mm: float
-    row: int
-
-
 def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
-    """Check that every bead has the wire that its place asks for, over any length of it, by a deposit whose places were `asked`."""
+    """Check that every bead has the wire that its place asks for, over any length of it, by a deposit whose places were `asked`.
+
+    A contour may change its wire along itself, and is judged over every span of :data:`SPANS`; a hatch bead has one wire, and is
+    judged as a whole, and where its wire changes.
+    """
     if config.base_mm > 0.0 or not found.asked:
         text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
         text = text if config.base_mm > 0.0 else "no bead has a place of its own"
         return Check(WIRE_OF_BEADS, True, 0.0, MOST, "of the wire", "", text)
     judged = run_each(lambda asked: _worst_span(nc, asked, config.process.bead_width_mm), found.asked)
-    worst = max((span for span, _ in judged), key=lambda span: span.over)
-    said = f"over {worst.length_mm:.3g} mm a bead has {1.0 + worst.off:.3g} times the wire that its place asks for"
-    text, layer = f"{sum(beads for _, beads in judged)} beads; {said}", int(nc.layer[worst.row])
-    where, at = nc.where(worst.row), nc.start[worst.row, :2]
-    return limit_check(WIRE_OF_BEADS, abs(worst.off), worst.limit, "of the wire", text, where, layer, at)
+    _, off, limit, length_mm, row, _ = max(judged, key=lambda span: span[0])
+    beads = sum(span[-1] for span in judged)
+    text = f"{beads} beads; over {length_mm:.3g} mm a bead has {1.0 + off:.3g} times the wire that its place asks for"
+    layer, at = int(nc.layer[row]), nc.start[row, :2]
+    return limit_check(WIRE_OF_BEADS, abs(off), limit, "of the wire", text, nc.where(row), layer, at)
 
 
 def most_off(length_mm: Floats, bead_mm: float) -> Floats:
@@ -350,13 +342,12 @@ def most_off(length_mm: Floats, bead_mm: float) -> Floats:
     >>> most_off(np.array([6.0, 18.0, 600.0]), 6.0).round(3).tolist()
     [0.301, 0.167, 0.151]
     """
-    return np.asarray(
-        MOST * (1.0 + (bead_mm / np.maximum(length_mm, LEAST_BEADS * bead_mm)) ** 2), np.float64
-    )
+    share = bead_mm / np.maximum(length_mm, LEAST_BEADS * bead_mm)
+    return np.asarray(MOST * (1.0 + share**2), np.float64)
 
 
-def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[_Span, int]:
-    """Worst span of the beads of a layer, and how many these are."""
+def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[float, float, float, float, int, int]:
+    """Worst span of the beads of a layer: over its limit, what it is off, limit, length, mm, and motion; and how many beads there are."""
     on_contour = nc.ring[asked.row] >= 0
     sums, bead = _Sums(asked), nc.beads.group[asked.row]
     first = np.flatnonzero(np.diff(bead, prepend=-1))
@@ -379,8 +370,8 @@ def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[_Span, int
     off = np.where(length >= LEAST_BEADS * bead_mm, off, 0.0)
     limit = np.where(on_contour[begins], 1.0, HATCH_ROOM) * most_off(length, bead_mm)
     k = int(np.argmax(np.abs(off) / limit))
-    worst = float(off[k]), float(limit[k]), float(length[k]), int(asked.row[begins[k]])
-    return _Span(abs(worst[0]) / worst[1], *worst), first.size
+    worst, most = float(off[k]), float(limit[k])
+    return abs(worst) / most, worst, most, float(length[k]), int(asked.row[begins[k]]), first.size
 
 
 class _Sums:
@@ -438,65 +429,58 @@ def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[I
         return first, stop, np.where(usual > 0.0, laid / length / usual - 1.0, 0.0)
 
 
-class _Spot(NamedTuple):
-    """The fullest spot of a layer: its metal over that of the layer, where it is, and the motion that brings it."""
-
-    metal: float
-    layer: int
-    x: float
-    y: float
-    row: int
-
-
 def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) -> Check:
-    """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer."""
+    """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer; they lie at Z `z_of` (L,).
+
+    A bead more, or one laid again, brings a spot 0.7 times that. Spots count where the section is at least two bead widths wide: contours
+    around less lie in each other, and the metal of such layers is judged as a whole.
+    """
     rows = nc.beads.rows
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & nc.deposit[rows] & nc.wire[rows]]
     thickness = np.diff(z_of, prepend=config.base_mm)
     mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
 
-    def fullest(k: int) -> _Spot | None:
+    def fullest(k: int) -> tuple[float, int, Floats, int] | None:
         mine = rows[nc.layer[rows] == k]
         if not (mine.size and thickness[k] > 0.0):
             return None
-        return _fullest(nc, mine, mm2, k, float(thickness[k]), layers, config.process.bead_width_mm)
+        bead_mm = config.process.bead_width_mm
+        across = 6
+        cell = bead_mm / across
+        row, at = nc.samples(mine, cell)
+        pieces, lengths = np.bincount(row, minlength=1)[row], np.nan_to_num(nc.lengths[row])
+        along = lengths / pieces
+        origin = at.min(axis=0) - 2.0 * bead_mm
+        columns, count = (
+            np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1
+        ).tolist()
+        i, j = np.floor((at - origin) / cell).astype(np.int64).T
+        metal_mm3 = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
+        field = np.asarray(metal_mm3.reshape(count, columns), np.float64)
+        # Once for the width of the bead, and once for the spot.
+        for _ in range(2):
+            field = ndimage.uniform_filter(field, across, mode="constant")
+        field = field / (cell**2 * (float(thickness[k])))
+        wide = shapely.buffer(eroded(layers.section(k), bead_mm), bead_mm)
+        shapely.prepare(wide)
+        excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), field[j, i] - 1.0, 0.0)
+        # Mean over the stretch of a bead that ends at each place; what a short bead lacks of a stretch has none.
+        bead, ends = nc.beads.group[row], np.cumsum(along)
+        sums = np.append(0.0, np.cumsum(excess * along))
+        stretch_mm = STRETCH_BEADS * bead_mm
+        first = np.maximum(
+            np.searchsorted(ends, ends - stretch_mm, side="right"), np.searchsorted(bead, bead)
+        )
+        mean = (sums[1:] - sums[first]) / stretch_mm
+        # Of a bead laid twice the later one is named.
+        worst = mean.size - 1 - int(np.argmax(mean[::-1] + 0.0))
+        return 1.0 + float(mean[worst]), k, at[worst], int(row[worst])
 
     found = [spot for spot in run_each(fullest, range(z_of.size)) if spot is not None]
     if not found:
         return Check(LAID_ONCE, True, 0.0, MOST_METAL, "of the layer", "", "no layer lays metal")
-    worst = max(found, key=lambda spot: spot.metal)
-    text = f"a spot gets {worst.metal:.3g} times the metal of its layer: layer {worst.layer + 1}, at ({worst.x:.1f}, {worst.y:.1f})"
-    at, where = (worst.x, worst.y), nc.where(worst.row)
-    return limit_check(LAID_ONCE, worst.metal, MOST_METAL, "of the layer", text, where, worst.layer, at)
-
-
-def _fullest(
-    nc: NCProgram, rows: Ints, mm2: Floats, k: int, height_mm: float, layers: Layers, bead_mm: float
-) -> _Spot:
-    """Fullest spot along motions of layer `k`; `mm2` (B,) are the sections of the beads that all motions lay."""
-    across = 6
-    cell = bead_mm / across
-    row, at = nc.samples(rows, cell)
-    pieces, lengths = np.bincount(row, minlength=1)[row], np.nan_to_num(nc.lengths[row])
-    along = lengths / pieces
-    origin = at.min(axis=0) - 2.0 * bead_mm
-    columns, count = (np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1).tolist()
-    i, j = np.floor((at - origin) / cell).astype(np.int64).T
-    metal_mm3 = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
-    field = np.asarray(metal_mm3.reshape(count, columns), np.float64)
-    # Once for the width of the bead, and once for the spot.
-    for _ in range(2):
-        field = ndimage.uniform_filter(field, across, mode="constant")
-    field = field / (cell**2 * height_mm)
-    wide = shapely.buffer(eroded(layers.section(k), bead_mm), bead_mm)
-    shapely.prepare(wide)
-    excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), field[j, i] - 1.0, 0.0)
-    # Mean over the stretch of a bead that ends at each place; what a short bead lacks of a stretch has none.
-    bead, ends = nc.beads.group[row], np.cumsum(along)
-    sums = np.append(0.0, np.cumsum(excess * along))
-    stretch_mm = STRETCH_BEADS * bead_mm
-    first = np.maximum(np.searchsorted(ends, ends - stretch_mm, side="right"), np.searchsorted(bead, bead))
-    mean = (sums[1:] - sums[first]) / stretch_mm
-    # Of a bead laid twice the later one is named.
-    worst = mean.size - 1 - int(np.argmax(mean[::-1] + 0.0))
-    return _Spot(1.0 + float(mean[worst]), k, float(at[worst, 0]), float(at[worst, 1]), int(row[worst]))
+    metal, k, at, row = max(found, key=lambda spot: spot[0])
+    text = (
+        f"a spot gets {metal:.3g} times the metal of its layer: layer {k + 1}, at ({at[0]:.1f}, {at[1]:.1f})"
+    )
+    return limit_check(LAID_ONCE, metal, MOST_METAL, "of the layer", text, nc.where(row), k, at)

@@ -34,19 +34,17 @@ def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check what the settings of the process ask of the path; what they do not limit is measured all the same."""
     checks = [_seams(nc, config), overhang_check(nc, config)]
     if config.process.travel_sectors_deg:
-        checks.append(_sectors(nc, config))
+        rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
+        away = np.zeros(rows.size)
+        for t in np.linspace(0.0, 1.0, DIRECTIONS):
+            away = np.maximum(
+                away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg)
+            )
+        what = "degrees outside of the allowed directions of travel"
+        checks.append(worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what))
     if config.process.keep_out:
         checks.append(_keep_out(nc, config))
     return checks
-
-
-def _sectors(nc: NCProgram, config: Config) -> Check:
-    rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
-    away = np.zeros(rows.size)
-    for t in np.linspace(0.0, 1.0, DIRECTIONS):
-        away = np.maximum(away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg))
-    what = "degrees outside of the allowed directions of travel"
-    return worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what)
 
 
 def directions(nc: NCProgram, rows: Ints, t: float) -> Floats:

@@ -157,36 +157,34 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
         return allowed
     smooth = None if known.smooth is None else known.smooth.section(k)
     if smooth is None or smooth.is_empty:
-        leaves = _sagitta(at[beyond], section)
+        # By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm.
+        # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
+        # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
+        # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
+        rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
+        sides, bounds = [], []
+        for ring in rings:
+            points = shapely.get_coordinates(shapely.simplify(ring, COLLINEAR_MM))[:-1]
+            way = np.roll(points, -1, axis=0) - points
+            length = np.hypot(way[:, 0], way[:, 1])
+            before = np.roll(way, 1, axis=0)
+            across = before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]
+            turn = np.abs(np.arctan2(across, (before * way).sum(axis=1)))
+            turn[turn > CORNER_RAD] = 0.0
+            share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
+            bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
+            sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
+        lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
+        _, nearest = shapely.STRtree(lines).query_nearest(
+            np.asarray(shapely.points(at[beyond])), all_matches=False
+        )
+        leaves = np.asarray(np.concatenate(bounds)[nearest], np.float64)
     else:
         # A curve that lies outside of its chords makes places less deep in them, and the other way round.
         lift = _depths(at[beyond], section) - _depths(at[beyond], smooth)
         leaves = np.maximum(lift * np.sign(off[beyond]), 0.0)
     allowed[beyond] = np.minimum(base + leaves, known.most_mm)
     return allowed
-
-
-def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
-    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm."""
-    # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
-    # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
-    # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
-    rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
-    sides, bounds = [], []
-    for ring in rings:
-        points = shapely.get_coordinates(shapely.simplify(ring, COLLINEAR_MM))[:-1]
-        way = np.roll(points, -1, axis=0) - points
-        length = np.hypot(way[:, 0], way[:, 1])
-        before = np.roll(way, 1, axis=0)
-        across = before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]
-        turn = np.abs(np.arctan2(across, (before * way).sum(axis=1)))
-        turn[turn > CORNER_RAD] = 0.0
-        share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
-        bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
-        sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
-    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
-    _, nearest = shapely.STRtree(lines).query_nearest(np.asarray(shapely.points(at)), all_matches=False)
-    return np.asarray(np.concatenate(bounds)[nearest], np.float64)
 
 
 def _sections(

@@ -46,7 +46,13 @@ def state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the state of the machine in every motion."""
     # Of a program whose table turns, what its axes do, and not what that is on the part.
     driven = nc if nc.machine is None else nc.machine
-    return [*machine_state_checks(driven, config), *_motions(nc, config), _travel(driven, config), *_switches(nc, config)]  # fmt: skip
+    over = beyond_travel_mm(driven, config)
+    worst = over.max(axis=1)
+    found = worst_check("travel", driven, np.arange(len(driven)), worst, LIMIT_ROUNDING_MM, "mm", "")
+    axis = "XYZ"[int(np.argmax(over[int(np.argmax(worst))]))] if len(driven) else ""
+    margin = -found.value if found.passed else found.value
+    text = f"{margin:g} mm of {axis} {'left' if found.passed else 'beyond the limits'}, on the true curve"
+    return [*machine_state_checks(driven, config), *_motions(nc, config), replace(found, limit=0.0, text=text), *_switches(nc, config)]  # fmt: skip
 
 
 def _motions(nc: NCProgram, config: Config) -> Iterator[Check]:
@@ -117,16 +123,6 @@ def beyond_travel_mm(nc: NCProgram, config: Config) -> Floats:
     least, most = np.array(config.machine.travel_min_mm), np.array(config.machine.travel_max_mm)
     over = np.fmax(least - low, high - most)
     return np.asarray(np.nan_to_num(over, nan=-np.inf, posinf=np.inf), np.float64)
-
-
-def _travel(nc: NCProgram, config: Config) -> Check:
-    over = beyond_travel_mm(nc, config)
-    worst = over.max(axis=1)
-    found = worst_check("travel", nc, np.arange(len(nc)), worst, LIMIT_ROUNDING_MM, "mm", "")
-    axis = "XYZ"[int(np.argmax(over[int(np.argmax(worst))]))] if len(nc) else ""
-    margin = -found.value if found.passed else found.value
-    text = f"{margin:g} mm of {axis} {'left' if found.passed else 'beyond the limits'}, on the true curve"
-    return replace(found, limit=0.0, text=text)
 
 
 def _switches(nc: NCProgram, config: Config) -> Iterator[Check]:

@@ -40,7 +40,10 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class TextBeads:
-    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off."""
+    """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off.
+
+    Who reads the text alone need not know which of them are of one island: each is entered, and finds the part as warm as it then is. Waits
+    and moves are those before a bead, `row` its first motion; `stray` are waits within a bead or after the last: (event, what)."""
 
     layer: Ints
     ring: Ints
@@ -90,6 +93,12 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     found = nc.beads.among(rows)
     first, last = found.first, found.last
     clock = np.concatenate([[0.0], np.cumsum(seconds)])
+
+    def between(late: Ints, early: Ints) -> Floats:
+        """Time between motions (n,) s; endless where a feed of nothing never ends."""
+        known = np.isfinite(clock[late]) & np.isfinite(clock[early])
+        return np.where(known, clock[late] - np.where(known, clock[early], 0.0), np.inf)
+
     power_w = np.nan_to_num(nc.power_w[rows])
     paused = np.flatnonzero(nc.events.named(PAUSE))
     row, following = nc.events.row[paused], np.searchsorted(first, nc.events.row[paused])
@@ -104,25 +113,20 @@ def text_beads(nc: NCProgram, config: Config) -> TextBeads:
     return TextBeads(
         layer=nc.layer[first], ring=nc.ring[first], island=nc.island[first], row=first,
         wait_s=wait_s.astype(np.float64),
-        move_s=_between(clock[first], np.concatenate([[0.0], clock[last[:-1] + 1]])[: first.size]),
-        time_s=_between(clock[last + 1], clock[first]), energy_j=found.total(power_w * seconds[rows]),
+        move_s=between(first, np.append(0, last + 1)[: first.size]), time_s=between(last + 1, first),
+        energy_j=found.total(power_w * seconds[rows]),
         peak_w=found.greatest(power_w), stray=tuple(stray), scans=scans_of(nc, config),
     )  # fmt: skip
-
-
-def _between(late_s: Floats, early_s: Floats) -> Floats:
-    """Time between (n,) s; endless where a feed of nothing never ends."""
-    known = np.isfinite(late_s) & np.isfinite(early_s)
-    result: Floats = np.full(late_s.size, np.inf)
-    result[known] = late_s[known] - early_s[known]
-    return result
 
 
 def text_bed_k(
     beads: TextBeads, config: Config, shapes: Sequence[LayerShape], before: HeatColumn | None = None,
     lowest: BaseGeometry | None = None, seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
-    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead)."""
+    """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
+
+    By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
+    section. `seen` is called with each layer when it is entered, before it is preheated."""
     # A plate that the program itself preheats was cold before.
     on_plate = before is None or (config.base_mm == 0.0 and 0 in beads.scans)
     column = begun_column(beads.scans, lowest, config) if before is None or on_plate else before.copy()
@@ -155,8 +159,7 @@ def known_sections(plan: Any, *stacks: Layers | None) -> list[BaseGeometry] | No
     planned = getattr(plan, "sections", None)
     if planned is not None:
         return list(planned)
-    found = next((stack for stack in stacks if stack is not None), None)
-    return None if found is None else sections_of(found)
+    return next((sections_of(stack) for stack in stacks if stack is not None), None)
 
 
 def sections_of(layers: Layers) -> list[BaseGeometry]:
@@ -185,17 +188,17 @@ def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] 
 
 
 def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
-    """Times of a program as it is, without its waits, and at full power with waits alone, s."""
-    beads = text_beads(nc, config)
+    """Times of a program as it is, without its waits, and at full power with waits alone, s.
+
+    The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; NaN where the wait for one
+    would be longer than :data:`LONGEST_WAIT_S`.
+    """
+    beads, known = text_beads(nc, config), sections_of_text(nc, config, sections)
     busy_s = float((beads.time_s + beads.move_s).sum())
-    known = sections_of_text(nc, config, sections)
     busy_s += sum(float(way.time_s.sum()) for way in beads.scans.values())
     dwell_s = _dwell_s(beads, config, text_shapes(nc, config, known), known[0] if known else None)
-    return {
-        "programmed": busy_s + float(beads.wait_s.sum()),
-        "without_measures": busy_s,
-        "dwell": busy_s + dwell_s,
-    }
+    programmed_s = busy_s + float(beads.wait_s.sum())
+    return {"programmed": programmed_s, "without_measures": busy_s, "dwell": busy_s + dwell_s}
 
 
 def _dwell_s(
@@ -268,7 +271,11 @@ def scanned(
     sections: Sequence[BaseGeometry], k: int, z_mm: float, config: Config, under: BaseGeometry | None = None,
     spot_share: float = 1.0,
 ) -> Scanned:  # fmt: skip
-    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own."""
+    """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
+
+    On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
+    or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
+    `spot_share`, that of the plate wholly."""
     half_mm = 0.5 * spot_share * config.preheat.spot_mm
     below = under if k == 0 else sections[k - 1]
     if below is not None:
@@ -293,7 +300,10 @@ def scanned_heat(
     way: BeamWay, sections: list[BaseGeometry], k: int, z_mm: float, column: HeatColumn | None, config: Config,
     under: BaseGeometry | None = None,
 ) -> tuple[SurfaceHeat, Scanned] | None:  # fmt: skip
-    """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan."""
+    """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan.
+
+    `column` is that of what stands, which is not changed; None: the bare plate.
+    """
     on = scanned(sections, k, z_mm, config, under)
     if on.region.is_empty or on.body.is_empty:
         return None

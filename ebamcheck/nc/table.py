@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram, TableColumns
 from ebamcheck.nc.roles import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
@@ -157,7 +157,9 @@ def on_part(nc: NCProgram, config: Config) -> NCProgram:
         coefficients=driven.coefficients,
         arc=driven.arc,
     )
-    apart = _apart(nc, columns)
+    # Ways of the machine itself: rapids without frame and beam, and turns of the table.
+    idle = (nc.kind == RAPID) & ~nc.beam & ~nc.wire & (columns.frame == 0)
+    apart = np.asarray(idle | (columns.before != columns.after))
     part = _moved(nc, part_motions(columns, config))
     off = np.linalg.norm(part.end - nc.end, axis=1)
     off = np.where(np.isnan(nc.end).all(axis=1) | apart, 0.0, np.nan_to_num(off, nan=np.inf))
@@ -166,12 +168,6 @@ def on_part(nc: NCProgram, config: Config) -> NCProgram:
     seen = nc if (off <= SAME_PLACE_MM).all() else part
     laid = rows_of(replace(seen, table=full), ~apart, np.ones(len(nc.events), np.bool_))
     return replace(laid, machine=replace(machine, table=full))
-
-
-def _apart(nc: NCProgram, columns: TableColumns) -> Bools:
-    """Ways of the machine itself: rapids without frame and beam, and turns of the table."""
-    idle = (nc.kind == RAPID) & ~nc.beam & ~nc.wire & (columns.frame == 0)
-    return np.asarray(idle | (columns.before != columns.after))
 
 
 def part_motions(columns: TableColumns, config: Config) -> Floats:
