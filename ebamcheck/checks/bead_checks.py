@@ -31,9 +31,7 @@ WIDEST_GAP = 0.95  # Width of a gap between beads over that of the one which a m
 # Of the bead's width: by how much a gap may be wider than the plan leaves them, whose grid has samples of that size; and what sound
 # plans leave where three islands meet, however near to one another their lines lie.
 GAP_MARGIN, LEAST_GAP_LIMIT = 0.05, 0.15
-MARGIN = (
-    2  # Samples by which the box around a patch is wider: what is bare between its samples and the next ones
-)
+MARGIN = 2  # Samples by which the box around a patch is wider: what is bare to the next ones
 _NUMBERED = re.compile(rb"\s*(?:/\d?\s*)?(?:[N:]\s*\d+)?", re.IGNORECASE)
 
 
@@ -48,7 +46,19 @@ def _spacing(subject: Subject) -> Check:
     moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
     rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
     limit = SPACING_SHARE * config.process.hatch_spacing_mm
-    group, offset, parallel = _offsets(nc, rows)
+    # Group (n,) of lines of one direction that follow each other, offset (n,) mm across the longest, and whether parallel to it.
+    way = (nc.end - nc.start)[rows, :2]
+    unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
+    turned = np.abs(unit[1:, 0] * unit[:-1, 1] - unit[1:, 1] * unit[:-1, 0]) > PARALLEL_RAD
+    group = np.cumsum(np.append(False, turned | (np.diff(nc.layer[rows]) != 0))[: rows.size])
+    longest = np.zeros(int(group.max(initial=-1)) + 1, np.int64)
+    by_length = np.argsort(nc.lengths[rows], kind="stable")
+    longest[group[by_length]] = by_length
+    along = unit[longest[group]]
+    middle = 0.5 * (nc.start + nc.end)[rows, :2]
+    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
+    parallel = np.abs(along[:, 0] * unit[:, 1] - along[:, 1] * unit[:, 0]) <= PARALLEL_RAD
+    group, offset, parallel = group, across, parallel
     order = np.lexsort((offset, group))
     step = np.diff(offset[order])
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]
@@ -84,22 +94,6 @@ def _is_bare(subject: Subject, pairs: Ints) -> Bools:
             bare[mine] = shapely.intersects_xy(subject.witness_sections[k], place[mine, 0], place[mine, 1])
         bare[mine] &= distances(place[mine], subject.chords(k)) > room
     return np.asarray(bare)
-
-
-def _offsets(nc: NCProgram, rows: Ints) -> tuple[Ints, Floats, Bools]:
-    """Group (n,) of lines of one direction that follow each other, offset (n,) mm across the longest, and whether parallel to it."""
-    way = (nc.end - nc.start)[rows, :2]
-    unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
-    turned = np.abs(unit[1:, 0] * unit[:-1, 1] - unit[1:, 1] * unit[:-1, 0]) > PARALLEL_RAD
-    group = np.cumsum(np.append(False, turned | (np.diff(nc.layer[rows]) != 0))[: rows.size])
-    longest = np.zeros(int(group.max(initial=-1)) + 1, np.int64)
-    by_length = np.argsort(nc.lengths[rows], kind="stable")
-    longest[group[by_length]] = by_length
-    along = unit[longest[group]]
-    middle = 0.5 * (nc.start + nc.end)[rows, :2]
-    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
-    parallel = np.abs(along[:, 0] * unit[:, 1] - along[:, 1] * unit[:, 0]) <= PARALLEL_RAD
-    return group, across, parallel
 
 
 def _once(nc: NCProgram) -> Check:

@@ -23,9 +23,8 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import run_each
 
-ROUNDING_MM = (
-    2.0 * SHORTEST_BLOCK_MM
-)  # By so much a ramp is shorter or longer: it ends with a block that is near
+# By so much a ramp is shorter or longer: it ends with a block that is near.
+ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM
 # Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
 # it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all.
 MEAN_SPACINGS = 0.75
@@ -35,7 +34,7 @@ MEAN_SPACINGS = 0.75
 SINGLE_BEADS, BORDER_BEADS = 1.5, 0.8
 LEAST_BEADS = 0.5  # Length in bead widths under which a bead fills a spot, and its ends have no direction
 REACH_BEADS = 2.5  # Distance, in bead widths, within which the next metal is looked for
-# Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own.
+# Places within 60 degrees of an end's direction are ahead of it.
 AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
 
 
@@ -55,7 +54,23 @@ def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check
     if config.process.wire_retract_mm > 0.0:
         checks.append(retract_check(nc, config))
     if nc.goes_on.any():
-        checks.append(_parts_of_lines(nc))
+        # Distance of the places where hatch lines change their power from the straight line.
+        rows = np.flatnonzero(nc.goes_on)
+        vectors = nc.vectors()
+        owner = np.searchsorted(vectors["row"].to_numpy(), rows, side="right") - 1
+        a, b = vectors[["x0", "y0"]].to_numpy()[owner], vectors[["x1", "y1"]].to_numpy()[owner]
+        way, place = b - a, nc.start[rows, :2] - a
+        whole = np.hypot(way[:, 0], way[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (place * way).sum(axis=1) / whole
+            away = np.abs(way[:, 0] * place[:, 1] - way[:, 1] * place[:, 0]) / whole
+        # A part on its own, on a ring, or beyond the line's ends is none.
+        sound = (owner >= 0) & (nc.island[rows] >= 0) & nc.deposit[rows] & nc.deposit[rows - 1]
+        sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
+        what = "distance of their parts from the line"
+        checks.append(
+            worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
+        )
     return checks
 
 
@@ -146,24 +161,6 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
     return count_check("ramps in time", [(nc.where(row), what) for row, what in faults], good)
 
 
-def _parts_of_lines(nc: NCProgram) -> Check:
-    """Distance of the places where hatch lines change their power from the straight line."""
-    rows = np.flatnonzero(nc.goes_on)
-    vectors = nc.vectors()
-    owner = np.searchsorted(vectors["row"].to_numpy(), rows, side="right") - 1
-    a, b = vectors[["x0", "y0"]].to_numpy()[owner], vectors[["x1", "y1"]].to_numpy()[owner]
-    way, place = b - a, nc.start[rows, :2] - a
-    whole = np.hypot(way[:, 0], way[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (place * way).sum(axis=1) / whole
-        away = np.abs(way[:, 0] * place[:, 1] - way[:, 1] * place[:, 0]) / whole
-    # A part on its own, on a ring, or beyond the line's ends is none.
-    sound = (owner >= 0) & (nc.island[rows] >= 0) & nc.deposit[rows] & nc.deposit[rows - 1]
-    sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
-    what = "distance of their parts from the line"
-    return worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
-
-
 def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
     """Check that hatch beads start and end next to other metal, or at the border of the part, each of them and on average."""
     bead_mm = config.process.bead_width_mm
@@ -196,11 +193,7 @@ def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
 
 
 def most_on_average_mm(count: Floats, config: Config) -> Floats:
-    """Gap that so many independent ends may have on average, mm: that of a single one, and less the more there are.
-
-    >>> most_on_average_mm(np.array([1.0, 4.0, 400.0]), Config()).round(3).tolist()
-    [9.0, 4.68, 3.254]
-    """
+    """Gap that so many independent ends may have on average, mm: that of a single one, and less the more there are."""
     mean_mm = MEAN_SPACINGS * config.process.hatch_spacing_mm
     return np.asarray(mean_mm + (SINGLE_BEADS * config.process.bead_width_mm - mean_mm) / count, np.float64)
 

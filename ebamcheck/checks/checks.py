@@ -16,28 +16,19 @@ from ebamcheck.threads import run_in_order
 PLACE_MM = 1e-3  # Places and heights nearer than this are one: three decimals are the fewest of a program
 TWO_PLACES_MM = 2.0 * PLACE_MM  # Distance of two places of which each is rounded to the decimals of a program
 VALUE_SHARE = 1e-3  # Share by which a printed value may be off: volts, milliamperes, feeds, wire speeds
-# The same of a figure at the border of a window: process values are printed with six decimals, wire speeds with the fewest.
-WINDOW_SHARE = 1e-5
+WINDOW_SHARE = 1e-5  # The same at the border of a window: process values have six decimals in a program
 PRINTED = 1e-6  # Decimals of a process value, of a wait, and of heights in comments
 PATH_TOLERANCE_MM = 1e-3  # Path read back against the fitted curve: a tenth of what a slicer agrees to
-SECTION_TOLERANCE_MM = (
-    0.05  # Contour path against the section: the fit of curves, and round corners of the inset
-)
+SECTION_TOLERANCE_MM = 0.05  # Contours against the section: fit of curves, and round corners of insets
 WIRE_TOLERANCE = 0.01  # Metal of a bead over what is asked for: the decimals of wire speed and feed
-SAME_LINE_MM = (
-    0.01  # Lines nearer than this, along one another, are one line laid twice: far under any spacing
-)
-COLLINEAR_MM = (
-    1e-3  # Points nearer to the chord of their neighbours are made by facets cut in two: they end none
-)
+SAME_LINE_MM = 0.01  # Lines nearer than this, along one another, are one laid twice: far under a spacing
+COLLINEAR_MM = 1e-3  # Points nearer to the chord of their neighbours are made by facets that were cut
 SLIT_MM = 1e-3  # Width up to which a slit is what rounding left of a face that two bodies share
 DIRECTION_ROUNDING_DEG = 0.01  # Of a line of a few tenths of a millimetre whose ends are rounded to decimals
 LIMIT_ROUNDING_MM = 1e-9  # Rounding of a curve's extreme
 SAME_SIZE = 1e-4  # Share of its size by which a part may be off: coordinates of an STL file have seven digits
 SAME_AREA = 1e-3  # Share of the greatest section by which mesh and slicer differ only where bodies overlap
-WIRE_PLACE_MM = (
-    0.2  # By so much curve forms, and the rounded ends of blocks, place a change of the wire elsewhere
-)
+WIRE_PLACE_MM = 0.2  # By so much curve forms, and rounded ends of blocks, place a change of wire elsewhere
 
 # What to do about a check that fails: texts that several checks, and findings, have in common.
 AGAIN = (

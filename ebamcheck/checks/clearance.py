@@ -20,11 +20,9 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
-# Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before.
-HOP_SPACINGS = 2.0
+HOP_SPACINGS = 2.0  # Bead spacings of a hop: to the line after the next, over beads laid in one plane
 PLACES = 32  # Places on each motion without support that are looked at
-# Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding.
-WHOLLY = 0.99
+WHOLLY = 0.99  # Share of a bead's length over nothing from which on it has nothing to lie on
 STEP_MM = 0.5  # Curved beads are looked at as straight parts of at most this length
 CELLS_PER_BEAD = 6  # Cells across a bead: its border is known to half a millimetre for a bead of 6 mm
 MOST_CELLS = 16_000_000  # Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones
@@ -168,7 +166,10 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
 
 @dataclass(frozen=True, eq=False)
 class Standing:
-    """What every motion of a program meets, as columns (B,); zero where it meets nothing."""
+    """What every motion of a program meets, as columns (B,); zero where it meets nothing.
+
+    Depth to which tip and head go into what stands, and a travel under the beads around it; what a travel longer than a hop lacks of the
+    clearance; travels at a place that no block has given (`lost`); length of a bead over nothing, and the parameters between which that is."""
 
     into_mm: Floats
     head_mm: Floats

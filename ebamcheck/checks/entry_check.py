@@ -1,4 +1,7 @@
-"""Check of a program that begins at a layer: what it commands is the end of the whole program, which was proved."""
+"""Check of a program that begins at a layer: what it commands is the end of the whole program, which was proved.
+
+Nothing of the part is judged anew. The motions from its layer on are those of the whole, value by value; its way there comes from above
+all that stands; and its first blocks establish a state of their own."""
 
 from __future__ import annotations
 
@@ -64,7 +67,19 @@ def _faults(
     for row in np.flatnonzero(~alike)[:1].tolist():
         yield entry.where(row), "is another motion, or at other values, than in the whole program"
     yield from _other_events(whole, entry, offset, first)
-    yield from _way_in(entry, first, z_mm, config)
+    # What the way to the first bead does that is no rise, travel and descent by rapids, beam and wire off.
+    way = np.arange(first)
+    rise = z_mm + config.machine.clearance_mm
+    bad = (entry.kind[way] != RAPID) | entry.beam[way] | entry.wire[way]
+    for row in way[bad][:1].tolist():
+        yield entry.where(row), "the way to the first bead is none of rapids with beam and wire off"
+    if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
+        yield entry.beginning, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
+    low = np.fmin(entry.start[way[1:], 2], entry.end[way[1:], 2]) < rise
+    start, end = entry.start[way[1:], :2], entry.end[way[1:], :2]
+    aside = ~((start == end) & (end == entry.start[first, :2])).all(axis=1)
+    for row in way[1:][low & aside][:1].tolist():
+        yield entry.where(row), f"goes below Z {rise:g} elsewhere than over the first bead"
     if not _same(entry.start[first], whole.start[first + offset]).all():
         what = "the first bead begins at another place than in the whole program, or at one that nothing has given"
         yield entry.where(first), what
@@ -99,19 +114,3 @@ def _other_events(whole: NCProgram, entry: NCProgram, offset: int, first: int) -
 
 def _same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray((a == b) | (np.isnan(a) & np.isnan(b)) if a.dtype.kind == "f" else a == b)
-
-
-def _way_in(entry: NCProgram, first: int, z_mm: float, config: Config) -> Iterator[tuple[str, str]]:
-    """What the way to the first bead does that is no rise, travel and descent by rapids, beam and wire off."""
-    way = np.arange(first)
-    rise = z_mm + config.machine.clearance_mm
-    bad = (entry.kind[way] != RAPID) | entry.beam[way] | entry.wire[way]
-    for row in way[bad][:1].tolist():
-        yield entry.where(row), "the way to the first bead is none of rapids with beam and wire off"
-    if not way.size or not entry.end[0, 2] >= rise or not np.isnan(entry.end[0, :2]).all():
-        yield entry.beginning, f"does not begin with a rise to Z {rise:g} or above, from wherever the tool is"
-    low = np.fmin(entry.start[way[1:], 2], entry.end[way[1:], 2]) < rise
-    start, end = entry.start[way[1:], :2], entry.end[way[1:], :2]
-    aside = ~((start == end) & (end == entry.start[first, :2])).all(axis=1)
-    for row in way[1:][low & aside][:1].tolist():
-        yield entry.where(row), f"goes below Z {rise:g} elsewhere than over the first bead"

@@ -20,15 +20,10 @@ from ebamcheck.threads import run_each
 LINES, CROSSINGS = "hatch lines", "crossings"  # Names of the checks
 CHORD_MM = 0.5  # Chords of curved beads
 PARALLEL = 1e-3  # Sine of the angle between lines of one direction
-# Share of a bead's length along one direction from which on it is taken for lines to and fro.
-TO_AND_FRO = 1.0 / 3.0
-# Neighbouring lines to and fro are at most this many spacings apart; a bead that comes back further away follows a wall.
-WIDEST_SPACINGS = 1.3
-# Cosine of the angle between two motions of a bead from which on it turns back on its own track. A turn of 1.5 spacings between lines
-# that are two thirds of a spacing apart, the least that a plan leaves, comes to 26 degrees.
-LEAST_TURN = -math.cos(math.radians(15.0))
-# Cosine of the angle of a joint that is a bend, not a turn, and how many of them in a row show that a bead follows a wall: a line that is
-# out of its place has two.
+TO_AND_FRO = 1.0 / 3.0  # Share of a bead's length along one direction from which on it is lines to and fro
+WIDEST_SPACINGS = 1.3  # Of neighbouring lines to and fro; a bead that comes back further away follows a wall
+LEAST_TURN = -math.cos(math.radians(15.0))  # Of a bead that turns back on its track; sound turns have 26
+# Cosine of a joint that is a bend, and bends in a row that follow a wall: a line out of place has two.
 GENTLE, MANY = 0.5, 3
 FINE, SKEW, UNEVEN, BACK = 0, 1, 2, 3
 AT_ONCE = 1_000_000  # Pairs of lines that are held at once
@@ -46,7 +41,19 @@ def form_checks(nc: NCProgram, config: Config) -> list[Check]:
             BACK: "turns back on the track of the one before"}  # fmt: skip
     faults = [(nc.where(int(starts[at[i]])), f"this motion {said[int(state[i])]}") for i in known.tolist()]
     good = f"{first.size - 1} beads of hatch: lines to and fro are parallel and evenly apart"
-    return [count_check(LINES, faults, good), _crossings(nc, 0.5 * config.process.bead_width_mm)]
+    # Where a hatch bead runs across another it lays metal on metal. One that ends or turns within half its width of another does so in
+    # the pool of that, and does not cross it.
+    placed = np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
+    rows = np.flatnonzero(nc.deposit & (nc.kind != RAPID) & placed & (nc.layer >= 0))
+    bead, pool_mm = nc.beads.group, 0.5 * config.process.bead_width_mm
+    layers = range(len(nc.layer_files)) if rows.size else ()
+    crossed = run_each(lambda k: _crossed(nc, rows[nc.layer[rows] == k], bead, pool_mm), layers)
+    found = sorted({row for layer in crossed for row in layer})
+    crossings = [(nc.where(row), "runs across a bead of its own layer") for row in found]
+    return [
+        count_check(LINES, faults, good),
+        count_check(CROSSINGS, crossings, "no bead runs across another of its layer"),
+    ]
 
 
 def _whole_lines(nc: NCProgram) -> tuple[Ints, Ints, Floats]:
@@ -164,20 +171,6 @@ def _before(which: Bools) -> Ints:
     """Index (m, n) of the last one before each that is true; -1 for none."""
     index = np.maximum.accumulate(np.where(which, np.arange(which.shape[1]), -1), axis=1)
     return np.concatenate([np.full((len(which), 1), -1), index[:, :-1]], axis=1)
-
-
-def _crossings(nc: NCProgram, pool_mm: float) -> Check:
-    """Places where a hatch bead runs across itself or another of its layer: metal on metal."""
-    # A bead that ends or turns within half its width of another one does so in the pool of that, and does not cross it.
-    known = np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1)
-    rows = np.flatnonzero(nc.deposit & (nc.kind != RAPID) & known & (nc.layer >= 0))
-    bead = nc.beads.group
-
-    layers = range(len(nc.layer_files)) if rows.size else ()
-    crossed = run_each(lambda k: _crossed(nc, rows[nc.layer[rows] == k], bead, pool_mm), layers)
-    found = sorted({row for layer in crossed for row in layer})
-    faults = [(nc.where(row), "runs across a bead of its own layer") for row in found]
-    return count_check(CROSSINGS, faults, "no bead runs across another of its layer")
 
 
 def _crossed(nc: NCProgram, rows: Ints, bead: Ints, pool_mm: float) -> list[int]:

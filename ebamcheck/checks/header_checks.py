@@ -26,10 +26,7 @@ OF_THE_TEXT = ("LAYERS", "PART SHA-256", "SETTINGS SHA-256")
 TOLD, LETTERS = 3, 12  # Differing settings that are told, and letters of a hash
 _LAYER = re.compile(rb"^(?:; |\()LAYER: (\d+) OF (\d+)(?:, CUT AT (-?[\d.]+), Z (-?[\d.]+))?", re.MULTILINE)
 MEGABYTE = 1e6
-MARK, NOT = (
-    b"VALIDATED",
-    b"NOT ",
-)  # What a validated program says of itself, and what a file loses when marked
+MARK, NOT = b"VALIDATED", b"NOT "  # What a validated program says, and what it loses when marked
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ INTERPASS, AGAIN = "interpass temperature", "balance of the heat"  # Names of tw
 # Share of the limit's rise, and kelvins below it, under which a layer has room for more power, and the step of the power: the balance of
 # a text, which knows one temperature a section, and the plan differ by less (by 64 K at most, of 50 parts and settings).
 ROOM, ROOM_K, PERCENT = 0.85, 80.0, 0.01
-# Mark of a figure that is clipped to the boiling point.
-OVER_RANGE = "over the model's range: metal would boil"
+OVER_RANGE = "over the model's range: metal would boil"  # Of a figure clipped to the boiling point
 COLD = "least entry temperature"  # Name of the check
 # Share of the rise over the chamber that a wait leaves at least, of that of the limit, or of the bead before where that is less. Plans
 # wait for the hottest place of a section, so that its mean is lower: 0.66 of the limit's rise at least, of eleven sections and settings,
@@ -72,7 +71,10 @@ def heat_checks(
     nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     witness: Sequence[BaseGeometry] | None = None,
 ) -> list[Check]:  # fmt: skip
-    """Check that the power of each layer melts its wire, and the temperature at which beads are entered."""
+    """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
+
+    Without `sections` those count that the contours enclose; `witness` are those of the second balance. On a part that is half built, heat
+    `before` the program has to be known: nothing in its text tells how warm the part is."""
     known = sections_of_text(nc, config, sections)
     beads, shapes = text_beads(nc, config), text_shapes(nc, config, known)
     melting = melting_check(nc, config, ramp_power(nc, np.flatnonzero(nc.deposit), config)[1] > 0.0)
@@ -89,7 +91,9 @@ def heat_checks(
 
 
 def layer_shares(nc: NCProgram, config: Config) -> Floats:
-    """Share of the power in each layer, (L,): that of its strongest motion whose own wire asks for less; NaN where it lays nothing."""
+    """Share of the power in each layer, (L,): that of its strongest motion whose own wire asks for less; NaN where it lays nothing.
+
+    Where every bead has the power that its own wire needs, the least of them; ramps tell only where there is nothing else."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     share = nc.power_w[rows] / config.process.power_w
     slack = power_slack_w(config.machine, config.process.voltage_kv, config.process.current_ma)
@@ -107,7 +111,7 @@ def layer_shares(nc: NCProgram, config: Config) -> Floats:
 
 
 def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None:
-    """Share of the power of each layer, (L,), where the settings have a table of it; None where the heat decides."""
+    """Share of the power of each layer, (L,), of cuts at `heights` (L,), where the settings have a table of it; None where the heat decides."""
     cuts = np.asarray(() if heights is None else heights, np.float64)
     if isinstance(config.process.power_schedule, str) or not cuts.size:
         return None
@@ -116,7 +120,9 @@ def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None
 
 
 def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:
-    """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less."""
+    """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
+
+    Power is taken back only where a bead would else be entered above the limit."""
     shares = np.minimum(layer_shares(nc, config), 1.0)
     # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
     if config.process.power_schedule != "taper" or config.base_mm > 0.0:
@@ -198,7 +204,10 @@ def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
 
 
 def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
-    """Least temperature at which each bead may be entered, (P,) K; -inf where there is none."""
+    """Least temperature at which each bead may be entered, (P,) K: the one that is set, else by its wait; -inf where there is none.
+
+    A bead that is waited for longer than `process.layer_pause_s`, without preheating, may be as cold as :data:`WARM_SHARE` allows, or as two
+    balances of the heat differ."""
     process = config.process
     if process.least_entry_temperature_k is not None:
         return np.full(len(beads), process.least_entry_temperature_k)
@@ -213,7 +222,9 @@ def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
 
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
-    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,)."""
+    """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,).
+
+    What waits longer is entered colder than the power is tapered for, and fuses worse with what lies under it."""
     least_k = np.where(checked, least_entries_k(beads, bed_k, config), -np.inf)
     if not np.isfinite(least_k).any():
         return Check(COLD, True, 0.0, 0.0, "K", "", "no bead is waited for longer than the settings ask")

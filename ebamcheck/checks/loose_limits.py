@@ -1,4 +1,6 @@
-"""Limits of the gates that a run has set wider than the default ones, and data of a material that are not its own."""
+"""Limits of the gates that a run has set wider than the default ones, and data of a material that are not its own.
+
+A gate that passes under them proves less than its name says."""
 
 from __future__ import annotations
 
@@ -10,30 +12,22 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.materials import MaterialSettings, preset
 
-# fmt: off
 WIDER_IF_GREATER = (
     "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm", "curves.largest_lift_mm",
     "curves.largest_bulge_mm", "curves.section_tolerance_mm", "scan.gap_width", "process.mass_tolerance",
     "process.inside_tolerance", "process.edge_tolerance", "process.outside_share", "process.outside_reach_mm",
     "process.longest_wait_s", "process.wire_speed_max_mm_s", "process.melting_efficiency", "machine.smoothing_tolerance_mm",
-)
-# fmt: on
-# Settings that gates and checks rest on and that no motion is made of, by the way in which they let more pass.
-# fmt: off
+)  # fmt: skip
 WIDER_IF_LESS = (
     "scan.least_coverage", "process.wire_speed_min_mm_s", "process.dilution", "machine.clearance_mm",
-)
-# fmt: on
+)  # fmt: skip
 # Settings that are a least and a greatest value.
-# fmt: off
 WINDOWS = (
     "process.layer_over_bead", "process.line_energy_j_mm", "process.voltage_window_kv", "process.current_window_ma",
     "process.travel_window_mm_s", "process.bead_section_mm2", "process.metal_energy_j_mm3",
-)
-# fmt: on
+)  # fmt: skip
 OF_PREHEATING = ("preheat.over_k", "preheat.evenness_k")  # Limits of a preheating, where there is one
-# Share of the power that the increments of a control may change unsaid: no check of the power sees less.
-MOST_SLACK = 0.01
+MOST_SLACK = 0.01  # Share of the power that increments may change unsaid: no check of the power sees less
 TOLD = 4  # Settings that are told by name
 
 

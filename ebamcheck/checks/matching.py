@@ -20,8 +20,7 @@ from ebamcheck.nc.motions import Beads, NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.result import Check
 
-# Distance of layers in the space in which ends are compared: no bead is like one of another layer.
-APART_MM = 1e6
+APART_MM = 1e6  # Of layers in the space in which ends are compared: no bead is like one of another
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +157,7 @@ def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
     faults.sort(key=lambda fault: fault[0])
     places = [(nc.where(row) if len(nc) else f"{nc.files[0].name}:1", what) for row, what in faults]
     good = f"{known.size} beads, each once and in its order"
-    return [count_check("beads as planned", places, good), _hatch_path(nc, match)]
-
-
-def _named(path: TrackColumns, track: int) -> str:
-    ring = int(path.ring[track])
-    return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
-
-
-def _hatch_path(nc: NCProgram, match: Matching) -> Check:
-    """Distance of the motions of hatch beads, turns among them, from their tracks, both ways."""
+    # Distance of the motions of hatch beads, turns among them, from their tracks, both ways.
     beads, path = match.beads, match.path
     alike, rows, segment = _one_by_one(match)
     hatch = path.island[np.searchsorted(path.track_starts, segment, side="right") - 1] >= 0
@@ -180,17 +170,20 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     for i in other[np.append(path.island, -1)[match.track[other]] >= 0].tolist():
         mine = np.arange(beads.first[i], beads.last[i] + 1)
         a, b = path.track_starts[match.track[i] : match.track[i] + 2]
-        driven, wanted = (
-            np.stack([start, end], axis=1).reshape(-1, 2)
-            for start, end in (
-                (nc.start[mine, :2], nc.end[mine, :2]),
-                (path.segment_start[a:b], path.end[a:b]),
-            )
-        )
+        driven = np.stack([nc.start[mine, :2], nc.end[mine, :2]], axis=1).reshape(-1, 2)
+        wanted = np.stack([path.segment_start[a:b], path.end[a:b]], axis=1).reshape(-1, 2)
         away[mine] = shape_distance(driven, np.repeat(np.arange(mine.size), 2), wanted)
     found = np.flatnonzero(away >= 0.0)
     what = "distance of hatch and turns from their plan"
-    return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)
+    return [
+        count_check("beads as planned", places, good),
+        worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what),
+    ]
+
+
+def _named(path: TrackColumns, track: int) -> str:
+    ring = int(path.ring[track])
+    return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
 
 
 @kernel

@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
@@ -35,16 +34,11 @@ from ebamcheck.slicers.slicing import slice_part
 CUTS_OF_A_LAYER = 16  # Sections from which the volume of a layer is summed where bodies overlap
 LEAST_MM2 = 0.05  # Area from above of floor and roof of what is looked at: over the rounding of upright walls
 FINEST = 1e-6  # Share of the part's size by which heights differ that are the same
-LINES_PER_BEAD = (
-    2.0  # Lines over the width of a bead: two or more cross every hole and wall that may be built
-)
-OFF_GRID = (
-    0.381966  # Share of their distance by which lines lie beside whole ones: sides lie at round numbers
-)
+LINES_PER_BEAD = 2.0  # Two or more lines cross every hole and wall that may be built
+OFF_GRID = 0.381966  # Share of their distance by which lines lie beside whole ones, where sides lie
 CUTS_AT_ONCE = 512  # Sections that are held at once for that
 MOST_SPANS = 4  # Most heights between two cuts at which the mesh is cut once more
-# Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that.
-MOST_LINES = 400
+MOST_LINES = 400  # Of one direction across a part: over 200 beads of width they lie farther apart
 AT_ONCE = 2_000_000  # Cut facets that are held at once
 # Remedy where listed layers do not begin on what stands.
 ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
@@ -252,7 +246,14 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
     rows = rows[(np.minimum(floor, roof) > LEAST_MM2)[below[rows] + 1]]
     if not rows.size:
         return
-    label = _runs(part.faces[rows], len(part.vertices))
+    # Number (F,) of the run of facets, joined by edges, that each belongs to.
+    faces = part.faces[rows]
+    groups = edge_groups(np.ascontiguousarray(faces), (len(part.vertices)))
+    facet = groups.half_edges // 3
+    first = np.repeat(facet[groups.starts[:-1]], np.diff(groups.starts))
+    graph = coo_array((np.ones(len(facet)), (first, facet)), shape=(len(faces), len(faces)))
+    _, label = connected_components(graph, directed=False)
+    label = np.asarray(label, np.int64)
     lowest, highest = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
     np.minimum.at(lowest, label, low[rows])
     np.maximum.at(highest, label, high[rows])
@@ -265,16 +266,6 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
         spans = [(float(ends[n]), float(ends[n + 1])) for n in longest if ends[n + 1] - ends[n] > same_mm]
         if spans:
             yield k, spans
-
-
-def _runs(faces: NDArray[np.int32], count: int) -> Ints:
-    """Number (F,) of the run of facets, joined by edges, that each belongs to."""
-    groups = edge_groups(np.ascontiguousarray(faces), count)
-    facet = groups.half_edges // 3
-    first = np.repeat(facet[groups.starts[:-1]], np.diff(groups.starts))
-    graph = coo_array((np.ones(len(facet)), (first, facet)), shape=(len(faces), len(faces)))
-    _, label = connected_components(graph, directed=False)
-    return np.asarray(label, np.int64)
 
 
 _Crossings = tuple[Ints, Ints, Floats, Ints]

@@ -1,4 +1,7 @@
-"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by its place."""
+"""The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by its place.
+
+Wire section, wire speed and feed give the metal; the pool, a half sphere as wide as the bead, spreads it; a place is levelled over a bead
+width; what is still too high or too low is where the next layer begins. Nothing is taken from what gives the wire of a program its speed."""
 
 from __future__ import annotations
 
@@ -37,24 +40,19 @@ from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.threads import run_each
 
 STEP_SHARE = 1.0 / 12.0  # Distance of the places at which metal is laid, over the bead width: half a cell
-# Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds.
-CLOSED = 0.5
-# Lines that a zone may have more or less than its width over the spacing: the border of a zone runs through a line.
-HALF_LINE = 0.5
-# Width of a window of the layer's metal, in bead widths: four lines, of which a missing one is a quarter of the metal.
-WINDOW_BEADS = 3.0
+CLOSED = 0.5  # Share of a hole's area under metal from which on no tool finds it
+HALF_LINE = 0.5  # Lines by which a zone may be off: its border runs through one
+WINDOW_BEADS = 3.0  # Width of a window in bead widths: four lines, of which a missing one is a quarter
 # Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. All layers together
 # have the metal of the part: where sections taper, what their rims lack heaps up inside of them, and no wire levels it. So all between
 # the layer's height and this is asked for; how far the surface may heap up is a check of its own (`surface`).
 TO_LEVEL, MOST_TO_LEVEL = 0.3, 0.2
 AT_LIMIT = 0.01  # A bead within this of the least or greatest wire cannot have less, or more
-# Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours.
-LEAST_OWN = 0.3
+LEAST_OWN = 0.3  # Share of the metal over its width that a bead lays itself, at least
 AT_ONCE = 8  # Layers whose metal is held at a time; they are measured on all threads
 FIELD_FILE = "deposit_worst.parquet"  # Name of the field of the worst layer in a run folder
 HOLE_COLUMNS = ("layer", "x_mm", "y_mm", "width_mm", "covered")
-# Names of the zones of a layer: deep_cells, the others, and the worst window.
-ZONES = ("inside", "edge", "zone")
+ZONES = ("inside", "edge", "zone")  # Of a layer: deep_cells, the others, and the worst window
 # Figures of the zones of a layer that has none.
 NO_ZONES = {
     "inside": math.nan, "edge": math.nan,
@@ -102,7 +100,11 @@ class LayerField:
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """What the places (n,) along the beads of a layer lay, and what they ask for, in program order."""
+    """What the places (n,) along the beads of a layer lay, and what they ask for, in program order.
+
+    Columns of `laid`, `least` and `most` (n, 3), mm2: metal by the area of the section nearest to a place, the same with all that lies in the
+    pool, and the metal over the width of the bead; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where it has the
+    least wire, 1 where it has the most, else 0."""
 
     row: Ints
     along_mm: Floats
@@ -167,7 +169,10 @@ def deposit(
     nc: NCProgram, layers: Layers, z_of: Floats, config: Config, keep: Collection[int] = (),
     stands: Surface | None = None, asked: bool = False,
 ) -> Deposit:  # fmt: skip
-    """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one."""
+    """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
+
+    The layers lie at `z_of` (L,), the lowest on the surface `stands`, or level. The fields of the layers `keep` are returned, too, and,
+    where it is `asked`, what the place of each bead asks for."""
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = nearest_layer(nc.end[rows, 2], z_of)
@@ -379,7 +384,9 @@ def deep_cells(inside: Bools, bead_cells: float) -> Bools:
 def zone_figures(
     target: Target, laid_mm: Floats, before_mm: Floats, parts: tuple[Bools, Bools], thickness_mm: float, process: ProcessSettings
 ) -> dict[str, float]:  # fmt: skip
-    """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows."""
+    """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows.
+
+    `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below."""
     deep, rim = parts
     inside, bead_cells = deep | rim, process.bead_width_mm / target.step_mm
     wanted = target.share * thickness_mm
@@ -421,11 +428,7 @@ def zone_off(height: ArrayLike, owed: ArrayLike) -> Floats:
 
 
 def zone_limit(tolerance: Floats | float, area_mm2: ArrayLike, process: ProcessSettings) -> Floats:
-    """What zones may be off by: the tolerance of all of them, and half a line over the lines that are side by side in one.
-
-    >>> zone_limit(0.03, [324.0, 3600.0], ProcessSettings()).round(3)
-    array([0.15 , 0.066])
-    """
+    """What zones may be off by: the tolerance of all of them, and half a line over the lines that are side by side in one."""
     width_mm = np.sqrt(np.maximum(np.asarray(area_mm2, np.float64), process.bead_width_mm**2))
     return np.asarray(tolerance + HALF_LINE * process.hatch_spacing_mm / width_mm, np.float64)
 
@@ -482,11 +485,9 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
 
 
 def strip_of(bead_mm: float, step_mm: float) -> Floats:
-    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide.
+    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide; their sum is 1.
 
-    >>> strip_of(6.0, 1.0).sum(axis=0).round(2).tolist()
-    [0.0, 0.08, 0.17, 0.17, 0.17, 0.17, 0.17, 0.08, 0.0]
-    """
+    The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc."""
     # By so many points across a cell its weight errs by less than a thousandth.
     radius, points = 0.5 * bead_mm / step_mm, 20
     cells = 2 * int(np.ceil(radius + 0.5)) + 1

@@ -34,19 +34,15 @@ from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
 from ebamcheck.threads import run_each
 
-# Name of the check of openings and walls of the part that are narrower than a least that is set.
-NARROW = "narrow features"
+NARROW = "narrow features"  # Check of features narrower than a least that is set
 # Names of the checks of the metal of all beads together, in their order.
 DEPOSIT_CHECKS = (
     "metal", "metal of layers", "metal outside", "reach of metal", "holes", NARROW, "height inside", "height at edges",
     "height of layers", "height of zones", "surface",
 )  # fmt: skip
 WIRE_OF_BEADS, LAID_ONCE = "wire of beads", "metal laid once"
-# Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off.
-LEAST_SPOTS = 1.0
-LAYER_OUTSIDE = (
-    3.0  # A single layer may have so many times the share of metal outside that the whole program may
-)
+LEAST_SPOTS = 1.0  # Bead spots, one layer high, by which starts and ends of beads may put a layer off
+LAYER_OUTSIDE = 3.0  # Times the share of metal outside that a single layer may have
 LEAST_ZONE = 25.0  # Zones of fewer squared bead widths do not count for the mean over all layers
 OF_LAYER = "of the layer's metal"
 MEAN_ZONES = ("inside", "edge")  # Zones that have a mean over all layers
@@ -56,19 +52,14 @@ HIGHEST = 0.35  # Share of a layer to which wrong wire that comes back in every 
 LEVELLED = 0.43
 # Wire that a long bead may lack, or have too much of, over what its place asks for: webs, fins, frames and tapers as planned are within it.
 MOST = HIGHEST * LEVELLED
-# Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place.
-HATCH_ROOM = 1.2
-# Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is higher
-# than between them, and higher still where islands meet.
-HEAPED = 0.2
+HATCH_ROOM = 1.2  # Over the limit of a contour: a hatch bead has one wire, and cannot follow its place
+HEAPED = 0.2  # Share of a layer by which metal may lie too high over a hatch bead: it heaps up along lines
 # Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled along
 # the bead. Between two of them limit and error change by less than a tenth.
 SPANS = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(14))
 LEAST_BEADS = 0.1  # Length of a bead, in bead widths, under which it has hardly a place of its own
 MOST_METAL = 1.5  # Metal of a spot over that of the layer: half a bead more than all
-STRETCH_BEADS = (
-    3.0  # Bead widths of a bead over which metal is averaged: more than what ends and turns pile up
-)
+STRETCH_BEADS = 3.0  # Length over which metal is averaged: more than ends and turns pile up
 
 
 @dataclass(frozen=True)
@@ -337,11 +328,7 @@ def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
 
 
 def most_off(length_mm: Floats, bead_mm: float) -> Floats:
-    """Wire that spans (m,) of a bead may lack, or have too much of, over what their places ask for.
-
-    >>> most_off(np.array([6.0, 18.0, 600.0]), 6.0).round(3).tolist()
-    [0.301, 0.167, 0.151]
-    """
+    """Wire that spans (m,) of a bead may lack, or have too much of, over what their places ask for."""
     share = bead_mm / np.maximum(length_mm, LEAST_BEADS * bead_mm)
     return np.asarray(MOST * (1.0 + share**2), np.float64)
 

@@ -31,12 +31,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s
 from ebamcheck.threads import run_each
 
-# Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none.
-FACING = math.cos(math.radians(40.0))
+FACING = math.cos(math.radians(40.0))  # Sides face one another under it: a gusset's corner of 45 does not
 NO_WIDTH_MM = 1e-5  # Openings narrower than this are the rounding of coordinates
 STEPS = 4  # Places on a side over the length of the least width
-# Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle.
-ON_SIDE = np.array([0.02, 0.5, 0.98])
+ON_SIDE = np.array([0.02, 0.5, 0.98])  # Near its ends, where notches are deepest, and in its middle
 LONG = 2.0  # Length over width from which on a hole is called a slot
 TAPERS = 1.25  # Greatest width over the least from which on both are told
 LYING = 2.0  # Height over width up to which something that ends over and under is taken to lie on its side
@@ -165,12 +163,7 @@ def _lies(
 
 
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
-    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides.
-
-    >>> plate = shapely.box(0, 0, 40, 30).difference(shapely.box(10, 14, 30, 15))
-    >>> [(p.kind, p.narrowest_mm, p.length_mm) for p in narrow_places(plate, False, 6.0, 1.0)]
-    [('slot', 1.0, 20.0)]
-    """
+    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides."""
     parts = np.asarray([shapely.orient_polygons(p) for p in valid_polygons(section)], object)
     if not parts.size:
         return []
@@ -337,12 +330,7 @@ def thinnest_wall(section: BaseGeometry, bead_width_mm: float) -> tuple[float, f
 
 
 def narrow_bead(wall_mm: float, thickness_mm: float, config: Config) -> NarrowBead:
-    """Bead as wide as a wall.
-
-    >>> bead = narrow_bead(4.0, Config().layer_height_mm, Config())
-    >>> round(bead.wire_mm_s, 1), round(bead.power_w)
-    (33.3, 3200)
-    """
+    """Bead as wide as a wall."""
     process = config.process
     bead_mm = process.bead_width_mm
     per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)

@@ -30,8 +30,7 @@ from ebamcheck.settings.config import Config
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
 # Bytes before the first facet of a binary STL file, and a facet.
 HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-# What is wrong with a part of which a corner of a facet is elsewhere.
-STANDS = "does not stand where direction, turn and place say for the one"
+STANDS = "does not stand where direction, turn and place say for the one"  # What is wrong with a part of which a corner is elsewhere
 AT_ONCE = 500_000  # Facets that are held at once
 # Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid.
 FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.IGNORECASE)

@@ -18,8 +18,7 @@ from ebamcheck.result import Check
 from ebamcheck.threads import run_blocks
 
 SAMPLES = 9  # Places on each span where programmed and fitted curve are compared at the same parameter
-# Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit.
-CHORD_SHARE = 0.02
+CHORD_SHARE = 0.02  # Of the limit: the error of chords between samples where shapes are compared
 DEGREE = 3  # Of every spline piece
 FLAT_ARC = 1e-12  # Sine of half the turn of an arc that is straight for numbers of 16 digits
 
@@ -82,7 +81,9 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
 
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
-    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots."""
+    """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
+
+    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50."""
     span = np.flatnonzero(knots[1:] > knots[:-1])
     first = span - DEGREE
     place = [np.asarray(control)[first + k][:, None] for k in range(DEGREE + 1)]
@@ -124,7 +125,9 @@ def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
 
 
 def contour_checks(subject: Subject) -> list[Check]:
-    """Compare the contour motions with the fitted curves, both ways."""
+    """Compare the contour motions with the fitted curves, both ways.
+
+    Where the program has one block for each span, both are evaluated at the same parameters; other rings are compared as shapes."""
     nc, curves, config = subject.nc, subject.curves, subject.config
     assert curves is not None
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
@@ -237,24 +240,19 @@ def _same_parameters(
     order = np.argsort(nc.ring[rows], kind="stable")
     row_count = np.bincount(nc.ring[rows], minlength=count)
     span_count = np.bincount(spans.ring, minlength=count)
-    alike = (row_count == span_count) & _same_starts(nc, rows, spans.ring, fitted[:, 0], count)
+    alike = row_count == span_count
+    # Rings start where the fitted ones do.
+    ring, row = np.unique(nc.ring[rows], return_index=True)
+    wanted, span = np.unique(spans.ring, return_index=True)
+    both, i, j = np.intersect1d(ring, wanted, assume_unique=True, return_indices=True)
+    apart = np.abs(nc.start[rows[row[i]], :2] - fitted[span[j], 0])
+    alike &= np.isin(np.arange(count), both[apart.max(axis=1, initial=0.0) <= PLACE_MM])
     pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
     same_kind = kind[pick] == spans.kind[span_pick]
     alike[spans.ring[span_pick][~same_kind]] = False
     distance = np.full(rows.size, np.nan)
     distance[pick] = np.linalg.norm(driven[pick] - fitted[span_pick], axis=2).max(axis=1, initial=0.0)
     return distance, alike
-
-
-def _same_starts(nc: NCProgram, rows: Ints, span_ring: Ints, start: Floats, count: int) -> Bools:
-    """Rings (R,) that start where the fitted ones do; those of which either is missing do not."""
-    same = np.zeros(count, np.bool_)
-    ring, row = np.unique(nc.ring[rows], return_index=True)
-    fitted, span = np.unique(span_ring, return_index=True)
-    both, i, j = np.intersect1d(ring, fitted, assume_unique=True, return_indices=True)
-    apart = nc.start[rows[row[i]], :2] - start[span[j]]
-    same[both] = np.abs(apart).max(axis=1, initial=0.0) <= PLACE_MM
-    return same
 
 
 def hatch_checks(subject: Subject) -> list[Check]:
@@ -328,10 +326,13 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
         f"{laid.size} layers in the program, {wanted.size} expected",
     )  # fmt: skip
     heights = [(_where_called(nc, int(begins[i])), what) for i, what in faults]
+    z = nc.layer_heights[nc.layer[rows]]
+    rows = rows[(nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)]
+    tilted = row_faults(nc, rows, "deposit at Z {:g} in a layer at another Z", nc.end[rows, 2])
     return [
         count,
         count_check("layer heights", heights, "steps of Z are those of the layers"),
-        count_check("flat layers", _not_flat(nc), "every deposit of a layer at its Z"),
+        count_check("flat layers", tilted, "every deposit of a layer at its Z"),
     ]
 
 
@@ -340,10 +341,3 @@ def _where_called(nc: NCProgram, row: int) -> str:
     events = nc.events
     before = np.flatnonzero((events.kind == Kind.CALL) & (events.file == 0) & (events.row <= row))
     return nc.where_event(int(before[-1])) if before.size and nc.file[row] != 0 else nc.where(row)
-
-
-def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:
-    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    z = nc.layer_heights[nc.layer[rows]]
-    off = (nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)
-    return row_faults(nc, rows[off], "deposit at Z {:g} in a layer at another Z", nc.end[rows[off], 2])

@@ -48,8 +48,7 @@ from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEA
 
 PLACE_MM = 0.01  # How far beside the region a line may end: the decimals of the program
 ROUND_SHARE = 2e-3  # Share of the spot by which a rounding of chords may lie beside its circle
-# Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one.
-WIDEST = 1.5
+WIDEST = 1.5  # Spacings between lines at most, from where on one more would lie nearer than one
 SLIVER_MM = 0.1  # Lines across a narrower place may be left out
 ALONG_MM = 1e-3  # A line along an axis leaves it by no more: the decimals of a program, at their coarsest
 # Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted.

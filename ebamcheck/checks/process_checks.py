@@ -19,14 +19,11 @@ from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-# Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter.
-DIRECTIONS = 17
+DIRECTIONS = 17  # Places along a curve at which its direction is looked at
 KEEP_OUT_STEP_MM = 0.2  # Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um
 OUTLINE_STEP_MM = 0.25  # Places along the contours at which an overhang is measured
-# The same along all other beads: of a roof over a hole they tell whether it reaches too far, not how far.
-INNER_STEP_MM = 1.0
-# Places of a layer that are asked first whether they reach out over the one below, those farthest from its beads.
-FIRST_ASKED = 16
+INNER_STEP_MM = 1.0  # The same along all other beads: they tell whether a roof reaches too far, not how far
+FIRST_ASKED = 16  # Places, farthest from the beads below, that are asked first whether they reach out
 QUARTER_ROUND = 32  # Chords of a quarter of a circle: a reach of 6 mm errs by 2 um
 
 
@@ -43,7 +40,29 @@ def process_checks(nc: NCProgram, config: Config) -> list[Check]:
         what = "degrees outside of the allowed directions of travel"
         checks.append(worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what))
     if config.process.keep_out:
-        checks.append(_keep_out(nc, config))
+        # Depth to which the edge of a bead enters a zone, and length of a rapid within one.
+        # Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
+        # of what that has in common with the zone.
+        rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
+        lines = motion_lines(nc, rows)
+        if control(nc.dialect).rapids_apart:
+            apart = (nc.kind[rows] == RAPID) & (nc.start[rows, :2] != nc.end[rows, :2]).all(axis=1)
+            ends = np.hstack([nc.start[rows[apart], :2], nc.end[rows[apart], :2]])
+            lines[apart] = shapely.box(*ends.T)
+        # Half a bead melts on either side of its line; a rapid has no width.
+        reach = np.where(nc.kind[rows] == RAPID, 0.0, 0.5 * config.process.bead_width_mm)
+        depth = np.zeros(rows.size)
+        for zone in config.process.keep_out:
+            low = np.minimum(nc.start[rows, 2], nc.end[rows, 2])
+            high = np.maximum(nc.start[rows, 2], nc.end[rows, 2])
+            crosses = np.flatnonzero((low < zone.z_mm[1]) & (high > zone.z_mm[0]))
+            outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
+            away = np.asarray(shapely.distance(lines[crosses], outline))
+            inside = np.asarray(shapely.length(shapely.intersection(lines[crosses], outline)))
+            into = np.where(reach[crosses] > 0.0, np.maximum(reach[crosses] - away, 0.0), inside)
+            depth[crosses] = np.maximum(depth[crosses], into)
+        names = ", ".join(zone.name for zone in config.process.keep_out)
+        checks.append(worst_check("keep-out zones", nc, rows, depth, 0.0, "mm", f"within {names}"))
     return checks
 
 
@@ -70,32 +89,6 @@ def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float
         turn = (direction_deg - first) % 360.0
         least = np.minimum(least, np.where(turn <= width, 0.0, np.minimum(turn - width, 360.0 - turn)))
     return least
-
-
-def _keep_out(nc: NCProgram, config: Config) -> Check:
-    """Depth to which the edge of a bead enters a zone, and length of a rapid within one."""
-    # Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
-    # of what that has in common with the zone.
-    rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
-    lines = motion_lines(nc, rows)
-    if control(nc.dialect).rapids_apart:
-        apart = (nc.kind[rows] == RAPID) & (nc.start[rows, :2] != nc.end[rows, :2]).all(axis=1)
-        ends = np.hstack([nc.start[rows[apart], :2], nc.end[rows[apart], :2]])
-        lines[apart] = shapely.box(*ends.T)
-    # Half a bead melts on either side of its line; a rapid has no width.
-    reach = np.where(nc.kind[rows] == RAPID, 0.0, 0.5 * config.process.bead_width_mm)
-    depth = np.zeros(rows.size)
-    for zone in config.process.keep_out:
-        low = np.minimum(nc.start[rows, 2], nc.end[rows, 2])
-        high = np.maximum(nc.start[rows, 2], nc.end[rows, 2])
-        crosses = np.flatnonzero((low < zone.z_mm[1]) & (high > zone.z_mm[0]))
-        outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
-        away = np.asarray(shapely.distance(lines[crosses], outline))
-        inside = np.asarray(shapely.length(shapely.intersection(lines[crosses], outline)))
-        into = np.where(reach[crosses] > 0.0, np.maximum(reach[crosses] - away, 0.0), inside)
-        depth[crosses] = np.maximum(depth[crosses], into)
-    names = ", ".join(zone.name for zone in config.process.keep_out)
-    return worst_check("keep-out zones", nc, rows, depth, 0.0, "mm", f"within {names}")
 
 
 def motion_lines(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
@@ -156,7 +149,10 @@ class Laid:
 
 
 def overhang_check(nc: NCProgram, config: Config) -> Check:
-    """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit."""
+    """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit.
+
+    It may reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle is set. What closes a
+    hole, or joins two posts, reaches out from all sides of them: by half of its span."""
     width_mm = config.process.bead_width_mm
     heights = nc.layer_heights
     worst, area, row, by_bead = 0.0, 0.0, -1, False

@@ -34,7 +34,10 @@ CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of 
 
 @dataclass(frozen=True)
 class Evidence:
-    """By how much the contour path may leave the chords of a section, and why."""
+    """By how much the contour path may leave the chords of a section: `base_mm` anywhere, for fit, rounding and arcs of an inset, to `most_mm`.
+
+    The path may lie between the chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their
+    ends leaves them by."""
 
     base_mm: float
     most_mm: float
@@ -76,7 +79,11 @@ def section_check(
     nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, limit_mm: float, name: str = "section",
     evidence: Evidence | None = None,
 ) -> Check:  # fmt: skip
-    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways."""
+    """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
+
+    A place on the path lies as deep in the section as the inset, within its limit; and the path passes every place of the inset's border, so
+    that no contour is missing: within `limit_mm`, or within what insets of outlines that near to each other lie apart. A ring narrower than
+    `limit_mm`, and a slit narrower than :data:`SLIT_MM`, which unions leave where shells touch, ask for no contour of their own."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     index = nearest_layer(nc.end[rows, 2], z_of)
     known = evidence or Evidence(limit_mm, limit_mm)
@@ -125,7 +132,7 @@ def _compared(
         return _Worst(int(rows[0]), length, limit_mm, k, x, y, "of contour path, and no section")
     owner, at = nc.samples(rows, STEP_MM)
     path = _path(nc, rows, owner, at)
-    if path.is_empty:
+    if not len(path):
         first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0))))) if len(nc) else 0
         if not len(wanted):
             return _Worst(first, 0.0, limit_mm, k, math.nan, math.nan)
@@ -136,7 +143,7 @@ def _compared(
     off = np.stack([_depths(at, section) - offset_mm for section in sections])
     off = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
     allowed = _allowed(at, off, sections[0], k, known)
-    missed = _distances(wanted, path)
+    missed = distances(np.ascontiguousarray(wanted), path)
     far = np.flatnonzero(missed > limit_mm)
     if far.size:
         missed[far] *= limit_mm / np.maximum(_reach(wanted[far], sections[0], offset_mm, limit_mm), limit_mm)
@@ -209,7 +216,7 @@ def _sections(
 
 def _depths(at: Floats, region: BaseGeometry) -> Floats:
     """Distance of points (n, 2) from the border of a region, negative outside."""
-    away = _distances(at, region.boundary)
+    away = distances(np.ascontiguousarray(at), segments_of(region.boundary))
     return np.where(inside(region, at, away), away, -away)
 
 
@@ -228,21 +235,15 @@ def _width_mm(ring: shapely.LinearRing) -> float:
     return float(2.0 * shapely.Polygon(ring).area / ring.length) if ring.length > 0.0 else 0.0
 
 
-def _distances(at: Floats, lines: BaseGeometry) -> Floats:
-    """Distance of points (n, 2) from lines."""
-    return distances(np.ascontiguousarray(at), segments_of(lines))
-
-
-def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
-    """Sampled path, one polyline for each ring, as far as its places are known."""
-    lines = []
+def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> Floats:
+    """Segments (n, 4) of the sampled path, ring by ring, as far as its places are known."""
+    lines = [np.zeros((0, 4))]
     for ring in np.unique(nc.ring[rows]):
         first = rows[nc.ring[rows] == ring][0]
         way = np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])
         way = way[np.isfinite(way).all(axis=1)]
-        if len(way) > 1:
-            lines.append(shapely.LineString(way))
-    return shapely.MultiLineString(lines)
+        lines.append(np.hstack([way[:-1], way[1:]]))
+    return np.concatenate(lines)
 
 
 def outside_check(subject: Subject) -> Check:

@@ -31,10 +31,8 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height, by_section, nearest_layer
 from ebamcheck.settings.config import Config
 
-# Of the bead's width: a bead that runs this near to the inset of the section is a contour.
-CONTOUR_SHARE = 0.125
-# Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.
-BEAD_STEP_MM = 0.5
+CONTOUR_SHARE = 0.125  # Of the bead's width: a bead this near to the inset of the section is a contour
+BEAD_STEP_MM = 0.5  # Chords of curved beads: at a radius of 5 mm they err by 6 um
 
 
 @dataclass(frozen=True, eq=False)

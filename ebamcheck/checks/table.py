@@ -27,12 +27,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
 NAMES = ("table limits", "table turns", "table height", "frame", "frame taken back")
-# Steps in which a turn of the table is followed: at 500 mm from its line they lie 9 mm apart, and 0.02 mm over the chord.
-STEP_DEG = 1.0
+STEP_DEG = 1.0  # Steps of a turn: at 500 mm they lie 9 mm apart, and 0.02 mm over the chord
 PLACE_MM = 2e-3  # Heights are rounded to the decimals of a program, at their coarsest
 LIMIT_DEG = 1e-6  # Rounding of a position
-# Distance of the places by which what stands is known, at most; of larger ones as many as MOST_PLACES.
-STEP_MM = 1.0
+STEP_MM = 1.0  # Distance of the places of what stands; of larger ones as many as MOST_PLACES
 MOST_PLACES = 4_000_000
 LEAST_MM2 = 1.0  # Area of a section within what stands that is no more than its border
 FAR_MM = 1e6
@@ -199,8 +197,8 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     box = np.array([(x, y, z) for z in (level - config.process.base_plate_mm, level) for y in py for x in px])
     quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
     sides = np.array([box[[q[0], *pair]] for q in quads for pair in ((q[1], q[2]), (q[2], q[3]))])
-    places = [surface[surface[:, 2] <= z_mm], cap, _places(sides, step_mm)]
-    places = np.vstack(places) @ turn + shift
+    standing = np.vstack([surface[surface[:, 2] <= z_mm], cap, _places(sides, step_mm)])
+    places = standing @ turn + shift
     corner = places[:, :2].min(axis=0) - step_mm
     cell = np.floor((places[:, :2] - corner) / step_mm).astype(np.int64)
     tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
@@ -228,7 +226,7 @@ def turned_checks(
     n, d = stands.up
     # Area of the section on the built side of the plane up to which the part was built.
     inside = shapely.intersection(section, _half_plane(n[:2], float(stands.built_mm + d - n[2] * cut_mm)))
-    area, text, at = float(inside.area), "the layer lies beside what stands already", ()
+    area, text, at = float(inside.area), "the layer lies beside what stands already", tuple[float, ...]()
     if area > LEAST_MM2:
         x, y = at = shapely.point_on_surface(inside).coords[0]
         text = f"{area:.1f} mm2 of the section stand already, at ({x:.1f}, {y:.1f}): what was built reaches {stands.built_mm:g} mm along the direction before"

@@ -28,10 +28,8 @@ _MAIN_ENDS = ("M30", "M2")
 _ASIDE = re.compile(rb"\([^)]*\)|;.*")
 # The form of nearly all blocks of metal, which name both axes; of others _absent tells what they lack.
 _PLAIN = re.compile(rb"[^(;XY]*X[^(;XY]*Y")
-# Share of the blocks with metal that name both axes from which on it is the form of the program to do so.
-MOST_WHOLE = 0.9
-# Rapids across for each that names one axis alone, from which on it is the form of the program to name both.
-LEAST_WHOLE = 4
+MOST_WHOLE = 0.9  # Share of the blocks with metal that name both axes from which on that is the form
+LEAST_WHOLE = 4  # Rapids across for each with one axis from which on naming both is the form
 FEW = 2  # So many beads without a way are a loss in a program of any size
 
 
@@ -111,40 +109,31 @@ def _end(file: SourceFile) -> Faults:
 
 
 def _calls(nc: NCProgram) -> Faults:
-    at = np.flatnonzero(nc.events.kind == Kind.CALL).tolist()
-    calls = [nc.events.said(i) for i in at]
+    """Calls of what is no layer of this program (MAIN_L0001 and on), or of one out of its order or twice; layers that are not called."""
+    e, stem, before, faults = nc.events, nc.files[0].name.rpartition(".")[0].upper(), -1, Faults()
+    at = np.flatnonzero(e.kind == Kind.CALL).tolist()
+    calls = [e.said(i) for i in at]
+    for i, name in zip(at, calls, strict=True):
+        if layer_of_preheat(stem, name) is not None:
+            continue  # checked by itself: see preheating
+        found = _LAYER_NAME.fullmatch(name)
+        if found is None or found[1] != stem or int(e.file[i]) != 0:
+            faults.append((nc.where_event(i), f"{name} is no layer of {stem}: nothing says what it is for"))
+            continue
+        if before >= 0 and int(found[2]) != before + 1:
+            faults.append((nc.where_event(i), f"{name} follows layer {before}"))
+        before = int(found[2])
     last = dict(zip(calls, at, strict=True))
     many = [(name, count) for name, count in Counter(calls).items() if count > 1]
-    faults = _foreign(nc)
     faults += [(nc.where_event(last[name]), f"{name} is called {count} times") for name, count in many]
     loads, suffix = control(nc.dialect).loads, control(nc.dialect).subprogram_suffix
     if calls and loads:
         # A control takes MAIN_L0001 and main_l0001 for one name: which of the two runs, nobody says.
         there = {path.name for path in nc.folder.iterdir() if re.fullmatch(loads, path.name.upper())}
         known = {file.name for file in nc.files} | {f"{call}{suffix}" for call in calls}
-        where = f"{nc.files[0].name}:{nc.events.line[at].max()}"
+        where = f"{nc.files[0].name}:{e.line[at].max()}"
         what = "is never called, and lies beside the program"
         faults += [(where, f"{printable(name)} {what}") for name in sorted(there - known)]
-    return faults
-
-
-def _foreign(nc: NCProgram) -> Faults:
-    """Calls of what is no layer of this program, or of one out of its order, by their names: MAIN_L0001 and on."""
-    faults: Faults = []
-    stem = nc.files[0].name.rpartition(".")[0].upper()
-    before: int | None = None
-    for i in np.flatnonzero(nc.events.kind == Kind.CALL).tolist():
-        name, where = nc.events.said(i), nc.where_event(i)
-        if layer_of_preheat(stem, name) is not None:
-            continue  # checked by itself: see preheating
-        found = _LAYER_NAME.fullmatch(name)
-        if found is None or found[1] != stem or int(nc.events.file[i]) != 0:
-            faults.append((where, f"{name} is no layer of {stem}: nothing says what it is for"))
-            continue
-        number = int(found[2])
-        if before is not None and number != before + 1:
-            faults.append((where, f"{name} follows layer {before}"))
-        before = number
     return faults
 
 

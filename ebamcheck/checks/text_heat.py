@@ -24,10 +24,8 @@ from ebamcheck.settings.config import Config
 
 LONGEST_WAIT_S = 4.0 * 3600.0  # Longest wait that is looked for
 LEAST_SHARE = 1e-6  # Keeps a bead without power from being divided by
-# Chords of the contours of which perimeters and areas are taken, where no section is known.
-OUTLINE_STEP_MM = 0.5
-# A motion or a wait of a scan is simulated for a day at most, and not at all where its feed or its time is negative.
-LONGEST_S = 86400.0
+OUTLINE_STEP_MM = 0.5  # Chords of contours where no section is known
+LONGEST_S = 86400.0  # A motion or wait of a scan is simulated for a day at most; a negative one not at all
 
 
 def motion_seconds(nc: NCProgram, config: Config) -> Floats:

@@ -31,8 +31,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import along_window
 
 MELTING = "melting power"  # Name of the check
-# Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program.
-WIDER = 1.0005
+WIDER = 1.0005  # Metal over that of one spacing from which on a bead has its own power: values are rounded
 
 At = tuple[int, str, str]  # Motions before it, where it is, and what is wrong
 
@@ -43,7 +42,9 @@ def _by_row(faults: Iterable[At]) -> Faults:
 
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
-    """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be."""
+    """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
+
+    With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool hold."""
     name, what = "mass balance", "metal of beads against the plan"
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     bead_mm2 = bead_sections_mm2(nc, config)[rows]
@@ -52,11 +53,8 @@ def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Chec
             what = "metal of beads beyond what wire feed and pool allow"
             thickness = layer_steps_mm(nc, config)[nc.layer[rows]]
             known = np.isfinite(thickness)
-            rows, width, thickness = (
-                rows[known],
-                (bead_mm2 / np.where(known, thickness, 1.0))[known],
-                thickness[known],
-            )
+            rows, thickness = rows[known], thickness[known]
+            width = bead_mm2[known] / thickness
             steps, step = np.unique(thickness, return_inverse=True)
             limits = np.array([width_limits_mm(config, float(h)) for h in steps]).reshape(-1, 2)[step]
             off = np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0
@@ -114,7 +112,9 @@ def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 
 def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
-    """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts."""
+    """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts; ramps (n,) are left out.
+
+    There the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`)."""
     rows, unit = np.flatnonzero(nc.deposit)[~on_ramp], "of the power needed"
     need_w = melting_power_w(config, spread_mm(nc, rows, config))
     rows, need_w = rows[need_w > 0.0], need_w[need_w > 0.0]
@@ -133,7 +133,9 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
 
 
 def window_check(nc: NCProgram, config: Config) -> Check:
-    """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits."""
+    """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits.
+
+    A ramp belongs to its bead; but the wire runs along it, too, and what does not melt there stays in the part."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     feed_mm_s = nc.feed_mm_min[rows] / 60.0
@@ -210,7 +212,10 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
 
 
 def value_check(nc: NCProgram, config: Config) -> Check:
-    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process."""
+    """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
+
+    A product hides an exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is
+    half as fast throughout: so each value is held against the one of the settings."""
     process = config.process
     speeds = f"up to {process.current_ma:g} mA, at {process.travel_speed_mm_s:g} mm/s"
     faults = _by_row([*_set_values(nc, config), *_feeds(nc, config)])

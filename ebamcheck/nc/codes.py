@@ -1,4 +1,7 @@
-"""What the codes of beam, wire and auxiliaries mean, and the blocks of templates taken apart into them."""
+"""What the codes of beam, wire and auxiliaries mean, and the blocks of templates taken apart into them.
+
+No control maker publishes codes of beam and wire: what a code means stands in the machine profile. A block of a template is a row of
+such codes; any other word in it is refused, since it would change the machine's state unseen."""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from ebamcheck.nc.control import control
 from ebamcheck.nc.words import NUMBER, group_of
 from ebamcheck.settings.machine import MachineSettings
 
-# Templates of the machine profile.
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
     "set_beam", "set_power", "set_wire", "set_focus", "layer_begin", "layer_end", "layer_pause",
@@ -27,10 +29,8 @@ DWELL = "dwell_s"  # Event of a wait that a template holds beside `layer_pause`
 BEAM_TEMPLATES = ("beam_on", "beam_off", "set_beam", "set_power")
 WIRE_TEMPLATES = ("wire_start", "wire_stop", "set_wire", "wire_retract")
 FOCUS_TEMPLATES = ("set_focus",)
-# Letters that no code of a profile has behind it: axes and arc centres, modes and motions, feed, block number, tool.
-NO_PARAMETERS = "XYZUVWGFMNTDIJK"
-# Groups whose words mean what they say on every machine; those of a spindle or a coolant may be a maker's.
-FLOWS = ("program flow", "tool", "override", "path override")
+NO_PARAMETERS = "XYZUVWGFMNTDIJK"  # Axes, centres, modes, motions, feed, number, tool: behind no code
+FLOWS = ("program flow", "tool", "override", "path override")  # Groups that mean the same on every machine
 _TOKEN = re.compile(
     rf"""(?:(?P<name>[A-Z][A-Z0-9_]*)\s*=\s*|(?P<letter>[A-Z])\s*)
     (?:(?P<number>{NUMBER})|\{{(?P<placeholder>[a-z_]+)(?::\.\d+f)?\}})(?![\d.{{])\s*""",
@@ -63,8 +63,7 @@ class Token:
 
     def names(self) -> tuple[str, ...]:
         """How a declaration may name this word: by its address alone, or with its number."""
-        with_number = f"{self.address}{'=' if self.assigned else ''}{self.number}"
-        return (self.address, with_number) if self.number else (self.address,)
+        return (self.address, str(self)) if self.number else (self.address,)
 
     def __str__(self) -> str:
         """Return the word as it stands in a template."""
@@ -120,18 +119,14 @@ class Codes:
         # A G code may call a macro, whose arguments are A, B, C; behind any other code they are axes.
         others = NO_PARAMETERS + ("" if key[0][0] == "G" else "ABC")
         for word in key[1:]:
-            if word.partition("=")[0] in rotary or (
-                re.fullmatch(r"[A-Z][-+.\d]*", word) and word[0] in others
-            ):
-                wrong = word
+            plain = re.fullmatch(r"[A-Z][-+.\d]*", word)
+            wrong = word if word.partition("=")[0] in rotary or (plain and word[0] in others) else wrong
         if wrong:
-            kind = {AUXILIARY: "aux_codes", FOCUS: "set_focus"}.get(
-                meaning, "wire_codes" if meaning.startswith("wire") else "beam_codes"
-            )
-            raise SettingsError(
-                f"machine.{kind}: {' '.join(key)!r} cannot mean {meaning}: to the control {wrong!r} is an axis, a motion, a mode, a feed, "
-                "a tool, or the flow of the program"
-            )
+            kind = "wire_codes" if meaning.startswith("wire") else "beam_codes"
+            kind = {AUXILIARY: "aux_codes", FOCUS: "set_focus"}.get(meaning, kind)
+            what = "is an axis, a motion, a mode, a feed, a tool, or the flow of the program"
+            said = f"{' '.join(key)!r} cannot mean {meaning}: to the control {wrong!r} {what}"
+            raise SettingsError(f"machine.{kind}: {said}")
 
     def _auxiliary(self, code: str) -> Key:
         """Words of an auxiliary code; refused where it is one of the control's own or of beam and wire."""
@@ -158,24 +153,24 @@ class Codes:
         while at < len(tokens):
             found = self._at(tokens, at)
             if found is None:
-                raise SettingsError(self._undeclared(where, block, tokens[at]))
+                token = tokens[at]
+                group = group_of(self._dialect, str(token)) or group_of(self._dialect, token.address)
+                what = f"is a word of the control ({group.name})" if group else "is declared nowhere"
+                what += ": a template holds codes of machine.beam_codes, wire_codes and aux_codes alone"
+                raise SettingsError(f"{where}: {block!r}: {str(token)!r} {what}")
             action, used = found
             result.append(action)
             at += used
         return result
 
-    def _undeclared(self, where: str, block: str, token: Token) -> str:
-        group = group_of(self._dialect, str(token)) or group_of(self._dialect, token.address)
-        what = f"is a word of the control ({group.name})" if group else "is declared nowhere"
-        return (
-            f"{where}: {block!r}: {str(token)!r} {what}: a template holds codes of machine.beam_codes, wire_codes and "
-            "aux_codes alone"
-        )
-
     def _at(self, tokens: Sequence[Token], at: int) -> tuple[Action, int] | None:
         """Action of the longest code that begins at a word, and how many words it has."""
         if tokens[at].address == "G" and tokens[at].number == "4" and at + 1 < len(tokens):
-            return self._dwell(tokens[at + 1])
+            token, address = tokens[at + 1], control(self._dialect).dwell_address
+            if token.address != address or token.placeholder not in ("", "layer_pause_s"):
+                return None
+            seconds = float(token.number) if token.number else None
+            return Action(DWELL, token.placeholder, seconds, f"G4 {token}"), 2
         for key in sorted(self._meaning, key=len, reverse=True):
             words = tokens[at : at + len(key)]
             if len(words) == len(key) and all(k in w.names() for k, w in zip(key, words, strict=True)):
@@ -185,15 +180,6 @@ class Codes:
                 number = float(last.number) if valued and last.number else None
                 return Action(self._meaning[key], last.placeholder if valued else "", number, text), len(key)
         return None
-
-    def _dwell(self, token: Token) -> tuple[Action, int] | None:
-        if token.address != control(self._dialect).dwell_address or token.placeholder not in (
-            "",
-            "layer_pause_s",
-        ):
-            return None
-        number = float(token.number) if token.number else None
-        return Action(DWELL, token.placeholder, number, f"G4 {token}"), 2
 
     def _derive(
         self, templates: Mapping[str, Sequence[str]], names: Sequence[str], values: Sequence[str]
@@ -229,7 +215,8 @@ class Codes:
 
     def _unknown_switch(self, blocks: Sequence[Sequence[Token]]) -> Key | None:
         """Code in the last block that may be the switch of a profile of its own; None where a stock one is there."""
-        if not blocks or any(self._switches(tokens) for tokens in blocks):
+        known = [self._at(tokens, at) for tokens in blocks for at in range(len(tokens))]
+        if not blocks or any(found is not None and found[0].meaning in SWITCHES for found in known):
             return None
         tokens = blocks[-1]
         for at, token in enumerate(tokens):
@@ -237,10 +224,6 @@ class Codes:
                 rest = itertools.takewhile(lambda t: _parameter(t) and not t.placeholder, tokens[at + 1 :])
                 return (token.names()[-1], *(t.names()[-1] for t in rest))
         return None
-
-    def _switches(self, tokens: Sequence[Token]) -> bool:
-        found = (self._at(tokens, at) for at in range(len(tokens)))
-        return any(action is not None and action[0].meaning in SWITCHES for action in found)
 
 
 def _tokens(name: str, block: str) -> list[Token]:

@@ -16,13 +16,11 @@ from ebamcheck.showing import short_text
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"  # The status of every file, at the end of one of its first lines
 STATUS_LINES = 3  # Lines among which the status stands: a SINUMERIK wants a name and a path first
-# The words of the status, in a comment after a semicolon or in parentheses.
 STATUS = re.compile(rb"(?<=; )(?:NOT )?VALIDATED(?=\r?$)|(?<=\()(?:NOT )?VALIDATED(?=\)\r?$)", re.MULTILINE)
 LONGEST_NAME = 24
 RESERVED_NAME = re.compile(r"CON|PRN|AUX|NUL|COM\d|LPT\d")
 SUFFIXES = (".MPF", ".SPF")  # Files that are programs whatever they hold
-# Begins a file that can be run.
-SCRIPT = "#!"
+SCRIPT = "#!"  # Begins a file that can be run
 
 
 @dataclass(frozen=True)

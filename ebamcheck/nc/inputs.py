@@ -16,8 +16,7 @@ from ebamcheck.settings.config import Config
 # to its third control point through its second, which lies half-way.
 LINE, SPLINE, ARC = range(3)
 DEGREE = 3  # Degree of every spline piece
-# A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter.
-SHORTEST_BLOCK_MM = 0.05
+SHORTEST_BLOCK_MM = 0.05  # A cut nearer to the end of a block is made there: short ones make controls stutter
 
 
 class CurveColumns(Protocol):

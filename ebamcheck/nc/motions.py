@@ -20,8 +20,8 @@ from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
-# Kinds of motions; a BSPLINE gives one row for each knot span.
-KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
+# Of motions; a BSPLINE gives one row for each knot span.
+KIND_NAMES = "rapid", "line", "poly", "bspline span", "arc"
 Place = tuple[float, float, float]
 DRAWN_STEP_MM = 0.25  # Curved motions are drawn as straight parts of at most this length
 
@@ -196,7 +196,8 @@ class NCProgram(Columns[Motion]):
         each = t if t.ndim > 1 else t[:, None]
         # (4, n, 2, 1) powers of the parameter.
         c0, c1, c2, c3 = np.moveaxis(self.coefficients[rows], 2, 0)[..., None]
-        points = np.moveaxis(((c3 * each[:, None] + c2) * each[:, None] + c1) * each[:, None] + c0, 1, 2)
+        at = each[:, None]
+        points: Floats = np.moveaxis(((c3 * at + c2) * at + c1) * at + c0, 1, 2)
         round_ = np.flatnonzero(self.kind[rows] == ARC)
         if round_.size:
             r = rows[round_]

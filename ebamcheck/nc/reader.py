@@ -18,11 +18,9 @@ from ebamcheck.nc.words import NUMBER, SKIP, SKIPPED, Block, Dialect, UnknownWor
 from ebamcheck.settings.config import Config
 
 AXES = ("X", "Y", "Z")
-# Words of motion that every control has.
 COMMON_MOTIONS: Mapping[str, int] = {"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC}
 ARCS = ("G2", "G3")
-# Radii at start and end of an arc may differ by this; larger differences stop the control with an alarm.
-RADIUS_TOLERANCE_MM = 0.01
+RADIUS_TOLERANCE_MM = 0.01  # Of start and end of an arc; larger differences stop the control with an alarm
 CHORD_ROUNDING = 1e-9  # Share by which a chord may exceed the diameter, for the rounding of a half circle
 _N = rf"({NUMBER})"
 # The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word.

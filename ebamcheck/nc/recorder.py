@@ -21,14 +21,11 @@ from ebamcheck.nc.timeline import Events
 from ebamcheck.nc.words import NUMBER
 
 NAN = float("nan")
-# Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none.
-LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
+LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)  # Coefficients of t^2 and t^3 in X, then Y; length of t
 NO_CENTRE = (NAN, NAN, NAN)
 MOST_DIGITS = 8  # Digits of a block number: a SINUMERIK takes eight, and no control here takes more
-# No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis.
-LARGEST = 1e8
-# A feed that is less and not 0 is under the steps of any control, and a motion by it has no end.
-LEAST_FEED = 1e-6
+LARGEST = 1e8  # No control takes more: a Fanuc eight digits in all, a SINUMERIK five of an axis
+LEAST_FEED = 1e-6  # Lesser ones but 0 are under the steps of any control, and have no end
 _KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
 
 
@@ -207,7 +204,8 @@ class Recorder:
         first = end[:, :2] - start[:, :2] - second - third
         coefficients = np.stack([start[:, :2], first, second, third], axis=2)
         coefficients[kind == ARC] = np.nan
-        at = np.array([event[:3] for event in self._events], np.int64).reshape(-1, 3).T
+        at = np.array([event[:3] for event in self._events], np.int64).reshape(-1, 3)
+        files, lines, before = np.ascontiguousarray(at.T)
         names, values = tuple(event[3] for event in self._events), [event[4] for event in self._events]
         made = NCProgram(
             files=tuple(self.files), header=self.header, folder=self.folder, file=file, line=line, layer=layer, kind=kind,
@@ -215,7 +213,7 @@ class Recorder:
             feed_mm_min=states[2], beam=beam, wire=states[4] > 0, wire_mm_s=states[7],
             power_w=np.where(np.isnan(states[6]), states[5], states[6]),
             ring=nothing, island=nothing, turn=nothing > 0, goes_on=nothing > 0,
-            events=Events(*np.ascontiguousarray(at), names, np.array(values, np.float64)),
+            events=Events(files, lines, before, names, np.array(values, np.float64)),
             numbers=np.array(self._numbers, dtype=np.int64).reshape(-1, 3),
             layer_files=layer_files, dialect=self.dialect, table=table,
         )  # fmt: skip
@@ -251,8 +249,7 @@ class Recorder:
 
 
 RUNNING = ("set_power", "set_wire")  # Templates that set values along a bead
-# Templates that may set a value to 0 at the end of a bead, before they switch off.
-ENDING = ("beam_off", "wire_stop")
+ENDING = ("beam_off", "wire_stop")  # Templates that may set a value to 0 at the end of a bead
 _ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
 
 

@@ -1,4 +1,7 @@
-"""Roles of motions by their geometry: contours, islands, turns, layers, preheating. What comments say of them counts for nothing."""
+"""Roles of motions by their geometry: contours, islands, turns, layers, preheating. What comments say of them counts for nothing.
+
+A bead that comes back to its start is a contour, any other is hatch. Who knows more of the part or of its plan gives better roles:
+:func:`by_section` and :func:`ebamcheck.checks.matching.matched`."""
 
 from __future__ import annotations
 
@@ -17,17 +20,12 @@ from ebamcheck.nc.motions import RAPID, STRAIGHT, Beads, NCProgram
 from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.threads import run_blocks
 
-# A bead that comes this near to its start has come back: the decimals of a program, at their coarsest.
-CLOSED_MM = 1e-3
+CLOSED_MM = 1e-3  # A bead this near to its start has come back: the decimals of a program, at their coarsest
 PARALLEL = 1e-3  # Sine of the angle between lines of one direction
-# Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else.
-JOINT_MM = 2e-5
-# Distance of the places at which a bead's distance from the depth of contours is looked at, and of those tried along the sides.
-STEP_MM = 0.5
-# Stretches into which the shortest side is parted: of a side of a small circle only the middle has the depth.
-FEWEST = 4
-# Angle between the places that are tried around an inward corner: chords of beads keep the depth within OFF_MM.
-TURN_RAD = np.pi / 96.0
+JOINT_MM = 2e-5  # Where the power changes along a line, its joint is off by the rounding of six decimals
+STEP_MM = 0.5  # Of the places along beads, and along sides, where depths are looked at
+FEWEST = 4  # Stretches of the shortest side: of a side of a small circle only the middle has the depth
+TURN_RAD = np.pi / 96.0  # Between the places around an inward corner: chords keep the depth within OFF_MM
 OFF_MM = 1e-3  # By how much less deep a place may be
 HALVINGS = 8  # Halvings of the stretch in which a line ends
 MOST = 0.5  # Share of a bead's length at the depth of contours from which on it is a contour
@@ -39,7 +37,9 @@ def by_shape(nc: NCProgram) -> NCProgram:
 
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
-    """Give every bead its role by the sections of a part: contours run at a depth of the section."""
+    """Give every bead its role by the sections of a part: contours run within `near_mm` of the depth `offset_mm` for most of their length.
+
+    The `layers` lie at `z_of` (L,) in the program. In a layer where no bead does, those that come back to their start are contours."""
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
     layer = nearest_layer(nc.end[beads.first, 2], z_of)
@@ -172,7 +172,9 @@ def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
 
 
 def with_travel(layer: Ints) -> Ints:
-    """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to."""
+    """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to.
+
+    Its first motion away from a layer is still of that layer, and what follows the last bead is of the last layer."""
     metal = np.flatnonzero(layer >= 0)
     if not metal.size:
         return layer
@@ -185,7 +187,6 @@ def with_travel(layer: Ints) -> Ints:
 
 
 OFF = ("beam_off", "wire_stop")  # Commands that come before a scan
-# Columns with a row for each motion.
 OF_MOTIONS = (
     "file", "line", "layer", "kind", "start", "end", "coefficients", "arc", "feed_mm_min", "beam", "wire", "power_w",
     "wire_mm_s", "ring", "island", "turn", "goes_on",
@@ -193,34 +194,29 @@ OF_MOTIONS = (
 
 
 def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
-    """Return a program with the motions and events of its preheating scans apart."""
-    if in_layers:
-        return _by_focus(nc)
-    stem = nc.files[0].name.rpartition(".")[0]
+    """Return a program with the motions and events of its preheating scans apart.
+
+    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus, with the commands right before it that
+    switch beam and wire off. Positions of the rest begin where the scan before left the tool.
+    """
+    e, stem = nc.events, nc.files[0].name.rpartition(".")[0]
     of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
-    if all(layer is None for layer in of_file):
-        return nc
     layer = np.array([-1 if found is None else found for found in of_file], np.int64)
-    apart = layer[nc.file] >= 0
-    scans = rows_of(nc, apart, layer[nc.events.file] >= 0)
-    scans = replace(scans, layer=layer[scans.file], layer_files=())
-    return replace(rows_of(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
-
-
-def _by_focus(nc: NCProgram) -> NCProgram:
-    """Scans told by the focus, each with the commands right before it that switch beam and wire off."""
-    e, focus = nc.events, nc.events.named(FOCUS)
-    out = focus & (e.value != 0.0)
-    within = e.since(out, focus & ~out)
-    # What comes next, but for the commands that switch off.
-    others = np.flatnonzero(~e.named(*OFF))
-    ahead = np.append(others, len(e) - 1)[np.searchsorted(others, np.arange(len(e)))]
-    before = e.named(*OFF) & (out & ~within[:-1])[ahead] & (e.file == e.file[ahead])
-    events = before | out | within[:-1]
-    motions = within[np.searchsorted(e.row, np.arange(len(nc)), side="right")]
-    if not events.any():
+    motions, events = layer[nc.file] >= 0, layer[e.file] >= 0
+    if in_layers:
+        focus = e.named(FOCUS)
+        out = focus & (e.value != 0.0)
+        within = e.since(out, focus & ~out)
+        # What comes next, but for the commands that switch off.
+        others = np.flatnonzero(~e.named(*OFF))
+        ahead = np.append(others, len(e) - 1)[np.searchsorted(others, np.arange(len(e)))]
+        before = e.named(*OFF) & (out & ~within[:-1])[ahead] & (e.file == e.file[ahead])
+        events = before | out | within[:-1]
+        motions = within[np.searchsorted(e.row, np.arange(len(nc)), side="right")]
+    if not (events if in_layers else layer >= 0).any():
         return nc
     scans = replace(rows_of(nc, motions, events), layer_files=())
+    scans = scans if in_layers else replace(scans, layer=layer[scans.file])
     return replace(rows_of(nc, ~motions, ~events), preheating=scans)
 
 
@@ -242,10 +238,7 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
 
-    >>> lines = depth_lines(shapely.box(0, 0, 10, 8), 3.0)
-    >>> np.round(np.hypot(*(lines[:, 2:] - lines[:, :2]).T).sum(), 2)
-    np.float64(12.0)
-    """
+    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`."""
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))
     sides = segments_of(shapely.boundary(section))

@@ -71,9 +71,9 @@ class ProcessValues:
         return to_increment(getattr(self, name), self.increments.get(name, 0.0))
 
     @cached_property
-    def _placeholders(self) -> _Placeholders:
-        """What is put for each placeholder, of all templates of a moment."""
-        return _Placeholders(self)
+    def _placeholders(self) -> dict[str, object]:
+        values = {name: self.printed(name) for name in PLACEHOLDERS}
+        return {name: value if isinstance(value, int) else _Value(value) for name, value in values.items()}
 
     def at(self, power: float, wire: float) -> ProcessValues:
         """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
@@ -85,22 +85,6 @@ class ProcessValues:
         return [_filled(f"machine.{name}", line, self._placeholders) for line in template]
 
 
-class _Placeholders(dict[str, object]):
-    """What stands for the placeholders of templates, each worked out when it is first asked for."""
-
-    def __init__(self, values: ProcessValues) -> None:
-        super().__init__()
-        self._values = values
-
-    def __missing__(self, name: str) -> object:
-        if name not in PLACEHOLDERS:
-            raise KeyError(name)
-        value = self._values.printed(name)
-        self[name] = found = value if isinstance(value, int) else _Value(value)
-        return found
-
-
-# Names that stand for values in a template.
 PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
 
 
@@ -153,8 +137,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "wire_retract": ("wire_retract_mm",),
     "set_focus": (FOCUS,),
 }
-# Templates that run while the beam is on.
-UNDER_BEAM = ("set_power", "set_wire", "wire_start", "wire_stop", "wire_retract")
+UNDER_BEAM = ("set_power", "set_wire", "wire_start", "wire_stop", "wire_retract")  # Run while the beam is on
 # Blocks of each template as text, and what the codes of each do.
 Programmed = Mapping[str, tuple[tuple[str, tuple[Action, ...]], ...]]
 
@@ -188,8 +171,7 @@ def checked_templates(machine: MachineSettings, dialect: str) -> Programmed:
     return result
 
 
-# Heights of a keep-out zone for which nobody gave any: a place to stay out of, and no body that turns with the table.
-NO_HEIGHT = KeepOut.model_fields["z_mm"].default
+NO_HEIGHT = KeepOut.model_fields["z_mm"].default  # Of a zone to stay out of, and no body
 
 
 def _wrong(name: str, blocks: Sequence[tuple[str, tuple[Action, ...]]]) -> Iterator[str]:

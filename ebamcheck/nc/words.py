@@ -14,8 +14,7 @@ from ebamcheck.nc.control import Group, control
 from ebamcheck.settings.machine import MachineSettings
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
-# Before a block that is skipped where the operator has chosen so at the panel.
-SKIP = re.compile(r"\s*/\d?\s*")
+SKIP = re.compile(r"\s*/\d?\s*")  # Before a block that is skipped where the operator has chosen so
 SKIPPED = "may be skipped"  # Event of such a block, where it does anything
 MOST_OF_A_LIST = 3  # Numbers of a list: an end point, and coefficients of t^2 and t^3
 
@@ -76,17 +75,24 @@ class UnknownWord(WordError):
 def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
     """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
 
-    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`."""
+    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`.
+    """
     block = Block({}, {}, [])
     for found in dialect.word.finditer(code):
         kind, text = found.lastgroup, found[0].lstrip()
-        column = found.end() - len(text)
+        column, word, address, value = found.end() - len(text), "", "", ""
         if kind == "bad":
             raise UnknownWord(f"unknown word {text.split()[0]!r}", column)
         if kind == "list":
-            _add_list(block, found, column)
+            try:
+                numbers = tuple(float(part) for part in found["list"].split(","))
+            except ValueError:
+                numbers = ()
+            if not 1 <= len(numbers) <= MOST_OF_A_LIST or found["list_address"] in block.lists:
+                what = f"{text.strip()!r} is no single list of an end point and at most two coefficients"
+                raise WordError(what, column)
+            block.lists[found["list_address"]] = numbers
             continue
-        word, address, value = "", "", ""
         if kind == "number":
             address, value = found.group("letter", "number")
             if address in dialect.code_letters:
@@ -107,35 +113,21 @@ def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Blo
         else:
             block.values[address] = float(value)
     if len(block.codes) > 1:
-        _refuse_two_of_a_group(dialect, block.codes)
+        # Refuse two words of one group in a block: a control stops there, with the beam as it is, or takes either.
+        seen: dict[str, str] = {}
+        for one in block.codes:
+            group = group_of(dialect.name, one)
+            kind = "motion" if one in dialect.motions else group.name if group else one
+            if kind in seen:
+                raise WordError(
+                    f"{seen[kind]} and {one} in one block: it takes one word of a group ({kind})", 0
+                )
+            seen[kind] = one
     if len(block.codes) + len(block.values) + len(block.lists) > 1:
         for word in block.codes:
             if word in dialect.alone:
                 raise WordError(f"{word} with other words: {dialect.alone[word]}", 0)
     return block
-
-
-def _add_list(block: Block, found: re.Match[str], column: int) -> None:
-    address = found["list_address"]
-    try:
-        numbers = tuple(float(part) for part in found["list"].split(","))
-    except ValueError:
-        numbers = ()
-    if not 1 <= len(numbers) <= MOST_OF_A_LIST or address in block.lists:
-        what = f"{found[0].strip()!r} is no single list of an end point and at most two coefficients"
-        raise WordError(what, column)
-    block.lists[address] = numbers
-
-
-def _refuse_two_of_a_group(dialect: Dialect, words: Collection[str]) -> None:
-    """Refuse two words of one group in a block: a control stops there, with the beam as it is, or takes either."""
-    seen: dict[str, str] = {}
-    for word in words:
-        group = group_of(dialect.name, word)
-        kind = "motion" if word in dialect.motions else group.name if group else word
-        if kind in seen:
-            raise WordError(f"{seen[kind]} and {word} in one block: it takes one word of a group ({kind})", 0)
-        seen[kind] = word
 
 
 @cache
