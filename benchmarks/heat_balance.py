@@ -28,7 +28,7 @@ from benchmarks.machine import machine
 from benchmarks.referee import judged, referee
 from benchmarks.scan_orders import DEFAULT_OUTPUT, markdown
 from benchmarks.whole_program_heat import Balance, Deposits, constant_tables, heat_balance
-from ebamcheck.checks.text_heat import (
+from ebamcheck.checks.interpass_checks import (
     TextBeads,
     sections_of,
     text_beads,

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from ebamcheck.checks.text_heat import motion_seconds
+from ebamcheck.checks.interpass_checks import motion_seconds
 from ebamcheck.json_values import plain
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.inspection import inspect

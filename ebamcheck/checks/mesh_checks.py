@@ -365,8 +365,7 @@ def _different(
         drawn = np.concatenate([np.zeros_like(mesh[3]), *(crossed[3] for crossed in ours)])
         order = np.lexsort((place, line, layer))
         layer, line, place = layer[order], line[order], place[order]
-        begins = np.diff(layer, prepend=-1) + np.diff(line, prepend=-1) != 0
-        begins |= np.diff(layer, prepend=-1) != 0
+        begins = (np.diff(layer, prepend=-1) != 0) | (np.diff(line, prepend=-1) != 0)
         inside = _winding(solid[order], begins) > 0
         differ = inside != (_winding(drawn[order], begins) > 0)
         piece = np.diff(place, append=np.inf)

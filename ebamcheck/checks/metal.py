@@ -285,6 +285,16 @@ def _figures(layer: _Laid, process: ProcessSettings) -> dict[str, float]:
     deep = deep_cells(inside, bead_cells)
     film = ~inside & (laid >= FILM * of.height_mm)
     runs = (melted > 0.0) | bead_centres(inside, bead_cells)
+    # Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others.
+    reach, step = np.zeros(film.shape), target.step_mm
+    if inside.any():
+        # From the border of a cell to the middle of the next it is half a cell.
+        reach[film] = (border_distance(~inside)[film] - 0.5) * step
+    else:
+        # A section thinner than a cell fills none to the half.
+        rows, column = np.nonzero(film)
+        middles = target.origin + (np.column_stack([column, rows]) + 0.5) * step
+        reach[film] = distances(middles, segments_of(of.section.boundary))
     figures = {
         # Not by the cells, which plan and check have in common.
         "wanted_mm3": float(of.section.area) * of.height_mm,
@@ -295,7 +305,7 @@ def _figures(layer: _Laid, process: ProcessSettings) -> dict[str, float]:
         # Too low matters where a bead runs or could; the tip of a wedge, which none reaches, stays bare.
         **_extreme("low", np.where(runs, -over, 0.0), target),
         **_extreme("high", over, target),
-        **_extreme("reach", _reaches_mm(film, inside, of.section, target), target),
+        **_extreme("reach", reach, target),
     }
     return row | figures | _wall(of.section, figures, process)
 
@@ -306,20 +316,6 @@ def _extreme(name: str, height: Floats, target: Target) -> dict[str, float]:
     x, y = target.origin + (np.array([column, row]) + 0.5) * target.step_mm
     greatest = max(float(height[row, column]), 0.0)
     return {f"{name}_mm": greatest, f"{name}_x_mm": float(x), f"{name}_y_mm": float(y)}
-
-
-def _reaches_mm(film: Bools, inside: Bools, section: BaseGeometry, target: Target) -> Floats:
-    """Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others."""
-    reach, step = np.zeros(film.shape), target.step_mm
-    if inside.any():
-        # From the border of a cell to the middle of the next it is half a cell.
-        reach[film] = (border_distance(~inside)[film] - 0.5) * step
-    else:
-        # A section thinner than a cell fills none to the half.
-        row, column = np.nonzero(film)
-        middles = target.origin + (np.column_stack([column, row]) + 0.5) * step
-        reach[film] = distances(middles, segments_of(section.boundary))
-    return reach
 
 
 def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSettings) -> dict[str, float]:

@@ -73,7 +73,19 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
     kind = np.asarray(curves.kind, np.int64)[piece]
     centre, sweep = np.zeros((piece.size, 2)), np.zeros(piece.size)
     arcs = np.flatnonzero(kind == ARC)
-    centre[arcs], sweep[arcs] = _turns(columns[arcs])
+    # Centre (n, 2) and turn (n,), rad, of arcs through three points each, the second half-way; no turn of one that is straight.
+    points = columns[arcs]
+    # The centre is where the bisectors of both halves meet.
+    first, middle, last = points[:, 0], points[:, 1], points[:, 2]
+    one, other = middle - first, last - middle
+    across = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    turned = np.abs(across) > FLAT_ARC * (one * one).sum(axis=1)
+    a, b = 0.5 * ((middle + first) * one).sum(axis=1), 0.5 * ((last + middle) * other).sum(axis=1)
+    whole = np.where(turned, across, 1.0)[:, None]
+    centres = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
+    spoke, side = first - centres, middle - centres
+    half = np.arctan2(spoke[:, 0] * side[:, 1] - spoke[:, 1] * side[:, 0], (spoke * side).sum(axis=1))
+    centre[arcs], sweep[arcs] = centres, np.where(turned, 2.0 * half, 0.0)
     columns[arcs[sweep[arcs] != 0.0], 1:] = 0.0
     flat = arcs[sweep[arcs] == 0.0]
     columns[flat, 1], columns[flat, 2:] = columns[flat, 2] - columns[flat, 0], 0.0
@@ -93,21 +105,6 @@ def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
             share = ((at - low) / (high - low))[..., None]
             place[k] = (1.0 - share) * place[k - 1] + share * place[k]
     return np.asarray(place[DEGREE], np.float64)
-
-
-def _turns(points: Floats) -> tuple[Floats, Floats]:
-    """Centre (n, 2) and turn (n,), rad, of arcs through three points each, the second half-way; no turn of one that is straight."""
-    # The centre is where the bisectors of both halves meet.
-    first, middle, last = points[:, 0], points[:, 1], points[:, 2]
-    one, other = middle - first, last - middle
-    across = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    turned = np.abs(across) > FLAT_ARC * (one * one).sum(axis=1)
-    a, b = 0.5 * ((middle + first) * one).sum(axis=1), 0.5 * ((last + middle) * other).sum(axis=1)
-    whole = np.where(turned, across, 1.0)[:, None]
-    centre = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
-    spoke, side = first - centre, middle - centre
-    half = np.arctan2(spoke[:, 0] * side[:, 1] - spoke[:, 1] * side[:, 0], (spoke * side).sum(axis=1))
-    return centre, np.where(turned, 2.0 * half, 0.0)
 
 
 def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
@@ -141,7 +138,13 @@ def contour_checks(subject: Subject) -> list[Check]:
     sampled = spans.at(np.repeat(np.arange(spans.ring.size), SAMPLES), np.tile(t, spans.ring.size))
     sampled = sampled.reshape(-1, SAMPLES, 2)
     driven = nc.evaluate(rows, t[None])
-    faults += _turned_rings(nc, curves, rows, driven, spans.ring, sampled)
+    # Closed rings that are driven the other way than planned: as a shape they are the same.
+    once = ~nc.overlap[rows]
+    driven_mm2 = np.bincount(nc.ring[rows[once]], _left_mm2(driven[once]), minlength=count)
+    planned_mm2 = np.bincount(spans.ring, _left_mm2(sampled), minlength=count)
+    turned = np.flatnonzero(np.asarray(curves.closed) & (driven_mm2 * planned_mm2 < 0.0))
+    first = [int(rows[once][np.argmax(nc.ring[rows[once]] == k)]) for k in turned]
+    faults += [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
     distance, alike = _same_parameters(nc, rows, driven, spans, sampled, count)
     # Splines were written as lines or arcs by the settings, or because the control has nothing else.
     carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
@@ -184,18 +187,6 @@ def _along(chords: Ints) -> tuple[Ints, Floats]:
 def _grouped(ring: Ints, count: int) -> list[Ints]:
     """Places of each ring's own in a column, rising."""
     return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
-
-
-def _turned_rings(
-    nc: NCProgram, curves: CurveColumns, rows: Ints, driven: Floats, ring: Ints, fitted: Floats
-) -> list[tuple[str, str]]:
-    """Closed rings that are driven the other way than planned: as a shape they are the same."""
-    count, once = len(curves.closed), ~nc.overlap[rows]
-    driven_mm2 = np.bincount(nc.ring[rows[once]], _left_mm2(driven[once]), minlength=count)
-    planned_mm2 = np.bincount(ring, _left_mm2(fitted), minlength=count)
-    turned = np.flatnonzero(np.asarray(curves.closed) & (driven_mm2 * planned_mm2 < 0.0))
-    first = [int(rows[once][np.argmax(nc.ring[rows[once]] == k)]) for k in turned]
-    return [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
 
 
 def _left_mm2(points: Floats) -> Floats:

@@ -22,8 +22,7 @@ from ebamcheck.checks.checks import (
     row_faults,
 )
 from ebamcheck.checks.heat_again import MODELS_SHARE, plate_k
-from ebamcheck.checks.state_checks import beyond_travel_mm, modes_of_scans
-from ebamcheck.checks.text_heat import (
+from ebamcheck.checks.interpass_checks import (
     Scanned,
     scanned,
     scanned_heat,
@@ -33,6 +32,7 @@ from ebamcheck.checks.text_heat import (
     text_bed_k,
     text_shapes,
 )
+from ebamcheck.checks.state_checks import beyond_travel_mm, modes_of_scans
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.preheating import BeamWay, SurfaceK, spot_peak_k
@@ -453,35 +453,28 @@ def temperatures_of(found: list[Found], config: Config) -> list[Check]:
     """Temperature, evenness and peak of the scanned surfaces."""
     settings, solidus_k = config.preheat, config.material.solidus_k
     read = [(scan, scan.after) for scan in found if scan.after is not None]
-    low = min(read, key=lambda pair: pair[1].mean_k, default=None)
-    high = max((p for p in read if p[0].passes), key=lambda pair: pair[1].mean_k, default=None)
-    uneven = max((p for p in read if p[0].passes), key=lambda pair: pair[1].spread_k, default=None)
-    most_w = max((float(p[0].way.power_w.max(initial=0.0)) for p in read), default=0.0)
-    checks = []
-
-    def judged(
-        name: str, passed: bool, figure: float, limit: float, where: str, text: str, unit: str = "K"
-    ) -> None:
-        checks.append(Check(f"preheat {name}", bool(passed), figure, limit, unit, where, text))
-
-    if low is not None:
-        mean_k, least_k = low[1].mean_k, settings.target_k
-        text = f"layer {low[0].layer + 1} begins on {mean_k:.0f} K, preheat.target_k is {least_k:g} K"
-        judged("temperature", mean_k >= least_k, mean_k, least_k, low[0].where, text, "K, at least")
-    if high is not None and uneven is not None:
-        (scan, at), limit = high, settings.target_k + settings.over_k
-        text = f"preheated to {at.mean_k:.0f} K at most, preheat.target_k + over_k is {limit:g} K"
-        judged("overheating", at.mean_k <= limit, at.mean_k, limit, scan.where, text)
-        peak_k = at.mean_k + spot_peak_k(most_w, settings.speed_mm_s, config)
-        where, (scan, at), limit = scan.where, uneven, settings.evenness_k
-        text = (
-            f"{at.least_k:.0f} K at {at.least_at_mm} to {at.most_k:.0f} K at {at.most_at_mm} before layer {scan.layer + 1}, "
-            f"preheat.evenness_k is {limit:g} K"
-        )
-        judged("evenness", at.spread_k <= limit, at.spread_k, limit, scan.where, text)
-        text = f"the surface comes to {peak_k:.0f} K under a beam of {most_w:g} W and {settings.spot_mm:g} mm, solidus is {solidus_k:g} K"
-        judged("melting", peak_k < solidus_k, peak_k, solidus_k, where, text)
-    return checks
+    driven = [pair for pair in read if pair[0].passes]
+    if not read:
+        return []
+    (scan, at), least_k = min(read, key=lambda pair: pair[1].mean_k), settings.target_k
+    text = f"layer {scan.layer + 1} begins on {at.mean_k:.0f} K, preheat.target_k is {least_k:g} K"
+    warm, unit = at.mean_k >= least_k, "K, at least"
+    checks = [Check("preheat temperature", bool(warm), at.mean_k, least_k, unit, scan.where, text)]
+    if not driven:
+        return checks
+    scan, at = max(driven, key=lambda pair: pair[1].mean_k)
+    limit_k, most_w = least_k + settings.over_k, max(float(p[0].way.power_w.max(initial=0.0)) for p in read)
+    text = f"preheated to {at.mean_k:.0f} K at most, preheat.target_k + over_k is {limit_k:g} K"
+    checks.append(limit_check("preheat overheating", at.mean_k, limit_k, "K", text, scan.where))
+    peak_k, where = at.mean_k + spot_peak_k(most_w, settings.speed_mm_s, config), scan.where
+    (scan, at), limit_k = max(driven, key=lambda pair: pair[1].spread_k), settings.evenness_k
+    text = (
+        f"{at.least_k:.0f} K at {at.least_at_mm} to {at.most_k:.0f} K at {at.most_at_mm} before layer {scan.layer + 1}, "
+        f"preheat.evenness_k is {limit_k:g} K"
+    )
+    checks.append(limit_check("preheat evenness", at.spread_k, limit_k, "K", text, scan.where))
+    text = f"the surface comes to {peak_k:.0f} K under a beam of {most_w:g} W and {settings.spot_mm:g} mm, solidus is {solidus_k:g} K"
+    return [*checks, Check("preheat melting", bool(peak_k < solidus_k), peak_k, solidus_k, "K", where, text)]
 
 
 def temperature_again(found: list[Found], config: Config) -> list[Check]:

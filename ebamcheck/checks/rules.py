@@ -14,7 +14,6 @@ from ebamcheck.checks.bead_end_checks import bead_end_checks, end_gaps_check, ra
 from ebamcheck.checks.checks import checks_of
 from ebamcheck.checks.clearance import clearance_checks
 from ebamcheck.checks.consumables import consumables_checks
-from ebamcheck.checks.header_checks import header_checks
 from ebamcheck.checks.interpass_checks import heat_checks, wait_check
 from ebamcheck.checks.matching import matching_checks
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
@@ -26,7 +25,7 @@ from ebamcheck.checks.section_check import section_checks
 from ebamcheck.checks.state_checks import released_checks, state_checks, wait_height_check
 from ebamcheck.checks.subject import Subject
 from ebamcheck.checks.table import tilt_checks
-from ebamcheck.checks.text_checks import text_checks, words_check
+from ebamcheck.checks.text_checks import header_checks, text_checks, words_check
 from ebamcheck.checks.value_checks import increment_check, value_check, window_check, wire_check
 from ebamcheck.kernels import Floats
 from ebamcheck.nc.inputs import deposition_heights

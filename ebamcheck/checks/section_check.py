@@ -131,7 +131,14 @@ def _compared(
         x, y = nc.end[rows[0], :2].tolist()
         return _Worst(int(rows[0]), length, limit_mm, k, x, y, "of contour path, and no section")
     owner, at = nc.samples(rows, STEP_MM)
-    path = _path(nc, rows, owner, at)
+    # Segments (n, 4) of the sampled path, ring by ring, as far as its places are known.
+    ways = [np.zeros((0, 4))]
+    for ring in np.unique(nc.ring[rows]):
+        begin = rows[nc.ring[rows] == ring][0]
+        way = np.vstack([nc.start[begin, :2], at[nc.ring[owner] == ring]])
+        way = way[np.isfinite(way).all(axis=1)]
+        ways.append(np.hstack([way[:-1], way[1:]]))
+    path = np.concatenate(ways)
     if not len(path):
         first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0))))) if len(nc) else 0
         if not len(wanted):
@@ -233,17 +240,6 @@ def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: fl
 def _width_mm(ring: shapely.LinearRing) -> float:
     """Mean width of a long ring: twice its area over its perimeter."""
     return float(2.0 * shapely.Polygon(ring).area / ring.length) if ring.length > 0.0 else 0.0
-
-
-def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> Floats:
-    """Segments (n, 4) of the sampled path, ring by ring, as far as its places are known."""
-    lines = [np.zeros((0, 4))]
-    for ring in np.unique(nc.ring[rows]):
-        first = rows[nc.ring[rows] == ring][0]
-        way = np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])
-        way = way[np.isfinite(way).all(axis=1)]
-        lines.append(np.hstack([way[:-1], way[1:]]))
-    return np.concatenate(lines)
 
 
 def outside_check(subject: Subject) -> Check:

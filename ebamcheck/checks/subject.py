@@ -10,11 +10,10 @@ from threading import Lock
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.header_checks import Truth
-from ebamcheck.checks.interpass_checks import layer_shares, scheduled_shares, shares_of_text
+from ebamcheck.checks.interpass_checks import known_sections, layer_shares, scheduled_shares, shares_of_text
 from ebamcheck.checks.matching import Matching
 from ebamcheck.checks.metal import Deposit, deposit
-from ebamcheck.checks.text_heat import known_sections
+from ebamcheck.checks.text_checks import Truth
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers

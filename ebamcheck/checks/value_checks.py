@@ -25,7 +25,6 @@ from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.conventions import increments_of, power_slack_w
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.nc.timeline import Kind
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import along_window
@@ -223,28 +222,22 @@ def value_check(nc: NCProgram, config: Config) -> Check:
 
 
 def _set_values(nc: NCProgram, config: Config) -> Iterator[At]:
-    process = config.process
-    fixed = {
-        "voltage_kv": (process.voltage_kv, "kV"),
-        "wire_retract_mm": (process.wire_retract_mm, "mm of wire drawn back"),
+    process, steps, e = config.process, increments_of(config.machine), nc.events
+    # What a value is to be, or 0; or what it is at most.
+    limits = {
+        "voltage_kv": (True, process.voltage_kv, "kV"),
+        "wire_retract_mm": (True, process.wire_retract_mm, "mm of wire drawn back"),
+        "current_ma": (False, process.current_ma, "mA"),
+        "power_w": (False, process.power_w, "W"),
+        "wire_mm_s": (False, process.wire_speed_max_mm_s, "mm/s of wire"),
     }
-    greatest = {
-        "current_ma": (process.current_ma, "mA"),
-        "power_w": (process.power_w, "W"),
-        "wire_mm_s": (process.wire_speed_max_mm_s, "mm/s of wire"),
-    }
-    steps, events = increments_of(config.machine), nc.events
-    for i in np.flatnonzero(events.kind == Kind.VALUE).tolist():
-        name, value, row = events.name[i], float(events.value[i]), int(events.row[i])
-        half = 0.5 * steps.get(name, 0.0)
-        if name in fixed:
-            wanted, unit = fixed[name]
-            if value != 0.0 and not abs(value - wanted) <= VALUE_SHARE * wanted + half:
-                yield row, nc.where_event(i), f"{value:g} {unit} in place of {wanted:g} {unit}"
-        elif name in greatest:
-            limit, unit = greatest[name]
-            if not 0.0 <= value <= limit * (1.0 + VALUE_SHARE) + half:
-                yield row, nc.where_event(i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
+    for i in np.flatnonzero(e.named(*limits)).tolist():
+        name, value, row = e.name[i], float(e.value[i]), int(e.row[i])
+        (fixed, limit, unit), half = limits[name], 0.5 * steps.get(name, 0.0)
+        if fixed and value != 0.0 and not abs(value - limit) <= VALUE_SHARE * limit + half:
+            yield row, nc.where_event(i), f"{value:g} {unit} in place of {limit:g} {unit}"
+        elif not fixed and not 0.0 <= value <= limit * (1.0 + VALUE_SHARE) + half:
+            yield row, nc.where_event(i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
 
 
 def _feeds(nc: NCProgram, config: Config) -> Iterator[At]:

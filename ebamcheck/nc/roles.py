@@ -243,7 +243,27 @@ def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
         return np.zeros((0, 4))
     sides = segments_of(shapely.boundary(section))
     clear_mm = depth_mm - OFF_MM
-    places, line = _tried(section, depth_mm)
+    # Places (n, 2) at a distance from each side and inward corner, in order, and the line that each belongs to.
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(section)))
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    side = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
+    foot, way, ring = points[side], points[side + 1] - points[side], ring[side]
+    length = np.hypot(way[:, 0], way[:, 1])
+    normal = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
+    row, share = _shares(np.maximum(np.ceil(length / STEP_MM).astype(np.int64), FEWEST))
+    along = foot[row] + share[:, None] * way[row] + depth_mm * normal[row]
+    # The side before each: of the first of a ring it is its last.
+    before = np.arange(side.size) - 1
+    first = np.flatnonzero(np.append(True, ring[1:] != ring[:-1]))
+    before[first] = np.append(first[1:], side.size) - 1
+    sine = normal[before, 0] * normal[:, 1] - normal[before, 1] * normal[:, 0]
+    turn = np.arctan2(sine, (normal[before] * normal).sum(axis=1))
+    inward = np.flatnonzero(turn < 0.0)
+    corner, share = _shares(np.ceil(-turn[inward] / TURN_RAD).astype(np.int64))
+    of = inward[corner]
+    angle = np.arctan2(normal[before[of], 1], normal[before[of], 0]) + share * turn[of]
+    around = foot[of] + depth_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    places, line = np.concatenate([along, around]), np.concatenate([row, side.size + corner])
     away = distances(places, sides)
     good = (away >= clear_mm) & inside(section, places, away)
     follows = line[1:] == line[:-1]
@@ -273,30 +293,6 @@ def inside(region: BaseGeometry, places: Floats, away: Floats) -> Bools:
     return np.asarray(
         shapely.intersects_xy(region, places[first, 0], places[first, 1])[np.cumsum(begins) - 1]
     )
-
-
-def _tried(section: BaseGeometry, depth_mm: float) -> tuple[Floats, Ints]:
-    """Places (n, 2) at a distance from each side and inward corner, in order, and the line that each belongs to."""
-    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(section)))
-    points, ring = shapely.get_coordinates(rings, return_index=True)
-    side = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
-    start, way, ring = points[side], points[side + 1] - points[side], ring[side]
-    length = np.hypot(way[:, 0], way[:, 1])
-    normal = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
-    row, share = _shares(np.maximum(np.ceil(length / STEP_MM).astype(np.int64), FEWEST))
-    along = start[row] + share[:, None] * way[row] + depth_mm * normal[row]
-    # The side before each: of the first of a ring it is its last.
-    before = np.arange(side.size) - 1
-    first = np.flatnonzero(np.append(True, ring[1:] != ring[:-1]))
-    before[first] = np.append(first[1:], side.size) - 1
-    sine = normal[before, 0] * normal[:, 1] - normal[before, 1] * normal[:, 0]
-    turn = np.arctan2(sine, (normal[before] * normal).sum(axis=1))
-    inward = np.flatnonzero(turn < 0.0)
-    corner, share = _shares(np.ceil(-turn[inward] / TURN_RAD).astype(np.int64))
-    of = inward[corner]
-    angle = np.arctan2(normal[before[of], 1], normal[before[of], 0]) + share * turn[of]
-    around = start[of] + depth_mm * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.concatenate([along, around]), np.concatenate([row, side.size + corner])
 
 
 def _shares(count: Ints) -> tuple[Ints, Floats]:

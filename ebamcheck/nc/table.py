@@ -120,19 +120,14 @@ def frame_after(code: str, frame: Floats) -> Floats | None:
                 f"{word} about several axes: their order is a datum of the machine, turn one by one", 0
             )
         (name, angle), *_ = parts.items()
-        own = np.hstack(
-            [_about("XYZ".index(name) if name != "RPL" else 2, np.radians(angle)), np.zeros((3, 1))]
-        )
+        axis = "XYZ".index(name) if name != "RPL" else 2
+        angle_rad = np.radians(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[i, i] = turn[j, j] = np.cos(angle_rad)
+        turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
+        own = np.hstack([turn, np.zeros((3, 1))])
     return np.asarray(base @ np.vstack([own, [[0.0, 0.0, 0.0, 1.0]]]), np.float64)
-
-
-def _about(axis: int, angle_rad: float) -> Floats:
-    """Turn (3, 3) about X, Y or Z."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.eye(3)
-    turn[i, i] = turn[j, j] = np.cos(angle_rad)
-    turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
-    return turn
 
 
 def on_part(nc: NCProgram, config: Config) -> NCProgram:

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.matching import Matching, matched
 from ebamcheck.checks.metal import Deposit
 from ebamcheck.checks.rules import checks_on
 from ebamcheck.checks.state_checks import far_away
 from ebamcheck.checks.subject import Subject
+from ebamcheck.checks.text_checks import Truth
 from ebamcheck.errors import InputError
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.layers.stack import Layers
