@@ -434,9 +434,7 @@ def widest_part(
     region: BaseGeometry, segments: Floats, bead_width_mm: float, wider_than_mm: float = 0.0
 ) -> tuple[float, shapely.Polygon | None]:
     """Diameter of the largest circle in a region, mm, that lies further than half a bead width from every segment (S, 4), and its part.
-
-    Where no circle is over `wider_than_mm`: that width, and None.
-    """
+    Where no circle is over `wider_than_mm`: that width, and None."""
     bare = bare_samples(region, segments, bead_width_mm)
     widest_mm, widest = wider_than_mm, None
     if bare.covered == 1.0:

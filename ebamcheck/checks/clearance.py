@@ -167,7 +167,6 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
 @dataclass(frozen=True, eq=False)
 class Standing:
     """What every motion of a program meets, as columns (B,); zero where it meets nothing.
-
     Depth to which tip and head go into what stands, and a travel under the beads around it; what a travel longer than a hop lacks of the
     clearance; travels at a place that no block has given (`lost`); length of a bead over nothing, and the parameters between which that is."""
 

@@ -53,10 +53,8 @@ class Spent:
 @dataclass(frozen=True)
 class Consumed:
     """What a program uses up of one thing, and before which layers, from 0, a new one is needed.
-
     It ends in layer `ends_in`, at ``FILE:line`` `where`, if not None; `spent` of the one that is there was used before the program, and
-    `in_use` of the last one is used when it is done.
-    """
+    `in_use` of the last one is used when it is done."""
 
     name: str
     holds: float
@@ -109,9 +107,7 @@ def consumables_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consumed]:
     """What a program uses up of the things of which the profile says how much they hold.
-
-    With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there.
-    """
+    With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there."""
     machine, found, time_s = config.machine, [], motion_seconds(nc, config)
     before = np.zeros(max(len(nc.layer_files), 1))
     if machine.spool_kg is not None:
@@ -186,9 +182,7 @@ def _changes(
 
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     """One row a layer: file, Z, motions, lengths (turns are hatch), times of constant feed, waits before and within it, and wire.
-
-    A wait is of the layer of the metal after it; what no metal follows is of the last layer that has any.
-    """
+    A wait is of the layer of the metal after it; what no metal follows is of the last layer that has any."""
     count, inside, length, time = (
         len(nc.layer_files),
         nc.layer >= 0,

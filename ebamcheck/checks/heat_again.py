@@ -48,7 +48,6 @@ def may_differ_k(config: Config) -> float:
 
 def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
     """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
-
     Where the full power is too little for both, all of it, or that for the wire alone. `thickness_mm` is the height of what a bead lays where
     its metal is spread over one spacing, at the feed of the process."""
     process, material = config.process, config.material

@@ -47,7 +47,6 @@ def motion_seconds(nc: NCProgram, config: Config) -> Floats:
 @dataclass(frozen=True, eq=False)
 class TextBeads:
     """Beads (P,) of a program in its sequence, one from where the beam comes on to where it goes off.
-
     Who reads the text alone need not know which of them are of one island: each is entered, and finds the part as warm as it then is. Waits
     and moves are those before a bead, `row` its first motion; `stray` are waits within a bead or after the last: (event, what)."""
 
@@ -130,7 +129,6 @@ def text_bed_k(
     lowest: BaseGeometry | None = None, seen: Callable[[int, HeatColumn], None] = lambda layer, column: None,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Mean temperature of the surface, absolute, when each bead (P,) is entered, and when each layer (L,) is done (NaN without a bead).
-
     By the balance of :mod:`ebamcheck.heat.balance`, on what stands `before`: the plate, cold or as the text preheats it under the `lowest`
     section. `seen` is called with each layer when it is entered, before it is preheated."""
     # A plate that the program itself preheats was cold before.
@@ -195,10 +193,8 @@ def text_shapes(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] 
 
 def build_times_s(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> dict[str, float]:
     """Times of a program as it is, without its waits, and at full power with waits alone, s.
-
     The last is that of the same beads, each entered as soon as the balance finds the surface under the limit; NaN where the wait for one
-    would be longer than :data:`LONGEST_WAIT_S`.
-    """
+    would be longer than :data:`LONGEST_WAIT_S`."""
     beads, known = text_beads(nc, config), sections_of_text(nc, config, sections)
     busy_s = float((beads.time_s + beads.move_s).sum())
     busy_s += sum(float(way.time_s.sum()) for way in beads.scans.values())
@@ -278,7 +274,6 @@ def scanned(
     spot_share: float = 1.0,
 ) -> Scanned:  # fmt: skip
     """What the beam's middle may go over before layer `k`, whose bottom lies at `z_mm`, by code of its own.
-
     On the plate: as far as `preheat.margin_mm` around the box of the lowest section, half a spot within the plate. On what stands, `under`
     or the layer below: half a spot within its section. Nowhere nearer to a clamp that is higher than half a spot. The spot counts by
     `spot_share`, that of the plate wholly."""
@@ -307,9 +302,7 @@ def scanned_heat(
     under: BaseGeometry | None = None,
 ) -> tuple[SurfaceHeat, Scanned] | None:  # fmt: skip
     """Heat of what is :func:`scanned` before layer `k` when the beam has gone its way; None where there is nothing to scan.
-
-    `column` is that of what stands, which is not changed; None: the bare plate.
-    """
+    `column` is that of what stands, which is not changed; None: the bare plate."""
     on = scanned(sections, k, z_mm, config, under)
     if on.region.is_empty or on.body.is_empty:
         return None
@@ -376,7 +369,6 @@ def heat_checks(
     witness: Sequence[BaseGeometry] | None = None,
 ) -> list[Check]:  # fmt: skip
     """Check that the power of each layer melts its wire, and the temperature at which beads are entered.
-
     Without `sections` those count that the contours enclose; `witness` are those of the second balance. On a part that is half built, heat
     `before` the program has to be known: nothing in its text tells how warm the part is."""
     known = sections_of_text(nc, config, sections)
@@ -396,7 +388,6 @@ def heat_checks(
 
 def layer_shares(nc: NCProgram, config: Config) -> Floats:
     """Share of the power in each layer, (L,): that of its strongest motion whose own wire asks for less; NaN where it lays nothing.
-
     Where every bead has the power that its own wire needs, the least of them; ramps tell only where there is nothing else."""
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     share = nc.power_w[rows] / config.process.power_w
@@ -425,7 +416,6 @@ def scheduled_shares(heights: ArrayLike | None, config: Config) -> Floats | None
 
 def shares_of_text(nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None) -> Floats:
     """Share of the power that each layer is to have where no plan is known, (L,): its own, but full where nothing asks for less.
-
     Power is taken back only where a bead would else be entered above the limit."""
     shares = np.minimum(layer_shares(nc, config), 1.0)
     # How warm it is what stands under a program, its text does not tell: only the melting of the wire is left to check.
@@ -509,7 +499,6 @@ def within_range(temperature_k: float, config: Config) -> tuple[float, str]:
 
 def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
     """Least temperature at which each bead may be entered, (P,) K: the one that is set, else by its wait; -inf where there is none.
-
     A bead that is waited for longer than `process.layer_pause_s`, without preheating, may be as cold as :data:`WARM_SHARE` allows, or as two
     balances of the heat differ."""
     process = config.process
@@ -527,7 +516,6 @@ def least_entries_k(beads: TextBeads, bed_k: Floats, config: Config) -> Floats:
 
 def cold_check(nc: NCProgram, beads: TextBeads, bed_k: Floats, checked: Bools, config: Config) -> Check:
     """Temperature of the surface when beads are entered, by the balance of the text, against the least, where it is to be `checked` (P,).
-
     What waits longer is entered colder than the power is tapered for, and fuses worse with what lies under it."""
     least_k = np.where(checked, least_entries_k(beads, bed_k, config), -np.inf)
     if not np.isfinite(least_k).any():

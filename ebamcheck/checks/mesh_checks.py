@@ -278,7 +278,6 @@ _Facets = tuple[Part, Floats, Floats]
 
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     """Check sections against the mesh, along lines in X and in Y across every layer.
-
     Where one has metal and the other none, their borders lie apart: by no more than `curves.section_tolerance_mm`. Lines that graze a side
     have long pieces whose ends lie on both."""
     limit = config.curves.section_tolerance_mm
@@ -305,7 +304,6 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
 
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     """Check that the layers reach from the bottom of the part to within half a layer of its top, each as high as it is set.
-
     Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are."""
     # Cuts of layers of several heights do not tell where each of them begins.
     uneven = len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > PLACE_MM)

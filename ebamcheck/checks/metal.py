@@ -101,7 +101,6 @@ class LayerField:
 @dataclass(frozen=True, eq=False)
 class Asked:
     """What the places (n,) along the beads of a layer lay, and what they ask for, in program order.
-
     Columns of `laid`, `least` and `most` (n, 3), mm2: metal by the area of the section nearest to a place, the same with all that lies in the
     pool, and the metal over the width of the bead; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where it has the
     least wire, 1 where it has the most, else 0."""
@@ -170,7 +169,6 @@ def deposit(
     stands: Surface | None = None, asked: bool = False,
 ) -> Deposit:  # fmt: skip
     """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
-
     The layers lie at `z_of` (L,), the lowest on the surface `stands`, or level. The fields of the layers `keep` are returned, too, and,
     where it is `asked`, what the place of each bead asks for."""
     process = config.process
@@ -285,16 +283,6 @@ def _figures(layer: _Laid, process: ProcessSettings) -> dict[str, float]:
     deep = deep_cells(inside, bead_cells)
     film = ~inside & (laid >= FILM * of.height_mm)
     runs = (melted > 0.0) | bead_centres(inside, bead_cells)
-    # Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others.
-    reach, step = np.zeros(film.shape), target.step_mm
-    if inside.any():
-        # From the border of a cell to the middle of the next it is half a cell.
-        reach[film] = (border_distance(~inside)[film] - 0.5) * step
-    else:
-        # A section thinner than a cell fills none to the half.
-        rows, column = np.nonzero(film)
-        middles = target.origin + (np.column_stack([column, rows]) + 0.5) * step
-        reach[film] = distances(middles, segments_of(of.section.boundary))
     figures = {
         # Not by the cells, which plan and check have in common.
         "wanted_mm3": float(of.section.area) * of.height_mm,
@@ -305,7 +293,7 @@ def _figures(layer: _Laid, process: ProcessSettings) -> dict[str, float]:
         # Too low matters where a bead runs or could; the tip of a wedge, which none reaches, stays bare.
         **_extreme("low", np.where(runs, -over, 0.0), target),
         **_extreme("high", over, target),
-        **_extreme("reach", reach, target),
+        **_extreme("reach", _reaches_mm(film, inside, of.section, target), target),
     }
     return row | figures | _wall(of.section, figures, process)
 
@@ -363,6 +351,20 @@ def _holes(parts: list[shapely.Polygon]) -> list[shapely.MultiPolygon]:
     return [shapely.MultiPolygon(left) for left in map(valid_polygons, free) if left]
 
 
+def _reaches_mm(film: Bools, inside: Bools, section: BaseGeometry, target: Target) -> Floats:
+    """Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others."""
+    reach = np.zeros(film.shape)
+    if inside.any():
+        # From the border of a cell to the middle of the next it is half a cell.
+        reach[film] = (border_distance(~inside)[film] - 0.5) * target.step_mm
+    else:
+        # A section thinner than a cell fills none to the half.
+        row, column = np.nonzero(film)
+        middles = target.origin + (np.column_stack([column, row]) + 0.5) * target.step_mm
+        reach[film] = distances(middles, segments_of(section.boundary))
+    return reach
+
+
 def deep_cells(inside: Bools, bead_cells: float) -> Bools:
     """Cells of a section that lie further than a bead width from its border, where such cells are a bead wide or more.
 
@@ -381,7 +383,6 @@ def zone_figures(
     target: Target, laid_mm: Floats, before_mm: Floats, parts: tuple[Bools, Bools], thickness_mm: float, process: ProcessSettings
 ) -> dict[str, float]:  # fmt: skip
     """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows.
-
     `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below."""
     deep, rim = parts
     inside, bead_cells = deep | rim, process.bead_width_mm / target.step_mm
@@ -482,7 +483,6 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
 
 def strip_of(bead_mm: float, step_mm: float) -> Floats:
     """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide; their sum is 1.
-
     The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc."""
     # By so many points across a cell its weight errs by less than a thousandth.
     radius, points = 0.5 * bead_mm / step_mm, 20

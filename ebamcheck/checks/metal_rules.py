@@ -109,7 +109,6 @@ def deposit_checks(
     nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
 ) -> list[Check]:
     """Check the metal of a program, together with the metal `below`, see :func:`ebamcheck.checks.metal.deposit`.
-
     None: nothing stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it is not
     known; that layer is then held to the limits of a single one alone."""
     solid = _with_metal(found.layers)
@@ -311,10 +310,8 @@ def _surface(metal: _Metal) -> Check:
 
 def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
     """Check that every bead has the wire that its place asks for, over any length of it, by a deposit whose places were `asked`.
-
     A contour may change its wire along itself, and is judged over every span of :data:`SPANS`; a hatch bead has one wire, and is
-    judged as a whole, and where its wire changes.
-    """
+    judged as a whole, and where its wire changes."""
     if config.base_mm > 0.0 or not found.asked:
         text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
         text = text if config.base_mm > 0.0 else "no bead has a place of its own"
@@ -418,10 +415,8 @@ def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[I
 
 def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) -> Check:
     """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer; they lie at Z `z_of` (L,).
-
     A bead more, or one laid again, brings a spot 0.7 times that. Spots count where the section is at least two bead widths wide: contours
-    around less lie in each other, and the metal of such layers is judged as a whole.
-    """
+    around less lie in each other, and the metal of such layers is judged as a whole."""
     rows = nc.beads.rows
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & nc.deposit[rows] & nc.wire[rows]]
     thickness = np.diff(z_of, prepend=config.base_mm)

@@ -57,7 +57,6 @@ class Place(NamedTuple):
 @dataclass(frozen=True)
 class NarrowFeature:
     """A feature over all layers that it goes through, from the `first` to the `last`; length and place are those where it is narrowest.
-
     It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead, with what is allowed for machining."""
 
     kind: Kind
@@ -219,9 +218,7 @@ def _across(
     at: Floats, ahead: Floats, owner: Ints, rings: np.ndarray, walls: bool, least_mm: float
 ) -> tuple[Floats, Floats, Ints, Ints]:
     """Ways from places (m, 2) on sides to the nearest side straight `ahead`, if that faces it.
-
-    Their middle (n, 2) and length (n,), mm, and the rings at both ends.
-    """
+    Their middle (n, 2) and length (n,), mm, and the rings at both ends."""
     points, ring = shapely.get_coordinates(rings, return_index=True)
     joined = np.flatnonzero(ring[1:] == ring[:-1])
     ends = np.stack([points[joined], points[joined + 1]], axis=1)

@@ -68,7 +68,6 @@ class _MeshFile:
 @dataclass(frozen=True)
 class _Body:
     """A part in its file: what points up there, the turn about the vertical (counter-clockwise seen from above), and its place.
-
     That is X and Y of the middle of its box, and Z of its lowest point, if that is told (None: it stays where it is)."""
 
     file: _MeshFile

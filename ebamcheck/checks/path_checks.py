@@ -94,7 +94,6 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
     """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
-
     C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50."""
     span = np.flatnonzero(knots[1:] > knots[:-1])
     first = span - DEGREE
@@ -123,7 +122,6 @@ def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
 
 def contour_checks(subject: Subject) -> list[Check]:
     """Compare the contour motions with the fitted curves, both ways.
-
     Where the program has one block for each span, both are evaluated at the same parameters; other rings are compared as shapes."""
     nc, curves, config = subject.nc, subject.curves, subject.config
     assert curves is not None

@@ -61,10 +61,8 @@ def preheat_checks(
     under: BaseGeometry | None = None,
 ) -> list[Check]:  # fmt: skip
     """Check the preheating scans of a program; nothing where the settings ask for none and it has none.
-
     Without `sections` (L,) those count that its contours enclose. Where a program begins on a part that is half built, how often it is
-    scanned, and how warm it is then, are judged by heat `before` and section `under` it alone.
-    """
+    scanned, and how warm it is then, are judged by heat `before` and section `under` it alone."""
     if config.preheat.when == "off":
         if nc.preheating is None:
             return []
@@ -206,9 +204,7 @@ def _paths(
     nc: NCProgram, config: Config, sections: list[BaseGeometry], under: BaseGeometry | None
 ) -> list[Check]:
     """Ways beside the region, at another height or speed, or beyond the travel; and what the lines leave out of the region.
-
-    They lie evenly, about a spacing apart.
-    """
+    They lie evenly, about a spacing apart."""
     scans, faults, worst = nc.preheating, Faults(), (0.0, "", 0)
     if scans is not None and len(scans):
         bottoms, beyond = bottoms_of(nc, config), beyond_travel_mm(scans, config).max(axis=1)
@@ -265,7 +261,6 @@ def _rows_off(
 
 def widest_gap_mm(region: BaseGeometry, start: Floats, end: Floats, config: Config) -> float:
     """Greatest distance between two lines of the beam, (n, 2) each, side by side across the region, and from its ends to the next.
-
     A line counts where all of it within the region is driven. Lines along X are asked for, and along Y where there are any."""
     way = np.abs(end - start)
     along, across = (way[:, 1] <= ALONG_MM), (way[:, 0] <= ALONG_MM)

@@ -204,7 +204,6 @@ def with_remedies(
     checks: Sequence[Check], nc: NCProgram, cut_mm: Floats, first_layer_mm: float, base_mm: float = 0.0
 ) -> list[Check]:
     """Checks of which those that fail tell remedy, layer, and its heights in part and program.
-
     The cuts (L,) mm are in the part; an only layer is `first_layer_mm` high, and the lowest lies on Z `base_mm`."""
     deposit_mm = deposition_heights(cut_mm, first_layer_mm, base_mm)
     found = []

@@ -35,7 +35,6 @@ CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of 
 @dataclass(frozen=True)
 class Evidence:
     """By how much the contour path may leave the chords of a section: `base_mm` anywhere, for fit, rounding and arcs of an inset, to `most_mm`.
-
     The path may lie between the chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their
     ends leaves them by."""
 
@@ -80,7 +79,6 @@ def section_check(
     evidence: Evidence | None = None,
 ) -> Check:  # fmt: skip
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
-
     A place on the path lies as deep in the section as the inset, within its limit; and the path passes every place of the inset's border, so
     that no contour is missing: within `limit_mm`, or within what insets of outlines that near to each other lie apart. A ring narrower than
     `limit_mm`, and a slit narrower than :data:`SLIT_MM`, which unions leave where shells touch, ask for no contour of their own."""

@@ -105,7 +105,6 @@ def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
 
 def far_away(nc: NCProgram, config: Config) -> Check | None:
     """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other.
-
     A number that lost its point leads kilometres away: nothing else can be said of it, and what follows its path would take hours."""
     longest = float(np.subtract(config.machine.travel_max_mm, config.machine.travel_min_mm).max())
     for each in (nc if nc.machine is None else nc.machine, nc.preheating):
@@ -393,7 +392,6 @@ def retract_check(nc: NCProgram, config: Config) -> Check:
 
 def wait_height_check(nc: NCProgram, config: Config) -> Check:
     """Check that the tip is clear of all that has been laid, by the clearance of the machine, wherever the program waits.
-
     At work height the tip of the wire freezes into the pool, and the head takes the heat of the part. A rest that the profile's own
     templates hold beside a switch of beam or wire may be where they stand."""
     e, clear_mm = nc.events, config.machine.clearance_mm
@@ -418,7 +416,6 @@ def wait_height_check(nc: NCProgram, config: Config) -> Check:
 
 def released_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the files of a layer that is called by itself: each sets what it needs, comes from above, leaves nothing on; none of a whole program.
-
     What its own main program sets before the call, or does after it, does not happen then: values, and the place of the tool, are those that
     the layer below has left."""
     if not RELEASED.search(config.machine.program_name):

@@ -240,7 +240,6 @@ def turned_checks(
 
 def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | None = None) -> list[Check]:
     """Whether the part stands on a tilt table as the settings say, corner by corner of its mesh; nothing where none turns it.
-
     The height `built_mm` up to which it was built, where it is known, is that of the settings."""
     said = config.part.on_table
     if said is None:

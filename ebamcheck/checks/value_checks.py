@@ -42,7 +42,6 @@ def _by_row(faults: Iterable[At]) -> Faults:
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
     """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
-
     With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool hold."""
     name, what = "mass balance", "metal of beads against the plan"
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
@@ -112,7 +111,6 @@ def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
     """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts; ramps (n,) are left out.
-
     There the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`)."""
     rows, unit = np.flatnonzero(nc.deposit)[~on_ramp], "of the power needed"
     need_w = melting_power_w(config, spread_mm(nc, rows, config))
@@ -133,7 +131,6 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
 
 def window_check(nc: NCProgram, config: Config) -> Check:
     """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits.
-
     A ramp belongs to its bead; but the wire runs along it, too, and what does not melt there stays in the part."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
@@ -212,7 +209,6 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
 
 def value_check(nc: NCProgram, config: Config) -> Check:
     """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
-
     A product hides an exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is
     half as fast throughout: so each value is held against the one of the settings."""
     process = config.process

@@ -79,7 +79,6 @@ def layer_of_preheat(stem: str, name: str) -> int | None:
 
 def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> ProgramFiles:
     """Write all files of a program, the main one first in `texts`, or none of them; an earlier program in `folder` is replaced.
-
     They are written beside `folder`, and take its place when whole; a folder that holds anything else is refused."""
     folder = Path(folder)
     _refuse_foreign_files(folder)

@@ -335,7 +335,6 @@ class NCProgram(Columns[Motion]):
 @dataclass(frozen=True, eq=False)
 class Beads:
     """Beads of a program, or of some of its motions, in the order in which they are laid.
-
     One ends where beam or wire are switched on, at a travel, and where the height or the layer changes."""
 
     rows: Ints  # (n,) motions

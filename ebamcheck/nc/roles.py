@@ -38,7 +38,6 @@ def by_shape(nc: NCProgram) -> NCProgram:
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
     """Give every bead its role by the sections of a part: contours run within `near_mm` of the depth `offset_mm` for most of their length.
-
     The `layers` lie at `z_of` (L,) in the program. In a layer where no bead does, those that come back to their start are contours."""
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
@@ -173,7 +172,6 @@ def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
 
 def with_travel(layer: Ints) -> Ints:
     """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to.
-
     Its first motion away from a layer is still of that layer, and what follows the last bead is of the last layer."""
     metal = np.flatnonzero(layer >= 0)
     if not metal.size:
@@ -195,10 +193,8 @@ OF_MOTIONS = (
 
 def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
     """Return a program with the motions and events of its preheating scans apart.
-
     A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus, with the commands right before it that
-    switch beam and wire off. Positions of the rest begin where the scan before left the tool.
-    """
+    switch beam and wire off. Positions of the rest begin where the scan before left the tool."""
     e, stem = nc.events, nc.files[0].name.rpartition(".")[0]
     of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
     layer = np.array([-1 if found is None else found for found in of_file], np.int64)
@@ -237,7 +233,6 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
 
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
-
     Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`."""
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))

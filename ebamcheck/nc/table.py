@@ -132,9 +132,7 @@ def frame_after(code: str, frame: Floats) -> Floats | None:
 
 def on_part(nc: NCProgram, config: Config) -> NCProgram:
     """Return the motions of a program in the coordinates of its part; those of the machine itself apart, in ``machine``.
-
-    A program that neither turns a table nor sets a frame stays as it is.
-    """
+    A program that neither turns a table nor sets a frame stays as it is."""
     columns = nc.table
     if columns is None:
         return nc

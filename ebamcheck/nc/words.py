@@ -74,9 +74,7 @@ class UnknownWord(WordError):
 
 def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
     """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
-
-    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`.
-    """
+    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`."""
     block = Block({}, {}, [])
     for found in dialect.word.finditer(code):
         kind, text = found.lastgroup, found[0].lstrip()
