@@ -19,7 +19,7 @@ from limits_of_heat import preheated
 from planted_faults import FAULTS
 
 import ebamcheck
-from ebamcheck.checks import loose_limits
+from ebamcheck.checks import value_checks
 from ebamcheck.checks.rules import REMEDIES
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
@@ -66,7 +66,7 @@ NO_LIMITS = {
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
         text_checks.TOLD text_checks.LETTERS text_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
         metal.NO_ZONES bead_checks.FINE bead_checks.SKEW bead_checks.UNEVEN bead_checks.BACK
-        matching.APART_MM form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
+        matching.APART_MM form.CERTIFICATE_FORMAT gates.TOLD value_checks.TOLD
         findings.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT reports.TIME_S
         reports.MEMORY_MB reports.LARGEST_REPORT_BYTES reports.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
@@ -78,7 +78,7 @@ NO_LIMITS = {
         table.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """
-        loose_limits.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
+        value_checks.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",
 }
 """Constants of rooms of checks that need no two cases, by the reason."""
@@ -166,10 +166,10 @@ def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
 
 def test_every_setting_that_makes_a_check_looser_has_its_two_cases():
     limits = {
-        *loose_limits.WIDER_IF_GREATER,
-        *loose_limits.WIDER_IF_LESS,
-        *loose_limits.WINDOWS,
-        *loose_limits.OF_PREHEATING,
+        *value_checks.WIDER_IF_GREATER,
+        *value_checks.WIDER_IF_LESS,
+        *value_checks.WINDOWS,
+        *value_checks.OF_PREHEATING,
     }
     cased = {name for case in CASES for name in case.limits}
     assert limits - cased - NOT_JUDGED_HERE == set()

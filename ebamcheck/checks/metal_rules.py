@@ -79,14 +79,14 @@ class MetalBelow:
         solid = _with_metal(table)
         area, height = list(self.zone_mm2), list(self.zone_layers_mm2)
         for k, zone in enumerate(MEAN_ZONES):
-            wide = solid[_is_wide(solid, zone, process)]
-            mm2 = wide[f"{zone}_mm2"].to_numpy(np.float64)
+            wide = _is_wide(solid, zone, process)
+            mm2, layers = (solid[name].to_numpy(np.float64)[wide] for name in (f"{zone}_mm2", zone))
             area[k] += float(mm2.sum())
-            height[k] += float((mm2 * wide[zone].to_numpy(np.float64)).sum())
+            height[k] += float((mm2 * layers).sum())
         names = ("wanted_mm3", "laid_mm3", "outside_mm3")
         wanted, laid, outside = (getattr(self, name) + float(solid[name].sum()) for name in names)
-        layers = self.layers + len(solid)
-        return MetalBelow(layers, wanted, laid, outside, (area[0], area[1]), (height[0], height[1]))
+        count, zones = self.layers + len(solid), ((area[0], area[1]), (height[0], height[1]))
+        return MetalBelow(count, wanted, laid, outside, *zones)
 
     def mean(self, zone: str) -> float:
         """Mean height of the metal of a zone, in layers; NaN where no layer is wide enough for one."""

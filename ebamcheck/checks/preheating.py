@@ -353,12 +353,7 @@ def found_scans(
 
 def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | None = None) -> BeamWay:
     """Way of the beam in a pass, counted from 0, from `here` on: rows to and fro, the ways that join them, and rapids between others.
-
-    Every second pass lies across (crossed), or half a spacing aside (lines).
-
-    >>> pass_way(shapely.box(0, 0, 60, 20), Config(), 0).end.tolist()
-    [[60.0, 5.0], [60.0, 15.0], [0.0, 15.0]]
-    """
+    Every second pass lies across (crossed), or half a spacing aside (lines)."""
     settings, nothing = config.preheat, np.zeros((0, 2))
     if region.is_empty:
         return BeamWay(nothing, nothing, np.zeros(0), np.zeros(0))

@@ -180,13 +180,7 @@ def overhang_check(nc: NCProgram, config: Config) -> Check:
 
 
 def allowed_reach_mm(rise_mm: float, config: Config) -> float:
-    """How far a layer may reach out over the one below: by the angle that is set, and never farther than a bead is wide.
-
-    >>> round(allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 45.0})), 6)
-    2.0
-    >>> allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 89.0}))
-    6.0
-    """
+    """How far a layer may reach out over the one below: by the angle that is set, and never farther than a bead is wide."""
     limit_deg, width_mm = config.process.largest_overhang_deg, config.process.bead_width_mm
     return width_mm if limit_deg is None else min(rise_mm * math.tan(math.radians(limit_deg)), width_mm)
 

@@ -55,7 +55,7 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
     room = -limits.value if limits.passed else limits.value
     return [
         replace(limits, limit=0.0, text=f"{room:g} deg of {axis} {'left' if limits.passed else 'beyond its limits'}"),
-        count_check(NAMES[1], [*_turns(full, table), *_left_as_they_were(full, table)], "one axis at a time, beam and wire commanded off"),
+        count_check(NAMES[1], list(_turns(full, table)), "one axis at a time, beam and wire commanded off"),
         _height(full, table, config),
         worst_check(NAMES[3], full, kept, table.off_mm[kept], SAME_PLACE_MM, "mm", "table and frame put the path beside its place on the part"),
         count_check(NAMES[4], list(_taken_back(full, table)), "no frame and the table at 0 after each layer, and beside it"),
@@ -63,32 +63,32 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 
 def _turns(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
-    """Turns under beam or wire, at feed, of several axes at once, or while the tool moves."""
-    rows = np.flatnonzero(table.before != table.after)
-    for row in rows.tolist():
-        where = full.where(row)
+    """Turns under beam or wire, at feed, of several axes at once, or while the tool moves; axes that are not commanded before a frame."""
+    e = full.events
+    for row in np.flatnonzero(table.before != table.after).tolist():
+        where, now, was = (
+            full.where(row),
+            table.positions_deg[table.after[row]],
+            table.positions_deg[table.before[row]],
+        )
         if full.beam[row] or full.wire[row]:
             yield where, f"the table turns with the {'beam' if full.beam[row] else 'wire'} on"
         if full.kind[row] != RAPID:
             yield where, "the table turns at feed in place of a rapid"
-        moved = table.positions_deg[table.after[row]] != table.positions_deg[table.before[row]]
-        if moved.sum() > 1:
-            names = " and ".join(np.array(table.axes)[moved])
+        if (now != was).sum() > 1:
+            names = " and ".join(np.array(table.axes)[now != was])
             yield where, f"{names} turn in one block: the way between is not known"
         if not np.array_equal(full.start[row], full.end[row], equal_nan=True):
             yield where, "X, Y or Z move while the table turns"
-        before = full.events.chosen((full.events.file == full.file[row]) & (full.events.row <= row))
+        before = e.chosen((e.file == full.file[row]) & (e.row <= row))
         switches = (Kind.BEAM_ON, Kind.BEAM_OFF, "beam"), (Kind.WIRE_START, Kind.WIRE_STOP, "wire")
         for on, off, what in switches:
             if not before.since(before.kind == off, before.kind == on)[-1]:
                 yield where, f"the table turns before the {what} is commanded off in the same subprogram"
-
-
-def _left_as_they_were(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
-    """Files with a frame in which an axis of the table is not commanded before it: it stands where the layer below left it, or a break."""
+    # An axis that is not commanded stands where the layer below left it, or a break.
     for file in np.unique(full.file[table.frame != 0]).tolist():
         row = int(np.flatnonzero((full.file == file) & (table.frame != 0))[0])
-        known = full.events.chosen((full.events.file == file) & (full.events.row <= row)).name
+        known = e.chosen((e.file == file) & (e.row <= row)).name
         for axis in table.axes:
             if AXIS_EVENT + axis not in known:
                 what = f"{axis} is not commanded before the frame: the table may stand otherwise there"
@@ -138,14 +138,12 @@ def _swept(corners: Floats, start: Floats, end: Floats, config: Config) -> float
 
 def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
     """Files that end with a frame in force or the table turned, and motions of the main program with either."""
-    turned = (table.positions_deg[table.after] != 0.0).any(axis=1)
-    framed = table.frame != 0
+    turned, framed = (table.positions_deg[table.after] != 0.0).any(axis=1), table.frame != 0
     for file in np.unique(full.file).tolist():
         row = int(np.flatnonzero(full.file == file)[-1])
-        if framed[row]:
-            yield full.where(row), "the subprogram ends with its frame in force"
-        if turned[row]:
-            yield full.where(row), "the subprogram ends with the table turned"
+        for ends, what in ((framed, "its frame in force"), (turned, "the table turned")):
+            if ends[row]:
+                yield full.where(row), f"the subprogram ends with {what}"
     what = "the main program moves with a frame or the table turned"
     yield from row_faults(full, (framed | turned) & (full.file == 0), what)
     what = "the first motion after a frame is to give X, Y and Z, and gives no {said}"

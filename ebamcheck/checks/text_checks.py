@@ -371,13 +371,7 @@ def marked_validated(files: ProgramFiles) -> ProgramFiles:
 
 
 def is_marked(checked: bytes, marked: bytes) -> bool:
-    """Whether bytes are those that were checked, with the status of a program that is validated in one of its first lines.
-
-    >>> is_marked(b"%_N_A_MPF\\n; NOT VALIDATED\\nM30\\n", b"%_N_A_MPF\\n; VALIDATED\\nM30\\n")
-    True
-    >>> is_marked(b"%_N_A_MPF\\n; NOT VALIDATED\\nM30\\n", b"%_N_A_MPF\\n; VALIDATED\\nM3\\n")
-    False
-    """
+    """Whether bytes are those that were checked, with the status of a program that is validated in one of its first lines."""
     at = next((i for i, (a, b) in enumerate(zip(checked, marked, strict=False)) if a != b), len(marked))
     if checked[at : at + len(NOT)] != NOT or not checked.startswith(MARK, at + len(NOT)):
         return False

@@ -43,8 +43,7 @@ _AUX = re.compile(r"[MH]\d+(?:=\d+|(?: [A-Z]\d*)*)")
 
 def templates_of(machine: MachineSettings, name: str) -> dict[str, tuple[str, ...]]:
     """Blocks of every template for a control: those of the profile, or the stock ones where it sets none."""
-    stock = control(name).templates
-    result = {}
+    stock, result = control(name).templates, {}
     for template in TEMPLATES:
         given = getattr(machine, template)
         untouched = given == MachineSettings.model_fields[template].default
@@ -130,16 +129,11 @@ class Codes:
 
     def _auxiliary(self, code: str) -> Key:
         """Words of an auxiliary code; refused where it is one of the control's own or of beam and wire."""
-        text = " ".join(code.upper().split())
-        key = _key(text)
+        key = _key(code)
         group = group_of(self._dialect, key[0]) if key else None
-        why = ""
-        if not _AUX.fullmatch(text):
-            why = "give M or H codes, such as 'M77' or 'H9'"
-        elif group:
-            why = f"it is a word of the control: {group.name}"
-        elif key in self._meaning:
-            why = f"it means {self._meaning[key]}"
+        why = "" if _AUX.fullmatch(" ".join(key)) else "give M or H codes, such as 'M77' or 'H9'"
+        why = why or (f"it is a word of the control: {group.name}" if group else "")
+        why = why or (f"it means {self._meaning[key]}" if key in self._meaning else "")
         if why:
             raise SettingsError(f"machine.aux_codes: {code!r} is no auxiliary code: {why}")
         return key

@@ -67,11 +67,7 @@ def preheat_name(stem: str, layer: int, digits: int = 4) -> str:
 
 
 def layer_of_preheat(stem: str, name: str) -> int | None:
-    """Layer, from 0, before which a subprogram of the program `stem` preheats; None for another one.
-
-    >>> layer_of_preheat("MAIN", "MAIN_P0003"), layer_of_preheat("MAIN", "MAIN_L0003")
-    (2, None)
-    """
+    """Layer, from 0, before which a subprogram of the program `stem` preheats, as MAIN_P0003 does before 2; None for another one."""
     begin, digits = f"{stem}_P", name.removeprefix(f"{stem}_P")
     known = name.startswith(begin) and len(digits) >= PREHEAT_DIGITS and digits.isascii() and digits.isdigit()
     return int(digits) - 1 if known else None

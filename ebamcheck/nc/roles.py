@@ -47,9 +47,7 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
             mine = np.flatnonzero(layer == k)
-            if not mine.size:
-                continue
-            border = depth_lines(layers.section(k), offset_mm)
+            border = depth_lines(layers.section(k), offset_mm) if mine.size else np.zeros((0, 4))
             if not len(border):
                 continue
             row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
@@ -72,11 +70,9 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
 
 def with_contours(nc: NCProgram, beads: Beads, contour: Bools) -> NCProgram:
     """Return the program with roles, where some of the beads (P,) are contours and the others hatch."""
-    ring = np.where(contour, np.cumsum(contour) - 1, -1)
-    group = np.cumsum(_begins_island(nc, beads, contour)) - 1
-    island = np.where(contour, -1, group)
-    size = len(nc)
-    rings, islands = beads.spread(ring, size), beads.spread(island, size)
+    ring, island = np.cumsum(contour) - 1, np.cumsum(_begins_island(nc, beads, contour)) - 1
+    rings = beads.spread(np.where(contour, ring, -1), len(nc))
+    islands = beads.spread(np.where(contour, -1, island), len(nc))
     turn, goes_on = _turns(nc, beads, contour)
     return replace(nc, ring=rings, island=islands, turn=turn, goes_on=goes_on)
 
