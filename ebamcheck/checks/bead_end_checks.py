@@ -68,9 +68,8 @@ def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check
         sound = (owner >= 0) & (nc.island[rows] >= 0) & nc.deposit[rows] & nc.deposit[rows - 1]
         sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
         what = "distance of their parts from the line"
-        checks.append(
-            worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
-        )
+        off = np.where(sound, away, np.inf)
+        checks.append(worst_check("parts of hatch lines", nc, rows, off, PLACE_MM, "mm", what))
     return checks
 
 

@@ -253,9 +253,8 @@ def hatch_checks(subject: Subject) -> list[Check]:
     driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
     # The plan's own columns: what the writer takes of them is on trial.
     island = np.asarray(plan.vectors.island, np.int64)
-    ends = np.stack(
-        [np.asarray(getattr(plan.vectors, name), np.float64) for name in ("x0", "y0", "x1", "y1")], axis=1
-    )
+    columns = [getattr(plan.vectors, name) for name in ("x0", "y0", "x1", "y1")]
+    ends = np.stack([np.asarray(column, np.float64) for column in columns], axis=1)
     rounded = np.round(ends, config.machine.printed_decimals)
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
     island, ends = island[kept], ends[kept]

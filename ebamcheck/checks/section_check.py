@@ -187,9 +187,8 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
             bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
             sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
         lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
-        _, nearest = shapely.STRtree(lines).query_nearest(
-            np.asarray(shapely.points(at[beyond])), all_matches=False
-        )
+        places = np.asarray(shapely.points(at[beyond]))
+        _, nearest = shapely.STRtree(lines).query_nearest(places, all_matches=False)
         leaves = np.asarray(np.concatenate(bounds)[nearest], np.float64)
     else:
         # A curve that lies outside of its chords makes places less deep in them, and the other way round.

@@ -44,9 +44,7 @@ class Control:
     """
 
     name: str  # As ``machine.control`` and the entry point name it
-    writer: (
-        str  # ``module:function`` that writes a program: it takes what :func:`ebamcheck.write_program` takes
-    )
+    writer: str  # ``module:function`` that writes a program, as :func:`ebamcheck.write_program` does
     # ``module:function`` that reads one back: main file and settings in, :class:`~ebamcheck.nc.motions.NCProgram` out. Empty: what is
     # written is the input of a simulator, and no reader proves it.
     reader: str = ""
@@ -77,9 +75,7 @@ class Control:
     handshake: str = ""
     rapids_apart: bool = False  # Whether a rapid may go anywhere in the box around its ends, axis by axis
     frames: bool = False  # Whether its programs turn a tilt table (``machine.rotary``), and set frames
-    file_faults: str = (
-        ""  # ``module:function`` that checks names and first lines: (program, settings) to faults
-    )
+    file_faults: str = ""  # ``module:function`` that checks names and heads: (program, settings) to faults
 
     @property
     def is_read(self) -> bool:

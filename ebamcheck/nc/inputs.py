@@ -56,9 +56,7 @@ class ScanColumns(Protocol):
     @property
     def sections(self) -> NDArray[np.object_] | None: ...  # (L,) regions to be metal; None: not known
     @property
-    def vectors(
-        self,
-    ) -> Any: ...  # Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in the order in which they are scanned
+    def vectors(self) -> Any: ...  # Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in scan order
 
 
 class TrackColumns(Protocol):

@@ -34,9 +34,7 @@ class Dialect:
     # behind a ``list_address``, ``identifier``, or ``bad``.
     word: re.Pattern[str]
     code_letters: str = "GM"  # Letters whose numbers are no values
-    code_number: Callable[[str], str] | None = (
-        None  # How such a number is told; None: without zeros before it
-    )
+    code_number: Callable[[str], str] | None = None  # How such a number is told; None: without first zeros
     # The number before a block; its group is the digits.
     block_number: re.Pattern[str] = re.compile(r"\s*N(\d+)(?![\d.])\s*", re.IGNORECASE)
     radius: str = "R"  # How the radius of an arc is given
@@ -45,9 +43,7 @@ class Dialect:
     curve: str = ""
     message: re.Pattern[str] | None = None  # A block that only says something to the operator
     alone: Mapping[str, str] = field(default_factory=dict)  # Words that stand alone in their block, and why
-    unused: str = (
-        ""  # Addresses that a block without an axis cannot use, in words; empty: those that are there
-    )
+    unused: str = ""  # Addresses that a block without an axis cannot use, in words; empty: those there
 
 
 @dataclass(slots=True)
