@@ -182,9 +182,8 @@ def _uneven(along: Bools, offset: Floats, mains_mm: Floats) -> Bools:
     beside = along & (before >= 0) & (before < np.arange(along.shape[1]) - 1) & (step > 2.0 * TWO_PLACES_MM)
     last = _before(beside)
     pitch = np.take_along_axis(step, np.maximum(last, 0), axis=1)
-    return np.asarray(
-        beside & (last >= 0) & (np.abs(step - pitch) > 2.0 * TWO_PLACES_MM + PARALLEL * mains_mm)
-    )
+    room_mm = 2.0 * TWO_PLACES_MM + PARALLEL * mains_mm
+    return np.asarray(beside & (last >= 0) & (np.abs(step - pitch) > room_mm))
 
 
 def _before(which: Bools) -> Ints:
@@ -270,7 +269,7 @@ def _spacing(subject: Subject) -> Check:
     moves = (nc.end[:, :2] != nc.start[:, :2]).any(axis=1)
     rows = np.flatnonzero(nc.deposit & (nc.island >= 0) & ~nc.turn & moves & (nc.lengths > 0.0))
     limit = SPACING_SHARE * config.process.hatch_spacing_mm
-    # Group (n,) of lines of one direction that follow each other, offset (n,) mm across the longest, and whether parallel to it.
+    # Groups of lines of one direction that follow each other, their offset across the longest, mm, and whether they are parallel to it.
     way = (nc.end - nc.start)[rows, :2]
     unit = way / np.hypot(way[:, 0], way[:, 1])[:, None]
     turned = np.abs(unit[1:, 0] * unit[:-1, 1] - unit[1:, 1] * unit[:-1, 0]) > PARALLEL_RAD
@@ -280,9 +279,8 @@ def _spacing(subject: Subject) -> Check:
     longest[group[by_length]] = by_length
     along = unit[longest[group]]
     middle = 0.5 * (nc.start + nc.end)[rows, :2]
-    across = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
+    offset = along[:, 0] * middle[:, 1] - along[:, 1] * middle[:, 0]
     parallel = np.abs(along[:, 0] * unit[:, 1] - along[:, 1] * unit[:, 0]) <= PARALLEL_RAD
-    group, offset, parallel = group, across, parallel
     order = np.lexsort((offset, group))
     step = np.diff(offset[order])
     same = (np.diff(group[order]) == 0) & parallel[order[1:]] & parallel[order[:-1]]

@@ -183,12 +183,8 @@ def _changes(
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
     """One row a layer: file, Z, motions, lengths (turns are hatch), times of constant feed, waits before and within it, and wire.
     A wait is of the layer of the metal after it; what no metal follows is of the last layer that has any."""
-    count, inside, length, time = (
-        len(nc.layer_files),
-        nc.layer >= 0,
-        np.nan_to_num(nc.lengths),
-        motion_seconds(nc, config),
-    )
+    count, inside, length = len(nc.layer_files), nc.layer >= 0, np.nan_to_num(nc.lengths)
+    time = motion_seconds(nc, config)
     area_m2 = math.pi * (config.process.wire_diameter_mm * 1e-3) ** 2 / 4.0
     paused, laid, pause_s = nc.events.named(PAUSE), np.flatnonzero(nc.deposit & inside), np.zeros(count)
     if laid.size:

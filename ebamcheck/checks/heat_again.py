@@ -191,8 +191,8 @@ class _Column:
         self._area = np.append(self._area, np.full(plate + 1, shape.area))
         if self._kelvin.size > MOST_CELLS:
             self._join()
-        # Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs.
-        # The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
+        # Surface by which each layer sees the chamber: its sides, its top as far as none lies on it, and what overhangs. The walls of a
+        # channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
         height, area, outer, inner, holes = self._laid.T
         filled = area + holes
         seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)

@@ -106,19 +106,11 @@ def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
         a, b = (int(n) for n in path.track_starts[match.track[i] : match.track[i] + 2])
         begins = np.append(np.flatnonzero(~path.goes_on[a:b]), b - a) + a
         # Line (n,) from which the start, the middle and the end of each motion are least away in all.
-        lines = np.atleast_1d(
-            np.asarray(
-                shapely.linestrings(
-                    np.stack([(path.segment_start[begins[:-1]]), (path.end[begins[1:] - 1])], axis=1)
-                ),
-                dtype=np.object_,
-            )
-        )
+        ends = np.stack([path.segment_start[begins[:-1]], path.end[begins[1:] - 1]], axis=1)
+        lines = np.asarray(shapely.linestrings(ends), object)
         away = np.zeros((mine.size, lines.size))
         for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
-            points = np.atleast_1d(
-                np.asarray(shapely.points(np.nan_to_num(place[mine, :2])), dtype=np.object_)
-            )
+            points = np.asarray(shapely.points(np.nan_to_num(place[mine, :2])), object)
             away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
         line = np.asarray(away.argmin(axis=1), np.int64)
         turn[mine] = path.turn[begins[line]]

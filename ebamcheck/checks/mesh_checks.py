@@ -91,9 +91,8 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     if not _of_some_layers(config) and not any(_overlap(mesh, cuts, areas) for mesh, areas, _ in parts):
         near = nearest_fitting(part, config)
         if near is not None:
-            text += (
-                f"; layers of {near.height_mm:g} mm (layers.layer_height_mm) leave {100.0 * near.share:.2f} %"
-            )
+            share = 100.0 * near.share
+            text += f"; layers of {near.height_mm:g} mm (layers.layer_height_mm) leave {share:.2f} %"
     return solid(rule.share, text, layer, z_mm)
 
 
@@ -246,14 +245,13 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
     rows = rows[(np.minimum(floor, roof) > LEAST_MM2)[below[rows] + 1]]
     if not rows.size:
         return
-    # Number (F,) of the run of facets, joined by edges, that each belongs to.
+    # Runs of facets that are joined by edges.
     faces = part.faces[rows]
-    groups = edge_groups(np.ascontiguousarray(faces), (len(part.vertices)))
+    groups = edge_groups(np.ascontiguousarray(faces), len(part.vertices))
     facet = groups.half_edges // 3
     first = np.repeat(facet[groups.starts[:-1]], np.diff(groups.starts))
     graph = coo_array((np.ones(len(facet)), (first, facet)), shape=(len(faces), len(faces)))
-    _, label = connected_components(graph, directed=False)
-    label = np.asarray(label, np.int64)
+    label = np.asarray(connected_components(graph, directed=False)[1], np.int64)
     lowest, highest = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
     np.minimum.at(lowest, label, low[rows])
     np.maximum.at(highest, label, high[rows])
@@ -268,12 +266,10 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
             yield k, spans
 
 
-_Crossings = tuple[Ints, Ints, Floats, Ints]
 # Where lines cross borders, (n,) each: layer, line, place along it, and by how much the number of solids around it changes.
-
-
-_Facets = tuple[Part, Floats, Floats]
+_Crossings = tuple[Ints, Ints, Floats, Ints]
 # A part, and Z of the lowest and the highest corner of each of its facets, (F,) mm.
+_Facets = tuple[Part, Floats, Floats]
 
 
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:

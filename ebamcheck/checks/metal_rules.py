@@ -426,23 +426,20 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
         mine = rows[nc.layer[rows] == k]
         if not (mine.size and thickness[k] > 0.0):
             return None
-        bead_mm = config.process.bead_width_mm
-        across = 6
+        bead_mm, across = config.process.bead_width_mm, 6
         cell = bead_mm / across
         row, at = nc.samples(mine, cell)
         pieces, lengths = np.bincount(row, minlength=1)[row], np.nan_to_num(nc.lengths[row])
-        along = lengths / pieces
-        origin = at.min(axis=0) - 2.0 * bead_mm
-        columns, count = (
-            np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1
-        ).tolist()
+        along, origin = lengths / pieces, at.min(axis=0) - 2.0 * bead_mm
+        size = np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1
+        columns, count = size.tolist()
         i, j = np.floor((at - origin) / cell).astype(np.int64).T
         metal_mm3 = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
         field = np.asarray(metal_mm3.reshape(count, columns), np.float64)
         # Once for the width of the bead, and once for the spot.
         for _ in range(2):
             field = ndimage.uniform_filter(field, across, mode="constant")
-        field = field / (cell**2 * (float(thickness[k])))
+        field = field / (cell**2 * float(thickness[k]))
         wide = shapely.buffer(eroded(layers.section(k), bead_mm), bead_mm)
         shapely.prepare(wide)
         excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), field[j, i] - 1.0, 0.0)
@@ -450,9 +447,8 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
         bead, ends = nc.beads.group[row], np.cumsum(along)
         sums = np.append(0.0, np.cumsum(excess * along))
         stretch_mm = STRETCH_BEADS * bead_mm
-        first = np.maximum(
-            np.searchsorted(ends, ends - stretch_mm, side="right"), np.searchsorted(bead, bead)
-        )
+        first = np.searchsorted(ends, ends - stretch_mm, side="right")
+        first = np.maximum(first, np.searchsorted(bead, bead))
         mean = (sums[1:] - sums[first]) / stretch_mm
         # Of a bead laid twice the later one is named.
         worst = mean.size - 1 - int(np.argmax(mean[::-1] + 0.0))
@@ -462,7 +458,6 @@ def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) 
     if not found:
         return Check(LAID_ONCE, True, 0.0, MOST_METAL, "of the layer", "", "no layer lays metal")
     metal, k, at, row = max(found, key=lambda spot: spot[0])
-    text = (
-        f"a spot gets {metal:.3g} times the metal of its layer: layer {k + 1}, at ({at[0]:.1f}, {at[1]:.1f})"
-    )
+    place = f"layer {k + 1}, at ({at[0]:.1f}, {at[1]:.1f})"
+    text = f"a spot gets {metal:.3g} times the metal of its layer: {place}"
     return limit_check(LAID_ONCE, metal, MOST_METAL, "of the layer", text, nc.where(row), k, at)

@@ -185,9 +185,8 @@ def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_m
     along = np.diff(points, axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
     side = np.flatnonzero((ring[1:] == ring[:-1]) & (length > 0.0))
-    out = np.repeat(
-        np.column_stack([along[side, 1], -along[side, 0]]) / length[side, None], ON_SIDE.size, axis=0
-    )
+    out = np.column_stack([along[side, 1], -along[side, 0]]) / length[side, None]
+    out = np.repeat(out, ON_SIDE.size, axis=0)
     at = (points[side, None] + ON_SIDE[:, None] * along[side, None]).reshape(-1, 2)
     owner = np.repeat(ring[side].astype(np.int64), ON_SIDE.size)
     deep = (distances(at, segments_of(filled.boundary)) > shallow_mm) | lost[owner]

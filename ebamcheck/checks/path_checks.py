@@ -73,19 +73,17 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
     kind = np.asarray(curves.kind, np.int64)[piece]
     centre, sweep = np.zeros((piece.size, 2)), np.zeros(piece.size)
     arcs = np.flatnonzero(kind == ARC)
-    # Centre (n, 2) and turn (n,), rad, of arcs through three points each, the second half-way; no turn of one that is straight.
-    points = columns[arcs]
-    # The centre is where the bisectors of both halves meet.
-    first, middle, last = points[:, 0], points[:, 1], points[:, 2]
+    # Arcs go through three points each, the second half-way: the centre is where the bisectors of both halves meet; straight ones do not turn.
+    first, middle, last = (columns[arcs, n] for n in range(3))
     one, other = middle - first, last - middle
     across = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
     turned = np.abs(across) > FLAT_ARC * (one * one).sum(axis=1)
     a, b = 0.5 * ((middle + first) * one).sum(axis=1), 0.5 * ((last + middle) * other).sum(axis=1)
     whole = np.where(turned, across, 1.0)[:, None]
-    centres = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
-    spoke, side = first - centres, middle - centres
+    centre[arcs] = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
+    spoke, side = first - centre[arcs], middle - centre[arcs]
     half = np.arctan2(spoke[:, 0] * side[:, 1] - spoke[:, 1] * side[:, 0], (spoke * side).sum(axis=1))
-    centre[arcs], sweep[arcs] = centres, np.where(turned, 2.0 * half, 0.0)
+    sweep[arcs] = np.where(turned, 2.0 * half, 0.0)
     columns[arcs[sweep[arcs] != 0.0], 1:] = 0.0
     flat = arcs[sweep[arcs] == 0.0]
     columns[flat, 1], columns[flat, 2:] = columns[flat, 2] - columns[flat, 0], 0.0

@@ -235,12 +235,8 @@ def _paths(
 def _rows_off(
     scans: NCProgram, rows: Ints, region: BaseGeometry, z_mm: float, config: Config
 ) -> Iterator[tuple[str, str]]:
-    on, z, feed, speed = (
-        scans.beam[rows],
-        scans.end[rows, 2],
-        scans.feed_mm_min[rows] / 60.0,
-        config.preheat.speed_mm_s,
-    )
+    on, z, feed = scans.beam[rows], scans.end[rows, 2], scans.feed_mm_min[rows] / 60.0
+    speed = config.preheat.speed_mm_s
     for wrong, what in (
         (on & (scans.kind[rows] != STRAIGHT), "is no straight line"),
         (~on & (scans.kind[rows] != RAPID), "a way with the beam off is driven at feed in place of a rapid"),

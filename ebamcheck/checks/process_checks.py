@@ -32,17 +32,14 @@ def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     checks = [_seams(nc, config), overhang_check(nc, config)]
     if config.process.travel_sectors_deg:
         rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
-        away = np.zeros(rows.size)
+        away, sectors_deg = np.zeros(rows.size), config.process.travel_sectors_deg
         for t in np.linspace(0.0, 1.0, DIRECTIONS):
-            away = np.maximum(
-                away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg)
-            )
+            away = np.maximum(away, outside_sectors(directions(nc, rows, t), sectors_deg))
         what = "degrees outside of the allowed directions of travel"
         checks.append(worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what))
     if config.process.keep_out:
-        # Depth to which the edge of a bead enters a zone, and length of a rapid within one.
-        # Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
-        # of what that has in common with the zone.
+        # Depth to which the edge of a bead enters a zone, and length of a rapid within one. Where its axes may arrive one after the other,
+        # it may go anywhere in the box around its ends: what counts is the border of what that has in common with the zone.
         rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
         lines = motion_lines(nc, rows)
         if control(nc.dialect).rapids_apart:

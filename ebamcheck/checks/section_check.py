@@ -169,7 +169,7 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
         return allowed
     smooth = None if known.smooth is None else known.smooth.section(k)
     if smooth is None or smooth.is_empty:
-        # By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm.
+        # By how much a curve through the ends of the nearest chord may leave it, mm.
         # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
         # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
         # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.

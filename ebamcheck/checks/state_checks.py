@@ -51,7 +51,8 @@ def state_checks(nc: NCProgram, config: Config) -> list[Check]:
     axis = "XYZ"[int(np.argmax(over[int(np.argmax(worst))]))] if len(driven) else ""
     margin = -found.value if found.passed else found.value
     text = f"{margin:g} mm of {axis} {'left' if found.passed else 'beyond the limits'}, on the true curve"
-    return [*machine_state_checks(driven, config), *_motions(nc, config), replace(found, limit=0.0, text=text), *_switches(nc, config)]  # fmt: skip
+    travel = replace(found, limit=0.0, text=text)
+    return [*machine_state_checks(driven, config), *_motions(nc, config), travel, *_switches(nc, config)]
 
 
 def _motions(nc: NCProgram, config: Config) -> Iterator[Check]:
@@ -165,17 +166,12 @@ def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
     modes += _offset_lost(nc, config) + _uneven_entries(nc, wanted)
     words = [word for word in wanted if not _is_path(nc, word)]
     # The first blocks have a start state that depends on nothing before it.
-    before, set_beam = (
-        set(nc.events.chosen(nc.events.row == 0).name),
-        " ".join(templates_of(config.machine, nc.dialect)["set_beam"]),
-    )
+    set_beam = " ".join(templates_of(config.machine, nc.dialect)["set_beam"])
     needs = {"beam_off": "the beam is not switched off", "wire_stop": "the wire is not stopped"}
     needs |= {name: f"{name} is not set" for name in BEAM_VALUES if f"{{{name}" in set_beam}
-    lacking = [
-        (nc.beginning, f"{what} before the first motion")
-        for name, what in needs.items()
-        if name not in before
-    ]
+    for name in nc.events.chosen(nc.events.row == 0).name:
+        needs.pop(name, None)
+    lacking = [(nc.beginning, f"{what} before the first motion") for what in needs.values()]
     return [
         count_check("modes", modes, f"{' '.join(words)} at every motion"),
         _smoothing(nc, config, wanted, paths),
@@ -233,9 +229,8 @@ def modes_of_scans(scans: NCProgram, config: Config) -> Faults:
     for name in set(e.name):
         group = group_of(scans.dialect, name)
         if group is not None and group.name != FLOW and wanted.get(group.name) != name:
-            said[name] = (
-                f"{name}: {group.name} is to be {wanted.get(group.name, 'as the control has it')} at every motion"
-            )
+            held = wanted.get(group.name, "as the control has it")
+            said[name] = f"{name}: {group.name} is to be {held} at every motion"
     stops, (other, what) = e.kind == Kind.STOP, _other_tolerance(scans, config)
     words = e.named(*said) & ~stops & ~other, lambda i: said[e.name[i]]
     rules = (stops, "{name} stops while it preheats"), (other, what), words

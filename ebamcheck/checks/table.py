@@ -66,11 +66,8 @@ def _turns(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
     """Turns under beam or wire, at feed, of several axes at once, or while the tool moves; axes that are not commanded before a frame."""
     e = full.events
     for row in np.flatnonzero(table.before != table.after).tolist():
-        where, now, was = (
-            full.where(row),
-            table.positions_deg[table.after[row]],
-            table.positions_deg[table.before[row]],
-        )
+        where, now = full.where(row), table.positions_deg[table.after[row]]
+        was = table.positions_deg[table.before[row]]
         if full.beam[row] or full.wire[row]:
             yield where, f"the table turns with the {'beam' if full.beam[row] else 'wire'} on"
         if full.kind[row] != RAPID:

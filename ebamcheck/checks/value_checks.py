@@ -173,9 +173,8 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     for i in np.flatnonzero(e.named(*windows) & (e.value != 0.0) & bool(len(nc))):
         window, unit = windows[e.name[i]]
         faults += _outside(nc, np.minimum(e.row[[i]], len(nc) - 1), e.value[[i]], window, unit)
-    faults += _outside(
-        nc, inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
-    )
+    begins, what = inside[first][known], "of a bead's height a layer"
+    faults += _outside(nc, begins, over_bead[known], process.layer_over_bead, what)
     energies = "line energy {:g} .. {:g} J/mm".format(*process.line_energy_j_mm)
     heights = "layers {:g} .. {:g} of a bead".format(*process.layer_over_bead)
     good = f"wire {least:.4g} .. {greatest:.4g} mm/s, {energies}, {heights}"

@@ -185,9 +185,8 @@ class Codes:
                     if placeholder in values:
                         self._meaning.setdefault(key, placeholder)
         pair = [name for name in names if name in SWITCHES]
-        last = {
-            name: self._unknown_switch([_tokens(name, block) for block in templates[name]]) for name in pair
-        }
+        blocks = {name: [_tokens(name, block) for block in templates[name]] for name in pair}
+        last = {name: self._unknown_switch(blocks[name]) for name in pair}
         if all(last.values()):
             for name, switch in last.items():
                 assert switch is not None

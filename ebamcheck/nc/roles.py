@@ -281,9 +281,8 @@ def inside(region: BaseGeometry, places: Floats, away: Floats) -> Bools:
     begins = np.append(True, ~(apart < 0.9 * (away[1:] + away[:-1])))[: len(places)]
     first = np.flatnonzero(begins)
     shapely.prepare(region)
-    return np.asarray(
-        shapely.intersects_xy(region, places[first, 0], places[first, 1])[np.cumsum(begins) - 1]
-    )
+    within = shapely.intersects_xy(region, places[first, 0], places[first, 1])
+    return np.asarray(within[np.cumsum(begins) - 1])
 
 
 def _shares(count: Ints) -> tuple[Ints, Floats]:

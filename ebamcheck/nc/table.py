@@ -56,9 +56,8 @@ class TableState:
 
     def turn(self, values: Mapping[str, float]) -> None:
         """Turn the axes that `values` name to their positions."""
-        now = tuple(
-            values.get(axis, was) for axis, was in zip(self.axes, self._positions[self._at], strict=True)
-        )
+        before = zip(self.axes, self._positions[self._at], strict=True)
+        now = tuple(values.get(axis, was) for axis, was in before)
         if now not in self._positions:
             self._positions.append(now)
         self.changed = self.changed or self._positions.index(now) != self._at
@@ -116,9 +115,8 @@ def frame_after(code: str, frame: Floats) -> Floats | None:
         own = np.hstack([np.eye(3), [[parts.get(axis, 0.0)] for axis in "XYZ"]])
     else:
         if len(parts) > 1:
-            raise WordError(
-                f"{word} about several axes: their order is a datum of the machine, turn one by one", 0
-            )
+            what = f"{word} about several axes: their order is a datum of the machine, turn one by one"
+            raise WordError(what, 0)
         (name, angle), *_ = parts.items()
         axis = "XYZ".index(name) if name != "RPL" else 2
         angle_rad = np.radians(angle)

@@ -274,10 +274,8 @@ def carried_corners(config: Config) -> Floats:
     machine, process, stands = config.machine, config.process, config.part.on_table
     assert stands is not None
     box = list(zip(stands.low_mm, stands.high_mm, strict=True))
-    low, high = (
-        machine.base_plate_min_mm or stands.low_mm[:2],
-        machine.base_plate_max_mm or stands.high_mm[:2],
-    )
+    low = machine.base_plate_min_mm or stands.low_mm[:2]
+    high = machine.base_plate_max_mm or stands.high_mm[:2]
     corners = [*product(*box), *product(*zip(low, high, strict=True), (-process.base_plate_mm, 0.0))]
     for zone in process.keep_out:
         if zone.z_mm != NO_HEIGHT:

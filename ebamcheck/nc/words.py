@@ -24,9 +24,7 @@ class Dialect:
     """The language of a control, as a table; see :class:`ebamcheck.nc.reader.Reader` for what its programs do."""
 
     name: str  # Of the control, whose modal groups its words belong to
-    motions: Mapping[
-        str, int
-    ]  # Words of motion, and the kind of motion of each (:mod:`ebamcheck.nc.motions`)
+    motions: Mapping[str, int]  # Words of motion, and the kind of each (:mod:`ebamcheck.nc.motions`)
     codes: frozenset[str]  # Other words without a value
     ends: frozenset[str]  # Those that end a program
     addresses: frozenset[str]  # Words with a value, beside the rotary axes of a machine
@@ -107,15 +105,14 @@ def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Blo
         else:
             block.values[address] = float(value)
     if len(block.codes) > 1:
-        # Refuse two words of one group in a block: a control stops there, with the beam as it is, or takes either.
+        # Of two words of one group a control takes either, or stops there with the beam as it is.
         seen: dict[str, str] = {}
         for one in block.codes:
             group = group_of(dialect.name, one)
             kind = "motion" if one in dialect.motions else group.name if group else one
             if kind in seen:
-                raise WordError(
-                    f"{seen[kind]} and {one} in one block: it takes one word of a group ({kind})", 0
-                )
+                what = f"{seen[kind]} and {one} in one block: it takes one word of a group ({kind})"
+                raise WordError(what, 0)
             seen[kind] = one
     if len(block.codes) + len(block.values) + len(block.lists) > 1:
         for word in block.codes:
