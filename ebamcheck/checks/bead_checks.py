@@ -420,7 +420,6 @@ def gaps_check(subject: Subject) -> list[Check]:
 
 
 def _nearest(nc: NCProgram, rows: Ints, place: BaseGeometry) -> int:
-    """Motion whose chord is nearest to a place."""
     chords = np.stack([nc.start[rows, :2], nc.end[rows, :2]], axis=1)
     known = np.isfinite(chords).all(axis=(1, 2))
     if not known.any():

@@ -148,7 +148,6 @@ def beads_in_the_air(
 
 
 def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeometry:
-    """Ground that beads cover."""
     rows = beads.rows[np.isin(beads.bead, which)]
     if not rows.size:
         return shapely.Polygon()

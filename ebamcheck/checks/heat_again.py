@@ -63,7 +63,6 @@ def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
 
 
 def _data(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
-    """Temperatures and values of a material."""
     kelvin, values = np.array(points, np.float64).T
     return kelvin, values
 

@@ -64,7 +64,6 @@ class TextBeads:
     scans: Mapping[int, BeamWay] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        """Return the number of beads."""
         return len(self.layer)
 
     @cached_property

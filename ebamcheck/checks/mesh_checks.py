@@ -337,7 +337,6 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
 
 
 def _furthest_off(off_mm: dict[str, float], good: str) -> Check:
-    """Check of the layers by what is furthest off, by name."""
     what = max(off_mm, key=lambda name: off_mm[name])
     value = max(off_mm[what], 0.0)
     text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"

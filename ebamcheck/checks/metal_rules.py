@@ -95,7 +95,6 @@ class MetalBelow:
 
 
 def _with_metal(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows of layers that have metal, or are to have some."""
     return table[(table["wanted_mm3"] > 0.0) | (table["laid_mm3"] > 0.0)]
 
 

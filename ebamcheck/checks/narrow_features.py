@@ -303,7 +303,6 @@ class NarrowBead:
         return self.width_mm >= self.least_mm
 
     def __str__(self) -> str:
-        """Say what the bead takes, or which limit stands in its way."""
         if self.can_be_laid:
             return (
                 f"a bead of {self.width_mm:.1f} mm is within the process window ({self.wire_mm_s:.1f} mm/s of wire, "

@@ -138,7 +138,6 @@ def _within_layers(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
 
 
 def _out_of_focus(nc: NCProgram) -> Bools:
-    """Events that set the beam out of focus."""
     return np.asarray(nc.events.named(FOCUS) & (nc.events.value != 0.0))
 
 
@@ -386,7 +385,6 @@ def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | N
 
 
 def _way_mm(way: BeamWay) -> float:
-    """Length of the way under the beam."""
     return float(np.hypot(*(way.end - way.start).T)[way.power_w > 0.0].sum())
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 
@@ -38,7 +38,6 @@ At = tuple[int, str, str]  # Motions before it, where it is, and what is wrong
 
 
 def _by_row(faults: Iterable[At]) -> Faults:
-    """Faults in the order of the motions."""
     return [(where, what) for _, where, what in sorted(faults, key=lambda fault: fault[0])]
 
 
@@ -295,44 +294,44 @@ TOLD = 4  # Settings that are told by name
 
 def loose_limits(config: Config) -> Iterator[Check]:
     """Tell which limits are wider than the default ones, each with both values, and which data of a known material are others."""
-    yield from _other_material(config)
-    found = [*_wider(config), *_wider_than_derived(config)]
-    if found:
-        text = f"gates are judged by limits wider than the default ones: {_first(found)}"
-        remedy = "say why on the certificate, or go back to the default limits"
-        place, count = found[0].split()[0], float(len(found))
-        yield Check.finding("warning", "limit-widened", text, place, count, 0.0, "limits", remedy)
-
-
-def _first(found: list[str]) -> str:
-    """The first of some texts, and how many there are more."""
-    return ", ".join(found[:TOLD]) + (f" and {len(found) - TOLD} more" if len(found) > TOLD else "")
+    kept = (
+        "gates are judged by limits wider than the default ones",
+        "say why on the certificate, or go back to the default limits",
+    )
+    others = (
+        f"heat and melting are judged by data that are not those of {config.material.name}",
+        "say where they come from on the certificate, or leave them out",
+    )
+    for found, code, unit, (text, remedy) in (
+        (list(_other_material(config)), "material-data", "values", others),
+        (list(_wider(config)), "limit-widened", "limits", kept),
+    ):
+        if found:
+            more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
+            text = f"{text}: {', '.join(found[:TOLD])}{more}"
+            place, count = found[0].split()[0], float(len(found))
+            yield Check.finding("warning", code, text, place, count, 0.0, unit, remedy)
 
 
 def _wider(config: Config) -> Iterator[str]:
     """Limits that are wider than by default, and windows that reach beyond the default ones on either side."""
+    default, process, hottest_k = Config(), config.process, config.material.interpass_limit_k
     greater = WIDER_IF_GREATER + (OF_PREHEATING if config.preheat.when != "off" else ())
     for names, sign in ((greater, 1.0), (WIDER_IF_LESS, -1.0)):
         for name in names:
-            value, default = _value(config, name), _value(Config(), name)
-            if sign * (value - default) > 0.0:
-                yield f"{name} {value:g} (default {default:g})"
-
+            value, usual = (attrgetter(name)(one) for one in (config, default))
+            if sign * (value - usual) > 0.0:
+                yield f"{name} {value:g} (default {usual:g})"
     for name in WINDOWS:
-        (low, high), (least, greatest) = _value(config, name), _value(Config(), name)
+        (low, high), (least, greatest) = (attrgetter(name)(one) for one in (config, default))
         if low < least or high > greatest:
             yield f"{name} {low:g} .. {high:g} (default {least:g} .. {greatest:g})"
-
-
-def _wider_than_derived(config: Config) -> Iterator[str]:
-    """Limits whose default follows from other settings."""
-    process, material = config.process, config.material
+    # Limits whose default follows from other settings.
     unevenness_mm, half_mm = process.largest_unevenness_mm, 0.5 * process.bead_width_mm
     if unevenness_mm > half_mm:
         yield f"process.surface_tolerance_mm {unevenness_mm:g} (default {half_mm:g})"
-    hottest_k, melts_k = process.interpass_limit_k, material.interpass_limit_k
-    if hottest_k is not None and hottest_k > melts_k:
-        yield f"process.interpass_limit_k {hottest_k:g} (of the material {melts_k:g})"
+    if process.interpass_limit_k is not None and process.interpass_limit_k > hottest_k:
+        yield f"process.interpass_limit_k {process.interpass_limit_k:g} (of the material {hottest_k:g})"
     if process.interpass_at != "bead":
         yield f"process.interpass_at {process.interpass_at} (default bead)"
     slack = power_slack_w(config.machine, process.voltage_kv, process.current_ma) / process.power_w
@@ -342,25 +341,14 @@ def _wider_than_derived(config: Config) -> Iterator[str]:
         yield f"machine.{name} {getattr(config.machine, name):g} (the power may be {100.0 * slack:.3g} % off for it)"
 
 
-def _other_material(config: Config) -> Iterator[Check]:
-    """Data beside the name of a known material that are not those of that material: heat and melting are judged by them."""
+def _other_material(config: Config) -> Iterator[str]:
+    """Data beside the name of a known material that are not those of that material."""
     material = config.material
     if preset(material.name) is None:
         return
     usual = MaterialSettings(name=material.name)
-    others = []
     for name in MaterialSettings.model_fields:
         value, known = getattr(material, name), getattr(usual, name)
         if value != known:
             both = isinstance(value, float) and isinstance(known, float)
-            others.append(f"material.{name}" + (f" {value:g} (usual {known:g})" if both else ""))
-    if others:
-        text = f"heat and melting are judged by data that are not those of {material.name}: {_first(others)}"
-        remedy = "say where they come from on the certificate, or leave them out"
-        place, count = others[0].split()[0], float(len(others))
-        yield Check.finding("warning", "material-data", text, place, count, 0.0, "values", remedy)
-
-
-def _value(config: Config, name: str) -> Any:
-    section, _, key = name.partition(".")
-    return getattr(getattr(config, section), key)
+            yield f"material.{name}" + (f" {value:g} (usual {known:g})" if both else "")

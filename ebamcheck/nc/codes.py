@@ -65,7 +65,6 @@ class Token:
         return (self.address, str(self)) if self.number else (self.address,)
 
     def __str__(self) -> str:
-        """Return the word as it stands in a template."""
         return f"{self.address}{'=' if self.assigned else ''}{self.number or '{' + self.placeholder + '}'}"
 
 
@@ -251,7 +250,6 @@ def _key(code: str) -> Key:
 
 
 def _declared(where: str, line: str, kind: str, values: Sequence[str]) -> tuple[str, str]:
-    """Code and meaning of a declaration ``CODE: MEANING``."""
     code, _, what = (part.strip() for part in line.partition(":"))
     meaning = {f"{word}": pair[kind == "wire"] for word, pair in _MEANINGS.items()}.get(what, what)
     if not code or (meaning not in values and meaning not in SWITCHES):
@@ -260,7 +258,6 @@ def _declared(where: str, line: str, kind: str, values: Sequence[str]) -> tuple[
 
 
 def _parameter(token: Token) -> bool:
-    """Whether a word belongs to the code before it."""
     return not token.assigned and token.address not in "GMH"
 
 

@@ -138,7 +138,6 @@ class NCProgram(Columns[Motion]):
     _item_in = ("motion", "program")
 
     def __len__(self) -> int:
-        """Return the number of motions."""
         return int(self.kind.size)
 
     def _item(self, index: int) -> Motion:
@@ -357,7 +356,6 @@ class Beads:
         return Beads.of(rows, self.group)
 
     def __len__(self) -> int:
-        """Return the number of beads."""
         return int(self.first.size)
 
     def total(self, values: Floats) -> Floats:

@@ -251,7 +251,6 @@ class Reader:
             raise WordError(error.what, column + error.column) from None
 
     def _says_only(self, code: str) -> bool:
-        """Whether a block only says something to the operator."""
         return self.dialect.message is not None and self.dialect.message.fullmatch(code) is not None
 
     def _run_block(self, code: str) -> str:
@@ -329,7 +328,6 @@ class Reader:
 
     @property
     def _radius(self) -> str:
-        """Address of the radius of an arc."""
         return self.dialect.radius.rstrip("=")
 
 

@@ -317,5 +317,4 @@ class Templates:
 
 
 def _without_zeros(block: str) -> str:
-    """A block whose codes have no zeros before their numbers."""
     return _ZEROS.sub(r"\1", block)

@@ -71,7 +71,6 @@ class Events:
         return short_text.line("Events", short_text.counted(len(self.name), "event"))
 
     def __len__(self) -> int:
-        """Return the number of events."""
         return len(self.name)
 
     @cached_property
