@@ -10,7 +10,7 @@ from limits_of_heat import preheated
 from limits_of_path import hatch_row
 from limits_of_text import FIRST, MAIN
 
-from ebamcheck.checks.header_checks import Truth
+from ebamcheck.checks.text_checks import Truth
 
 
 def edited(name: str, begins: str, change: Callable[[str], str | None]) -> Subject:

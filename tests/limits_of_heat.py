@@ -10,8 +10,8 @@ import shapely
 from limit_cases import HIGH_MM, Case, Subject, _folder, cube, downwards, program_of, upwards
 from prism_program import Made
 
-from ebamcheck.checks.entry_check import entry_check
-from ebamcheck.checks.text_heat import PAUSE, sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.interpass_checks import PAUSE, sections_of, text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.text_checks import entry_check
 from ebamcheck.layers.stack import from_polygons
 from ebamcheck.program import Check
 from ebamcheck.settings.config import Config

@@ -10,8 +10,7 @@ import pytest
 import shapely
 
 from benchmarks.faults.program_text import without_comments
-from ebamcheck.checks.interpass_checks import INTERPASS
-from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.interpass_checks import INTERPASS, text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.gcode.writing import write_plain_gcode
 from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.layers.stack import from_polygons

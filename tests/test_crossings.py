@@ -7,7 +7,7 @@ import pytest
 import shapely
 from shapely import affinity
 
-from ebamcheck.checks.hatch_form import _runs_across
+from ebamcheck.checks.bead_checks import _runs_across
 from ebamcheck.scan.filling.schedule import follows
 
 POOL_MM = 3.0

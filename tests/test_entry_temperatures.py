@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from ebamcheck.checks.interpass_checks import INTERPASS, heat_checks
-from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.interpass_checks import INTERPASS, heat_checks, text_beads, text_bed_k, text_shapes
 from ebamcheck.controls.sinumerik.writing import write_program
 from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.layers.stack import from_polygons

@@ -16,11 +16,14 @@ from ebamcheck.checks.interpass_checks import (
     COLD,
     INTERPASS,
     WARM_SHARE,
+    TextBeads,
     heat_checks,
     layer_shares,
     least_entries_k,
+    text_beads,
+    text_bed_k,
+    text_shapes,
 )
-from ebamcheck.checks.text_heat import TextBeads, text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import MELTING, melting_check, spread_mm
 from ebamcheck.errors import SettingsError
 from ebamcheck.heat.medium import least_power_share, melted_mm3_s, own_power_shares

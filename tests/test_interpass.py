@@ -14,8 +14,11 @@ from ebamcheck.checks.interpass_checks import (
     INTERPASS,
     OVER_RANGE,
     layer_shares,
+    sections_of,
+    text_beads,
+    text_bed_k,
+    text_shapes,
 )
-from ebamcheck.checks.text_heat import sections_of, text_beads, text_bed_k, text_shapes
 from ebamcheck.checks.value_checks import MELTING
 from ebamcheck.controls.gcode.writing import write_linuxcnc, write_plain_gcode
 from ebamcheck.controls.sinumerik.writing import write_program

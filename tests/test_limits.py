@@ -19,7 +19,7 @@ from limits_of_heat import preheated
 from planted_faults import FAULTS
 
 import ebamcheck
-from ebamcheck.checks import loose_limits
+from ebamcheck.checks import value_checks
 from ebamcheck.checks.rules import REMEDIES
 from ebamcheck.plugins import registry
 from ebamcheck.program import Check
@@ -49,13 +49,13 @@ ELSEWHERE = {
 NO_LIMITS = {
     "how finely something is looked at": """
         bead_checks.MARGIN bead_checks.CRUMB narrow_features.CRUMB subject.BEAD_STEP_MM clearance.PLACES metal.STEP_SHARE
-        hatch_form.CHORD_MM hatch_form.AT_ONCE heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
+        bead_checks.CHORD_MM bead_checks.AT_ONCE heat_again.PLATE_CELLS heat_again.STEPS heat_again.SINGLE_LAYERS heat_again.MOST_CELLS
         heat_again.HOTTEST_K heat_again.SUMMED clearance.STEP_MM section_check.STEP_MM process_checks.OUTLINE_STEP_MM
         process_checks.INNER_STEP_MM process_checks.FIRST_ASKED process_checks.QUARTER_ROUND path_checks.SAMPLES path_checks.CHORD_SHARE
         path_checks.FLAT_ARC preheating.AT_ONCE_S preheating.MOST_PASSES process_checks.DIRECTIONS
         process_checks.KEEP_OUT_STEP_MM section_check.STEP_MM path_checks.DEGREE
-        clearance.CELLS_PER_BEAD clearance.MOST_CELLS text_heat.OUTLINE_STEP_MM text_heat.LONGEST_WAIT_S text_heat.LEAST_SHARE
-        table.STEP_DEG text_heat.LONGEST_S
+        clearance.CELLS_PER_BEAD clearance.MOST_CELLS interpass_checks.OUTLINE_STEP_MM interpass_checks.LONGEST_WAIT_S interpass_checks.LEAST_SHARE
+        table.STEP_DEG interpass_checks.LONGEST_S
         metal_rules.SPANS metal.AT_ONCE metal_rules.LEAST_BEADS bead_end_checks.REACH_BEADS
         narrow_features.NO_WIDTH_MM narrow_features.LYING narrow_features.STEPS narrow_features.ON_SIDE
         mesh_checks.LINES_PER_BEAD mesh_checks.MOST_LINES mesh_checks.OFF_GRID mesh_checks.AT_ONCE part_file.AT_ONCE
@@ -64,21 +64,21 @@ NO_LIMITS = {
         table.MOST_PLACES""",
     "units, forms of files, and how much of something is told": """
         consumables.KG_MM3 consumables.HOUR_S consumables.TOLD_LAYERS
-        header_checks.TOLD header_checks.LETTERS header_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
-        metal.NO_ZONES hatch_form.FINE hatch_form.SKEW hatch_form.UNEVEN hatch_form.BACK
-        matching.APART_MM form.CERTIFICATE_FORMAT gates.TOLD loose_limits.TOLD
+        text_checks.TOLD text_checks.LETTERS text_checks.MEGABYTE heat_again.RADIATION_W_MM2K4
+        metal.NO_ZONES bead_checks.FINE bead_checks.SKEW bead_checks.UNEVEN bead_checks.BACK
+        matching.APART_MM form.CERTIFICATE_FORMAT gates.TOLD value_checks.TOLD
         findings.LACKING part_file.UNIT_MM part_file.HEAD part_file.FACET part_file.FACET_TEXT reports.TIME_S
         reports.MEMORY_MB reports.LARGEST_REPORT_BYTES reports.MOST_FILES form.FORMAT_VERSION form.PRINTED
         run_folder.AT_FDCWD run_folder.RENAME_EXCHANGE signing.SIGNATURE_FORMAT signing.FINGERPRINT_DIGITS tables_again.SHOWN
         certificate.GIT_TIMEOUT_S table.FAR_MM""",
     "which of several things is compared with which: each way of it is judged by a limit of its own": """
-        bead_checks.PARALLEL_RAD hatch_form.TO_AND_FRO hatch_form.WIDEST_SPACINGS hatch_form.GENTLE hatch_form.MANY
+        bead_checks.PARALLEL_RAD bead_checks.TO_AND_FRO bead_checks.WIDEST_SPACINGS bead_checks.GENTLE bead_checks.MANY
         subject.CONTOUR_SHARE preheating.ROUND_SHARE preheating.SLIVER_MM preheating.ALONG_MM
         checks.SAME_AREA gates_again.SAME_POINT_MM slabs.LEAST_REACH table.LEAST_MM2
         table.SAME_MM interpass_checks.PERCENT value_checks.WIDER""",
     "what keeps a quotient from a divisor of nothing": "metal.LEAST_OWN",
     "what a warning or a text tells, and no check": """
-        loose_limits.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
+        value_checks.MOST_SLACK findings.STEEP_DEG findings.ROUNDING_MM findings.MOST_NARROW
         narrow_features.LONG narrow_features.TAPERS""",
 }
 """Constants of rooms of checks that need no two cases, by the reason."""
@@ -166,10 +166,10 @@ def test_every_constant_of_the_checks_has_its_two_cases_or_is_no_limit():
 
 def test_every_setting_that_makes_a_check_looser_has_its_two_cases():
     limits = {
-        *loose_limits.WIDER_IF_GREATER,
-        *loose_limits.WIDER_IF_LESS,
-        *loose_limits.WINDOWS,
-        *loose_limits.OF_PREHEATING,
+        *value_checks.WIDER_IF_GREATER,
+        *value_checks.WIDER_IF_LESS,
+        *value_checks.WINDOWS,
+        *value_checks.OF_PREHEATING,
     }
     cased = {name for case in CASES for name in case.limits}
     assert limits - cased - NOT_JUDGED_HERE == set()

@@ -10,7 +10,7 @@ from parts import box
 
 from benchmarks.faults.judging import reseal
 from benchmarks.faults.subjects import SUBJECTS
-from ebamcheck.checks.loose_limits import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
+from ebamcheck.checks.value_checks import WIDER_IF_GREATER, WIDER_IF_LESS, WINDOWS, loose_limits
 from ebamcheck.pipeline import findings, run_job
 from ebamcheck.record.run_folder import RunFolder
 from ebamcheck.settings.config import Config

@@ -9,7 +9,7 @@ import pytest
 import shapely
 from prism_program import CONFIG, Made
 
-from ebamcheck.checks import header_checks, heat_again
+from ebamcheck.checks import heat_again, text_checks
 from ebamcheck.checks.heat_again import (
     BeadHeat,
     FollowedHeat,
@@ -17,8 +17,14 @@ from ebamcheck.checks.heat_again import (
     highest_entry_k,
     melting_power_w,
 )
-from ebamcheck.checks.interpass_checks import AGAIN, INTERPASS, heat_checks
-from ebamcheck.checks.text_heat import text_beads, text_bed_k, text_shapes
+from ebamcheck.checks.interpass_checks import (
+    AGAIN,
+    INTERPASS,
+    heat_checks,
+    text_beads,
+    text_bed_k,
+    text_shapes,
+)
 from ebamcheck.checks.value_checks import MELTING, window_check
 from ebamcheck.heat import interpass, medium
 from ebamcheck.heat.balance import HeatColumn, LayerShape
@@ -279,14 +285,14 @@ def test_what_changes_when_a_program_is_marked_is_found(spoil, monkeypatch, tmp_
             path.write_bytes(spoil(path.read_bytes(), name))
         return found
 
-    monkeypatch.setattr(header_checks, "mark_validated", mark)
+    monkeypatch.setattr(text_checks, "mark_validated", mark)
     checked = {name: (made.files.folder / name).read_bytes() for name in made.files.names}
     with pytest.raises(RuntimeError, match="more than its status"):
-        header_checks.marked_validated(made.files)
+        text_checks.marked_validated(made.files)
     assert all((made.files.folder / name).read_bytes() == data for name, data in checked.items())
 
 
 @pytest.mark.parametrize("control", ["sinumerik-840d-sl", "linuxcnc", "plain-gcode", "fanuc"])
 def test_a_sound_program_of_any_control_is_marked(control, tmp_path):
     made = Made(tmp_path, FRAME, CONFIG.changed(machine={"control": control}), layers=2)
-    assert header_checks.marked_validated(made.files).validated
+    assert text_checks.marked_validated(made.files).validated

@@ -7,7 +7,7 @@ import re
 import pytest
 from program_text import CONTROLS, ProgramText, near
 
-from ebamcheck.checks.header_checks import Truth
+from ebamcheck.checks.text_checks import Truth
 from ebamcheck.program import mark_validated, verify_file
 from ebamcheck.settings.files import differences
 

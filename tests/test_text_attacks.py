@@ -10,7 +10,7 @@ import pytest
 from slicers_here import slicers_here
 
 from benchmarks.faults.subjects import SUBJECTS
-from ebamcheck.checks.hatch_form import BACK, FINE, SKEW, UNEVEN, form_of
+from ebamcheck.checks.bead_checks import BACK, FINE, SKEW, UNEVEN, form_of
 from ebamcheck.checks.interpass_checks import scheduled_shares
 from ebamcheck.pipeline import run_job
 from ebamcheck.record.run_folder import RunFolder

@@ -1,8 +1,4 @@
-"""Checks of where and how beads start and end: power along its ramps and their time, overlap of contours, wire drawn back.
-
-A ramp is programmed by its length; what the pool sees is how long it takes, by the feed. The wire runs along all of a bead (check
-``wire``), so that its lead-in is that of the beam.
-"""
+"""Checks of where and how beads start and end: power along ramps and their time, overlap of contours, wire drawn back, gaps ahead."""
 
 from __future__ import annotations
 
@@ -27,31 +23,53 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import run_each
 
-# Length by which a ramp is shorter or longer, since it ends with a block that is near.
+# By so much a ramp is shorter or longer: it ends with a block that is near.
 ROUNDING_MM = 2.0 * SHORTEST_BLOCK_MM
 # Gap ahead of many ends on average, in spacings. A line stops 0.3 of one before the border of its island, which its pool covers; beyond
 # it, a contour or a line along the border lies half a spacing away, the end of another line 0.3 of one: 0.8 or 0.6 in all.
 MEAN_SPACINGS = 0.75
 # Gap straight ahead of a single end, in bead widths: a line beside its own, which may fill what the end leaves, comes within 30 degrees
-# at 1.44 of them, at the default spacing.
-SINGLE_BEADS = 1.5
-# Distance straight ahead of an end that faces the border of the part, in bead widths: its round end reaches half of one, and to a border
-# that it meets at an angle it is nearer than straight ahead.
-BORDER_BEADS = 0.8
-# Length of a bead, in bead widths, under which it fills a spot, and its ends have no direction.
-LEAST_BEADS = 0.5
-# Places within 60 degrees of the direction of an end lie ahead of it; within 30 degrees there is no line beside its own.
-AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
+# at 1.44 of them, at the default spacing. Of an end that faces the border of the part: its round end reaches half a width, and to a
+# border that it meets at an angle it is nearer than straight ahead.
+SINGLE_BEADS, BORDER_BEADS = 1.5, 0.8
+LEAST_BEADS = 0.5  # Length in bead widths under which a bead fills a spot, and its ends have no direction
 REACH_BEADS = 2.5  # Distance, in bead widths, within which the next metal is looked for
+# Places within 60 degrees of an end's direction are ahead of it.
+AHEAD, STRAIGHT = math.tan(math.radians(60.0)), math.tan(math.radians(30.0))
 
 
 def bead_end_checks(nc: NCProgram, config: Config, shares: Floats) -> list[Check]:
     """Check power, overlap and wire at the ends of all beads; `shares` (L,) of the power are those of the layers."""
-    checks = [_power(nc, config, shares), _overlap(nc, config)]
+    # Length by which each closed contour runs on over its start, against the one set or once around.
+    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
+    beads, over, length = nc.beads.among(rows), nc.overlap[rows], nc.lengths[rows]
+    driven, whole = beads.total(np.where(over, length, 0.0)), beads.total(np.where(over, 0.0, length))
+    closed = (nc.end[beads.last, :2] == nc.start[beads.first, :2]).all(axis=1) | (driven > 0.0)
+    off = np.where(closed, np.abs(driven - np.minimum(config.process.overlap_mm, whole)), 0.0)
+    what = f"off {config.process.overlap_mm:g} mm of overlap of {int(closed.sum())} closed contours"
+    checks = [
+        _power(nc, config, shares),
+        worst_check("overlap of contours", nc, beads.last, off, 2.0 * SHORTEST_BLOCK_MM, "mm", what),
+    ]
     if config.process.wire_retract_mm > 0.0:
         checks.append(retract_check(nc, config))
     if nc.goes_on.any():
-        checks.append(_parts_of_lines(nc))
+        # Distance of the places where hatch lines change their power from the straight line.
+        rows = np.flatnonzero(nc.goes_on)
+        vectors = nc.vectors()
+        owner = np.searchsorted(vectors["row"].to_numpy(), rows, side="right") - 1
+        a, b = vectors[["x0", "y0"]].to_numpy()[owner], vectors[["x1", "y1"]].to_numpy()[owner]
+        way, place = b - a, nc.start[rows, :2] - a
+        whole = np.hypot(way[:, 0], way[:, 1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (place * way).sum(axis=1) / whole
+            away = np.abs(way[:, 0] * place[:, 1] - way[:, 1] * place[:, 0]) / whole
+        # A part on its own, on a ring, or beyond the line's ends is none.
+        sound = (owner >= 0) & (nc.island[rows] >= 0) & nc.deposit[rows] & nc.deposit[rows - 1]
+        sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
+        what = "distance of their parts from the line"
+        off = np.where(sound, away, np.inf)
+        checks.append(worst_check("parts of hatch lines", nc, rows, off, PLACE_MM, "mm", what))
     return checks
 
 
@@ -67,9 +85,8 @@ def _power(nc: NCProgram, config: Config, shares: Floats) -> Check:
     of_layer[known] = shares[nc.layer[rows[known]]]
     of_layer = np.maximum(of_layer, own_shares(nc, rows, config))
     slack_w = power_slack_w(config.machine, process.voltage_kv, process.current_ma)
-    wanted, step = wanted * of_layer, step * of_layer + slack_w / process.power_w
-    off = np.maximum(np.abs(share - wanted) - step, 0.0)
-    off[np.isnan(share)] = np.nan
+    off = np.abs(share - wanted * of_layer) - (step * of_layer + slack_w / process.power_w)
+    off = np.where(np.isnan(share), np.nan, np.maximum(off, 0.0))
     found = worst_check("power", nc, rows, off, VALUE_SHARE, "of the power set", "")
     highest = float(np.nanmax(nc.power_w[rows], initial=0.0))
     within = highest <= process.voltage_kv * process.current_max_ma * (1.0 + VALUE_SHARE) + slack_w
@@ -109,14 +126,21 @@ def ramp_power(nc: NCProgram, rows: Ints, config: Config) -> tuple[Floats, Float
 
 def ramp_check(nc: NCProgram, config: Config) -> Check:
     """Check how long the beam of each bead rises and falls, by feed and length of its blocks, against the windows of the process."""
-    process = config.process
-    rows = np.flatnonzero(nc.deposit)
-    beads = nc.beads.among(rows)
+    process, rows = config.process, np.flatnonzero(nc.deposit)
+    beads, power_w = nc.beads.among(rows), nc.power_w[rows]
     if not rows.size:
         return count_check("ramps in time", [], "nothing is laid")
     with np.errstate(divide="ignore", invalid="ignore"):
         time_s = np.nan_to_num(60.0 * nc.lengths[rows] / nc.feed_mm_min[rows], posinf=0.0)
-    rise, fall = _times(nc.power_w[rows], time_s, beads.bead)
+    # Seconds (P,) of each bead before its first motion at full power, and after the last one.
+    bead, numbers = beads.bead, np.arange(len(beads))
+    first, stop = (np.searchsorted(bead, numbers, side=side) for side in ("left", "right"))
+    full = np.flatnonzero(power_w >= np.fmax.reduceat(power_w, first)[bead] * (1.0 - VALUE_SHARE))
+    begins, ends = first.copy(), stop - 1
+    begins[bead[full][::-1]] = full[::-1]
+    ends[bead[full]] = full
+    sums = np.concatenate([[0.0], np.cumsum(time_s)])
+    rise, fall = sums[begins] - sums[first], sums[stop] - sums[ends + 1]
     long = beads.total(nc.lengths[rows]) >= process.ramp_up_mm + process.crater_fill_mm
     slack_s = ROUNDING_MM / process.travel_speed_mm_s
     faults = []
@@ -128,56 +152,16 @@ def ramp_check(nc: NCProgram, config: Config) -> Check:
             low, high = window_s
             # A bead that is shorter than both ramps may take less.
             bad = (times_s > high + slack_s) | (long & (times_s < low - slack_s))
-            said = "{what} {t:.3g} s, allowed are {low:g} .. {high:g} s".format
             each = zip(row[bad].tolist(), times_s[bad].tolist(), strict=True)
-            faults += [(first, said(what=what, t=t, low=low, high=high)) for first, t in each]
+            said = f"{what} {{:.3g}} s, allowed are {low:g} .. {high:g} s"
+            faults += [(at, said.format(t)) for at, t in each]
     faults.sort(key=lambda fault: fault[0])
     good = f"the beam rises in {rise.min():.3g} .. {rise.max():.3g} s and falls in {fall.min():.3g} .. {fall.max():.3g} s"
     return count_check("ramps in time", [(nc.where(row), what) for row, what in faults], good)
 
 
-def _times(power_w: Floats, time_s: Floats, bead: Ints) -> tuple[Floats, Floats]:
-    """Seconds (P,) of each bead before its first motion at full power, and after the last one."""
-    first, stop = (np.searchsorted(bead, np.arange(bead[-1] + 1), side=side) for side in ("left", "right"))
-    full = np.flatnonzero(power_w >= np.fmax.reduceat(power_w, first)[bead] * (1.0 - VALUE_SHARE))
-    begins, ends = first.copy(), stop - 1
-    begins[bead[full][::-1]] = full[::-1]
-    ends[bead[full]] = full
-    sums = np.concatenate([[0.0], np.cumsum(time_s)])
-    return sums[begins] - sums[first], sums[stop] - sums[ends + 1]
-
-
-def _overlap(nc: NCProgram, config: Config) -> Check:
-    """Length by which each closed contour runs on over its start, against the one set or once around."""
-    rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
-    beads, over, length = nc.beads.among(rows), nc.overlap[rows], nc.lengths[rows]
-    driven, whole = beads.total(np.where(over, length, 0.0)), beads.total(np.where(over, 0.0, length))
-    closed = (nc.end[beads.last, :2] == nc.start[beads.first, :2]).all(axis=1) | (driven > 0.0)
-    off = np.where(closed, np.abs(driven - np.minimum(config.process.overlap_mm, whole)), 0.0)
-    what = f"off {config.process.overlap_mm:g} mm of overlap of {int(closed.sum())} closed contours"
-    return worst_check("overlap of contours", nc, beads.last, off, 2.0 * SHORTEST_BLOCK_MM, "mm", what)
-
-
-def _parts_of_lines(nc: NCProgram) -> Check:
-    """Distance of the places where hatch lines change their power from the straight line."""
-    rows = np.flatnonzero(nc.goes_on)
-    vectors = nc.vectors()
-    owner = np.searchsorted(vectors["row"].to_numpy(), rows, side="right") - 1
-    a, b = vectors[["x0", "y0"]].to_numpy()[owner], vectors[["x1", "y1"]].to_numpy()[owner]
-    way, place = b - a, nc.start[rows, :2] - a
-    whole = np.hypot(way[:, 0], way[:, 1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (place * way).sum(axis=1) / whole
-        away = np.abs(way[:, 0] * place[:, 1] - way[:, 1] * place[:, 0]) / whole
-    # A part on its own, on a ring, or beyond the line's ends is none.
-    sound = (owner >= 0) & (nc.island[rows] >= 0) & nc.deposit[rows] & nc.deposit[rows - 1]
-    sound &= (nc.island[rows] == nc.island[rows - 1]) & (along >= 0.0) & (along <= whole)
-    what = "distance of their parts from the line"
-    return worst_check("parts of hatch lines", nc, rows, np.where(sound, away, np.inf), PLACE_MM, "mm", what)
-
-
 def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
-    """Check that hatch beads start and end next to other metal, or at the border of the part."""
+    """Check that hatch beads start and end next to other metal, or at the border of the part, each of them and on average."""
     bead_mm = config.process.bead_width_mm
     ends = _ends(nc, config, layers)
     if not len(ends):
@@ -189,44 +173,28 @@ def end_gaps_check(nc: NCProgram, config: Config, layers: Layers) -> Check:
     row, layer, gap = int(at["row"]), int(at["layer"]), float(at["straight_mm"])
     what = "the border of the part" if at["free"] else "other metal"
     text = f"a bead {'starts' if at['start'] else 'ends'} {gap:.4g} mm before {what}"
-    groups = _means(ends, config)
-    worst = groups.iloc[int(np.argmax(groups["gap_mm"] / groups["limit_mm"]))]
-    if worst["gap_mm"] / worst["limit_mm"] > single[k]:
-        gap, limit, row = float(worst["gap_mm"]), float(worst["limit_mm"]), int(worst["row"])
+    # Mean gaps of the starts and of the ends that face metal, of each layer and of all (-1), with the widest one's motion.
+    facing = ends[~ends["free"]].sort_values("gap_mm", ascending=False, kind="stable")
+    groups = pd.concat([facing, facing.assign(layer=-1)]).groupby(["layer", "start"])
+    means = groups.agg(gap_mm=("gap_mm", "mean"), count=("row", "size"), row=("row", "first")).reset_index()
+    # Ends in one layer meet the borders of the same few islands, and corners of these come together.
+    independent = np.where(means["layer"] < 0, means["count"], np.sqrt(means["count"]))
+    over = means["gap_mm"] / (limits := most_on_average_mm(independent, config))
+    if len(means) and over.max() > single[k]:
+        n = int(np.argmax(over))
+        worst = means.iloc[n]
+        gap, limit, row = float(worst["gap_mm"]), float(limits[n]), int(worst["row"])
         layer = int(nc.layer[row])
         text = f"{int(worst['count'])} beads {'start' if worst['start'] else 'end'} {gap:.4g} mm before other metal on average"
     at = ends.loc[ends["row"] == row].iloc[0]
-    return limit_check(
-        "ends of beads", gap, limit, "mm", text, nc.where(row), layer, (at["x_mm"], at["y_mm"])
-    )
+    place = at["x_mm"], at["y_mm"]
+    return limit_check("ends of beads", gap, limit, "mm", text, nc.where(row), layer, place)
 
 
 def most_on_average_mm(count: Floats, config: Config) -> Floats:
-    """Gap that so many independent ends may have on average, mm: that of a single one, and less the more there are.
-
-    Examples
-    --------
-    >>> most_on_average_mm(np.array([1.0, 4.0, 400.0]), Config()).round(3).tolist()
-    [9.0, 4.68, 3.254]
-    """
+    """Gap that so many independent ends may have on average, mm: that of a single one, and less the more there are."""
     mean_mm = MEAN_SPACINGS * config.process.hatch_spacing_mm
     return np.asarray(mean_mm + (SINGLE_BEADS * config.process.bead_width_mm - mean_mm) / count, np.float64)
-
-
-def _means(ends: pd.DataFrame, config: Config) -> pd.DataFrame:
-    """Mean gaps of the starts and of the ends that face metal, of each layer and of all: count, limit, and the widest one's motion."""
-    facing = ends[~ends["free"]].sort_values("gap_mm", ascending=False, kind="stable")
-    every = pd.concat([facing, facing.assign(layer=-1)])
-    found = every.groupby(["layer", "start"]).agg(
-        gap_mm=("gap_mm", "mean"), count=("row", "size"), row=("row", "first")
-    )
-    found = found.reset_index()
-    # Ends in one layer meet the borders of the same few islands, and corners of these come together.
-    independent = np.where(found["layer"] < 0, found["count"], np.sqrt(found["count"]))
-    found["limit_mm"] = most_on_average_mm(independent, config)
-    if not len(found):
-        found.loc[0] = [-1, True, 0.0, 0, int(ends["row"].iloc[0]), 1.0]
-    return found
 
 
 def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
@@ -256,36 +224,28 @@ def _ends(nc: NCProgram, config: Config, layers: Layers) -> pd.DataFrame:
         way /= np.maximum(np.hypot(way[:, 0], way[:, 1]), np.finfo(float).tiny)[:, None]
         pairs = cKDTree(at).sparse_distance_matrix(cKDTree(place[mine]), reach_mm, output_type="ndarray")
         end, other = pairs["i"], mine[pairs["j"]]
+        to = place[other] - at[end]
+        ahead = (to * way[end]).sum(axis=1)
         own = (bead[other] == bead[owner[end]]) & (np.abs(along[other] - along[owner[end]]) < bead_mm)
-        end, others = end[~own], place[other[~own]]
-        gap, straight = _ahead(at, way, end, others)
-        border = _border_ahead(at, way, wanted_region(layers.section(k), config), reach_mm)
+        others = ~own & (ahead > 0.0)
+        end, to, ahead = end[others], to[others], ahead[others]
+        across, away = np.abs(to[:, 0] * way[end, 1] - to[:, 1] * way[end, 0]), np.hypot(to[:, 0], to[:, 1])
+        # Distance to the nearest of the places that lie ahead, and straight ahead; endless without any.
+        gap = np.full((2, len(at)), np.inf)
+        for nearest, slope in zip(gap, (AHEAD, STRAIGHT), strict=True):
+            within = across <= slope * ahead
+            np.minimum.at(nearest, end[within], away[within])
+        # Distance straight ahead to the border of the part: none beyond it.
+        section = wanted_region(layers.section(k), config)
+        rays = np.asarray(shapely.linestrings(np.stack([at, at + reach_mm * way], axis=1)))
+        met = shapely.intersection(rays, shapely.boundary(section))
+        border = np.nan_to_num(shapely.distance(shapely.points(at), met), nan=reach_mm)
+        border = np.where(shapely.intersects_xy(section, at[:, 0], at[:, 1]), border, 0.0)
         return pd.DataFrame({
-            "gap_mm": np.minimum(gap, reach_mm), "straight_mm": np.minimum(straight, border), "free": border < straight, "start": np.arange(owner.size) < ends.size,
-            "row": row[owner], "layer": np.full(owner.size, k), "x_mm": at[:, 0], "y_mm": at[:, 1],
+            "gap_mm": np.minimum(gap[0], reach_mm), "straight_mm": np.minimum(gap[1], border), "free": border < gap[1],
+            "start": np.arange(owner.size) < ends.size, "row": row[owner], "layer": np.full(owner.size, k),
+            "x_mm": at[:, 0], "y_mm": at[:, 1],
         })  # fmt: skip
 
     found = [layer for layer in run_each(of_layer, range(len(layers))) if layer is not None]
     return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
-
-
-def _ahead(at: Floats, way: Floats, end: Ints, place: Floats) -> Floats:
-    """Distance (2, n) from ends to the nearest of the places (m, 2) that lie ahead of each, and straight ahead; endless without any."""
-    to, gap = place - at[end], np.full((2, len(at)), np.inf)
-    along = (to * way[end]).sum(axis=1)
-    ahead = np.flatnonzero(along > 0.0)
-    end, to, along = end[ahead], to[ahead], along[ahead]
-    across, away = np.abs(to[:, 0] * way[end, 1] - to[:, 1] * way[end, 0]), np.hypot(to[:, 0], to[:, 1])
-    for nearest, slope in zip(gap, (AHEAD, STRAIGHT), strict=True):
-        within = across <= slope * along
-        np.minimum.at(nearest, end[within], away[within])
-    return gap
-
-
-def _border_ahead(at: Floats, way: Floats, section: shapely.Geometry, reach_mm: float) -> Floats:
-    """Distance (n,) from ends straight ahead to the border of a section: none beyond it, the reach where it is farther."""
-    rays = np.asarray(shapely.linestrings(np.stack([at, at + reach_mm * way], axis=1)))
-    met = shapely.intersection(rays, shapely.boundary(section))
-    away = np.asarray(shapely.distance(shapely.points(at), met), np.float64)
-    away = np.where(np.isnan(away), reach_mm, away)
-    return np.where(shapely.intersects_xy(section, at[:, 0], at[:, 1]), away, 0.0)

@@ -1,7 +1,4 @@
-"""How checks of a program are made together, and how the worst place of many becomes one check; tolerances and remedies.
-
-The tolerances are those that no setting makes: the decimals of a program, and what fits and sections may be off by.
-"""
+"""How checks are made together, and how the worst place of many becomes one check; tolerances that no setting makes; remedies."""
 
 from __future__ import annotations
 
@@ -19,36 +16,25 @@ from ebamcheck.threads import run_in_order
 PLACE_MM = 1e-3  # Places and heights nearer than this are one: three decimals are the fewest of a program
 TWO_PLACES_MM = 2.0 * PLACE_MM  # Distance of two places of which each is rounded to the decimals of a program
 VALUE_SHARE = 1e-3  # Share by which a printed value may be off: volts, milliamperes, feeds, wire speeds
-# The same of a figure at the border of a window: process values are printed with six decimals, wire speeds with the fewest.
-WINDOW_SHARE = 1e-5
+WINDOW_SHARE = 1e-5  # The same at the border of a window: process values have six decimals in a program
 PRINTED = 1e-6  # Decimals of a process value, of a wait, and of heights in comments
-# Path read back against the fitted curve, after decimal rounding: a tenth of what a slicer agrees to.
-PATH_TOLERANCE_MM = 1e-3
-# Contour path against the section: the fit of the curves and the roundness of the inset's corners.
-SECTION_TOLERANCE_MM = 0.05
-# Metal of a bead over what is asked for: the decimals of wire speed and feed, and nothing else.
-WIRE_TOLERANCE = 0.01
-# Lines nearer than this, along one another, are one line laid twice: far under any spacing.
-SAME_LINE_MM = 0.01
-# Points nearer to the chord of their neighbours are made by facets that were cut in two: they end no chord.
-COLLINEAR_MM = 1e-3
-# Width up to which a slit is what rounding left of a face that two bodies share: far under any gap that a bead leaves open.
-SLIT_MM = 1e-3
-# Direction of a line of a few tenths of a millimetre whose ends are rounded to the program's decimals.
-DIRECTION_ROUNDING_DEG = 0.01
+PATH_TOLERANCE_MM = 1e-3  # Path read back against the fitted curve: a tenth of what a slicer agrees to
+SECTION_TOLERANCE_MM = 0.05  # Contours against the section: fit of curves, and round corners of insets
+WIRE_TOLERANCE = 0.01  # Metal of a bead over what is asked for: the decimals of wire speed and feed
+SAME_LINE_MM = 0.01  # Lines nearer than this, along one another, are one laid twice: far under a spacing
+COLLINEAR_MM = 1e-3  # Points nearer to the chord of their neighbours are made by facets that were cut
+SLIT_MM = 1e-3  # Width up to which a slit is what rounding left of a face that two bodies share
+DIRECTION_ROUNDING_DEG = 0.01  # Of a line of a few tenths of a millimetre whose ends are rounded to decimals
 LIMIT_ROUNDING_MM = 1e-9  # Rounding of a curve's extreme
 SAME_SIZE = 1e-4  # Share of its size by which a part may be off: coordinates of an STL file have seven digits
-# Share of the greatest section by which those of the mesh and of a slicer differ only where bodies overlap, or it is open.
-SAME_AREA = 1e-3
-# Wire changes between blocks, whose ends are rounded, and which other curve forms place elsewhere by so much.
-WIRE_PLACE_MM = 0.2
+SAME_AREA = 1e-3  # Share of the greatest section by which mesh and slicer differ only where bodies overlap
+WIRE_PLACE_MM = 0.2  # By so much curve forms, and rounded ends of blocks, place a change of wire elsewhere
 
 # What to do about a check that fails: texts that several checks, and findings, have in common.
 AGAIN = (
     "make the program again (ebamcheck run); a text that was edited by hand is checked with ebamcheck verify"
 )
 PROFILE = "set the machine's own codes in the templates (ebamcheck config, section machine)"
-PLACE = "move the part (part.direction, the work offset), or set the machine's travel (machine.travel_max_mm)"
 NARROWER = (
     "use a narrower bead (process.bead_width_mm, with layers.layer_height_mm as it is and a process.current_ma that goes with "
     "the square of the width)"
@@ -62,7 +48,6 @@ TOO_THIN = (
 FIT = "fit more closely (curves.tolerance_mm, curves.method), or export the mesh more finely"
 HATCH = "change the spacing (process.bead_spacing), the side of the cells (scan.hexagon_side_mm) or scan.gap_width"
 HOLE = f"machine the hole afterwards and close it in the model, or {NARROWER}"
-NARROW = f"fill or widen it in the model, set a least width under it (process.least_hole_mm, least_wall_mm), or {NARROWER}"
 FLAT = (
     "machine it afterwards and close it in the model, or lay thinner layers (layers.layer_height_mm), build in another direction "
     "(part.direction), or set a least width under it (process.least_hole_mm, least_wall_mm)"
@@ -77,37 +62,6 @@ OFF_MESH = (
     f"mend the mesh, or the slicer, where the gate input or agreement is shut; where both are open, {MISTAKE}"
 )
 WINDOW = "bring wire, feed, power and layer height into the process window (section process)"
-MELT = (
-    "make the program again; where it has the full power already, raise process.current_ma, or lay less metal in a second "
-    "(process.travel_speed_mm_s, layers.layer_height_mm)"
-)
-WARMER = "shorten the wait (make the program again), preheat (preheat.when), or lower process.least_entry_temperature_k"
-HOTTER = "more passes or current (preheat.most_passes, preheat.current_ma), a shorter wait (preheat.soak_s), or a lower target_k"
-CALMER = "fewer passes (preheat.passes), less current (preheat.current_ma), or a greater preheat.over_k"
-EVENER = "a narrower preheat.spacing_mm, preheat.pattern 'crossed', a longer preheat.soak_s, or a greater evenness_k"
-WIDER = "a wider beam (preheat.spot_mm, preheat.defocus), less current (preheat.current_ma), or more speed (preheat.speed_mm_s)"
-OVERHANG = (
-    "build in another direction (part.direction), support it in the model, or, for a slope within a bead's width, set the angle "
-    "that your process can build (process.largest_overhang_deg)"
-)
-SHORTER = (
-    "write fewer blocks (machine.curve_form, machine.line_tolerance_mm), or raise machine.program_limit_mb"
-)
-FEED = "set the feed within machine.feed_min_mm_s and machine.feed_max_mm_s (process.travel_speed_mm_s)"
-STEPS = "make the program again for this profile (ebamcheck run), whose increments are machine.*_increment_*"
-RAMPS = "change the length of the ramp (process.ramp_up_mm, process.crater_fill_mm) or its window"
-SEAMS = "spread the seams (process.seam_shift_mm), or lower process.least_seam_distance_mm"
-SECTORS = "turn the hatch (scan.first_angle_deg), or widen process.travel_sectors_deg"
-AWAY = "move the part away from the places of process.keep_out, or turn it (part.direction)"
-SPOOL = "begin with a fuller spool (machine.spool_kg), or stop before layers (machine.optional_stop) to put on another"
-CATHODE = "begin with a new cathode (machine.cathode_h), or stop before layers (machine.optional_stop) to put in another"
-HIGHER_OR_AWAY = (
-    "raise machine.safe_height_mm and machine.clearance_mm, or move what stands in the way (process.keep_out)"
-)
-HIGHER = "raise machine.safe_height_mm and machine.clearance_mm"
-SUPPORT = "build in another direction (part.direction), or support the overhang in the model"
-WIRE = f"where a wall or a hole is narrower than two beads, {COARSE}; else {AGAIN}"
-ENDS = f"{HATCH}; a text that was edited by hand is made again (ebamcheck run)"
 LEVEL = f"give layers of one height (layers.layer_height_mm), then {AGAIN}"
 # Of a check that a plugin brought.
 OTHERWISE = "look at that line of the program, and at the settings that the text names"
@@ -116,19 +70,13 @@ Faults = list[tuple[str, str]]  # Where (``FILE:line``), and what
 
 
 def smooth_tolerance_mm(config: Config) -> float:
-    """Distance of the path from a smooth section that was sliced and fitted anew.
-
-    Both sections and the bead's path were fitted within the tolerance, and cleaned before.
-    """
+    """Distance of the path from a smooth section that was sliced, cleaned and fitted anew, as the bead's path was, too."""
     curves = config.curves
     return SECTION_TOLERANCE_MM + 2.0 * curves.tolerance_mm + curves.near_point_mm + curves.collinear_mm
 
 
 def checks_of(groups: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
-    """Make all groups of checks, on all threads; results come in the order of the groups.
-
-    The last group begins first: the long ones stand at the end.
-    """
+    """Make all groups of checks, on all threads; results come in the order of the groups."""
     last = len(groups) - 1
     found = list(run_in_order(lambda k, _: groups[last - k](), range(len(groups) + 1)))
     return [check for group in reversed(found) for check in group]
@@ -174,11 +122,8 @@ def row_faults(nc: NCProgram, rows: Bools | Ints, what: str, *values: ArrayLike)
 
 
 def event_faults(nc: NCProgram, *rules: tuple[Bools, str | Callable[[int], str]]) -> Faults:
-    """Events (E,) that break rules, in their order, each with a text or a function of the event.
-
-    Their ``name``, ``value`` and what they ``said`` behind their begin are filled into a text. Of an event that breaks several rules,
-    the first one is named first.
-    """
+    """Events (E,) that break rules, in their order; of one that breaks several the first rule is named first.
+    A rule's text is filled with their ``name``, ``value`` and what they ``said`` behind their begin, or is a function of the event."""
     found = sorted((i, n) for n, (which, _) in enumerate(rules) for i in np.flatnonzero(which).tolist())
     e, faults = nc.events, []
     for i, n in found:

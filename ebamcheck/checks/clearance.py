@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.checks import PLACE_MM
+from ebamcheck.checks.checks import PLACE_MM, limit_check
 from ebamcheck.kernels import Bools, Floats, Ints, kernel
 from ebamcheck.layers.stack import Layers
 from ebamcheck.nc.control import control
@@ -20,11 +20,9 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process import KeepOut
 
-# Bead spacings of a hop: to the line after the next one, over beads that were laid in the same plane just before.
-HOP_SPACINGS = 2.0
+HOP_SPACINGS = 2.0  # Bead spacings of a hop: to the line after the next, over beads laid in one plane
 PLACES = 32  # Places on each motion without support that are looked at
-# Share of a bead's length with nothing under it from which on it has nothing to lie on; the rest is rounding.
-WHOLLY = 0.99
+WHOLLY = 0.99  # Share of a bead's length over nothing from which on it has nothing to lie on
 STEP_MM = 0.5  # Curved beads are looked at as straight parts of at most this length
 CELLS_PER_BEAD = 6  # Cells across a bead: its border is known to half a millimetre for a bead of 6 mm
 MOST_CELLS = 16_000_000  # Cells of a grid at most, 256 MiB in all; a larger plate gets coarser ones
@@ -51,31 +49,29 @@ def _collision(nc: NCProgram, found: Standing) -> Check:
     depth = np.stack([found.into_mm, found.head_mm, found.under_mm])
     rows = np.flatnonzero(depth.max(axis=0) > 0.0)
     if not rows.size:
-        good = "tip and head stay clear of plate, clamps and beads"
-        return Check("collision", True, 0.0, 0.0, "mm", "", good)
+        return limit_check("collision", 0.0, 0.0, "mm", "tip and head stay clear of plate, clamps and beads")
     row = int(rows[0])
     which = int(np.argmax(depth[:, row]))
-    who = "head" if which == 1 else "tip"
     where = "under the beads before and after it" if which == 2 else "into what stands"
-    what = f"the {who} goes {depth[which, row]:.4g} mm {where}"
-    return Check("collision", False, float(depth.max()), 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
+    what = f"the {'head' if which == 1 else 'tip'} goes {depth[which, row]:.4g} mm {where}{_more(rows)}"
+    return limit_check("collision", depth.max(), 0.0, "mm", what, nc.where(row))
 
 
 def _clearance(nc: NCProgram, found: Standing, config: Config) -> Check:
     """What travel lacks of the clearance, where it is longer than a hop or leaves a place that is not known."""
-    limit = config.machine.clearance_mm
-    rows = np.flatnonzero((found.short_mm > 0.0) | (found.lost > 0.0))
+    limit, lost = config.machine.clearance_mm, found.lost > 0.0
+    rows = np.flatnonzero((found.short_mm > 0.0) | lost)
     if not rows.size:
         text = f"travel keeps {limit:g} mm over all that stands, hops keep to the height of the beads"
-        return Check("clearance", True, 0.0, 0.0, "mm", "", text)
+        return limit_check("clearance", 0.0, 0.0, "mm", text)
     row = int(rows[0])
     what = f"travel lacks {found.short_mm[row]:.4g} mm of the clearance of {limit:g} mm"
-    if found.lost[row] > 0.0:
-        what = (
-            "travel from a place or height that no block has given, lower than what stands and the clearance"
-        )
-    worst = float(np.where(found.lost > 0.0, np.inf, found.short_mm).max())
-    return Check("clearance", False, worst, 0.0, "mm", nc.where(row), f"{what}{_more(rows)}")
+    unknown = (
+        "travel from a place or height that no block has given, lower than what stands and the clearance"
+    )
+    what = unknown if lost[row] else what
+    worst = np.where(lost, np.inf, found.short_mm).max()
+    return limit_check("clearance", worst, 0.0, "mm", f"{what}{_more(rows)}", nc.where(row))
 
 
 def _more(rows: Ints) -> str:
@@ -96,23 +92,19 @@ def _in_the_air(nc: NCProgram, beads: Beads, in_air: Bools) -> Check | None:
 
 def _support(nc: NCProgram, beads: Beads, found: Standing, config: Config, layers: Layers | None) -> Check:
     """Length of a bead over nothing, where the part has metal below it; over one bead width a pool bridges."""
-    limit = config.process.bead_width_mm
+    limit, missing = config.process.bead_width_mm, np.zeros(len(nc))
     bare = np.flatnonzero(found.bare_mm > 0.0)
-    hangs = float(found.bare_mm.sum())
-    missing = np.zeros(len(nc))
     if layers is not None and bare.size:
         missing[bare] = found.bare_mm[bare] * _over_metal(nc, bare, found, layers)
-        hangs -= float(missing.sum())
     of_bead = beads.total(missing[beads.rows])
-    over = np.flatnonzero(of_bead > limit)
-    value = float(of_bead.max(initial=0.0))
-    text = f"{hangs:.4g} mm of beads overhang with the part"
-    if not over.size:
-        return Check("support", True, value, limit, "mm", "", f"beads lie on metal; {text}")
-    mine = beads.rows[beads.bead == over[0]]
-    row = int(mine[np.argmax(missing[mine] > 0.0)])
-    what = f"{of_bead[over[0]]:.4g} mm of a bead lie on nothing where the part has metal{_more(over)}"
-    return Check("support", False, value, limit, "mm", nc.where(row), f"{what}; {text}")
+    over, value = np.flatnonzero(of_bead > limit), of_bead.max(initial=0.0)
+    what, where = "beads lie on metal", ""
+    if over.size:
+        mine = beads.rows[beads.bead == over[0]]
+        where = nc.where(int(mine[np.argmax(missing[mine] > 0.0)]))
+        what = f"{of_bead[over[0]]:.4g} mm of a bead lie on nothing where the part has metal{_more(over)}"
+    text = f"{what}; {found.bare_mm.sum() - missing.sum():.4g} mm of beads overhang with the part"
+    return limit_check("support", value, limit, "mm", text, where)
 
 
 def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> Floats:
@@ -133,16 +125,10 @@ def _over_metal(nc: NCProgram, rows: Ints, found: Standing, layers: Layers) -> F
     return share
 
 
-# -- islands in the air ----------------------------------------------------------------------------
-
-
 def beads_in_the_air(
     nc: NCProgram, beads: Beads, bare_mm: Floats, below_mm: Floats, width_mm: float
 ) -> Bools:
-    """Find beads (P,) of islands that touch no metal of the layer below, nor anything else that stands.
-
-    The first bead of such an island has nothing under it; the others lie beside it, so that they alone do not show it.
-    """
+    """Find beads (P,) of islands that touch no metal of the layer below, nor anything else that stands."""
     long = beads.total(np.nan_to_num(nc.lengths[beads.rows]))
     bare = beads.total(bare_mm[beads.rows])
     alone = (long > 0.0) & (bare >= WHOLLY * long)
@@ -162,7 +148,6 @@ def beads_in_the_air(
 
 
 def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeometry:
-    """Ground that beads cover."""
     rows = beads.rows[np.isin(beads.bead, which)]
     if not rows.size:
         return shapely.Polygon()
@@ -172,17 +157,11 @@ def _metal(nc: NCProgram, beads: Beads, which: Ints, width_mm: float) -> BaseGeo
     return shapely.union_all(shapely.buffer(known, 0.5 * width_mm))
 
 
-# -- what stands ---------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Standing:
     """What every motion of a program meets, as columns (B,); zero where it meets nothing.
-
-    Depth to which the tip goes into what stands, and the head; how far a travel goes under the beads before and after it; what a travel
-    longer than a hop lacks of the clearance; travels from or to a place that no block has given (`lost`); length of a bead within half a
-    width of which nothing stands as high as the layer below, and the parameters of the motion between which that is.
-    """
+    Depth to which tip and head go into what stands, and a travel under the beads around it; what a travel longer than a hop lacks of the
+    clearance; travels at a place that no block has given (`lost`); length of a bead over nothing, and the parameters between which that is."""
 
     into_mm: Floats
     head_mm: Floats
@@ -259,9 +238,6 @@ def standing_of(
         height = result[row[inside], column[inside]]
         result[row[inside], column[inside]] = np.maximum(height, zone.z_mm[1])
     return result
-
-
-# -- kernels -----------------------------------------------------------------------------------------
 
 
 class Columns(NamedTuple):

@@ -1,8 +1,7 @@
-"""Checks of what a build uses up: the wire on the spool and the life of the gun's cathode, where the profile tells them.
+"""What a build uses up: the wire on the spool and the life of the gun's cathode, layer by layer; a program's summary, and parts of a plate.
 
-Wire that ends within a bead leaves a hole under a beam that burns on; a cathode that fails opens the chamber over a hot part. Both
-can be replaced at a stop before a layer, if the program has such stops (``machine.optional_stop``).
-"""
+Wire that ends within a bead leaves a hole under a beam that burns on; a cathode that fails opens the chamber over a hot part. Both can
+be replaced at a stop before a layer, if the program has such stops (``machine.optional_stop``)."""
 
 from __future__ import annotations
 
@@ -15,9 +14,9 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from ebamcheck.checks.text_heat import motion_seconds
+from ebamcheck.checks.interpass_checks import motion_seconds
 from ebamcheck.json_values import plain
-from ebamcheck.kernels import Floats, Ints
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
@@ -27,12 +26,10 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
 SPOOL, CATHODE = "wire on the spool", "life of the cathode"  # Names of the checks
-# What is done before a layer for which they do not last.
-NEW = {SPOOL: "on a new spool", CATHODE: "in a new cathode"}
-# Name, words, unit and setting of each, as Consumed has them.
+# Of each: words, unit and setting, and what is done before a layer for which it does not last.
 WORDS = {
-    SPOOL: (SPOOL, "kg of wire", "a spool holds", "kg", "machine.spool_kg"),
-    CATHODE: (CATHODE, "h with the beam on", "a cathode lasts", "h", "machine.cathode_h"),
+    SPOOL: ("kg of wire, a spool holds", "kg", "machine.spool_kg", "on a new spool"),
+    CATHODE: ("h with the beam on, a cathode lasts", "h", "machine.cathode_h", "in a new cathode"),
 }
 KG_MM3 = 1e-9  # Cubic metres in a cubic millimetre, for densities in kg/m3
 HOUR_S = 3600.0
@@ -50,22 +47,16 @@ class Spent:
 
     def to_do(self) -> list[str]:
         """What the operator has to do before the last layer, in words."""
-        return [f"put {NEW[name]} before this layer" for name in self.new]
+        return [f"put {WORDS[name][3]} before this layer" for name in self.new]
 
 
 @dataclass(frozen=True)
 class Consumed:
     """What a program uses up of one thing, and before which layers, from 0, a new one is needed.
-
     It ends in layer `ends_in`, at ``FILE:line`` `where`, if not None; `spent` of the one that is there was used before the program, and
-    `in_use` of the last one is used when it is done.
-    """
+    `in_use` of the last one is used when it is done."""
 
     name: str
-    what: str
-    holder: str
-    unit: str
-    setting: str
     holds: float
     total: float
     changes: tuple[int, ...]
@@ -74,25 +65,29 @@ class Consumed:
     spent: float
     in_use: float
 
+    @property
+    def unit(self) -> str:
+        """Unit of the amounts."""
+        return WORDS[self.name][1]
+
     def check(self) -> Check:
         """Whether what is there lasts from each stop to the next."""
-        text = f"the {'layer' if self.spent > 0.0 else 'build'} takes {self.total:.4g} {self.what}, {self.holder} {self.holds:g} {self.unit} ({self.setting})"
+        what, unit, setting, _ = WORDS[self.name]
+        by = "layer" if self.spent > 0.0 else "build"
+        text = f"the {by} takes {self.total:.4g} {what} {self.holds:g} {unit} ({setting})"
         if self.spent > 0.0:
-            text += f", of which the layers below took {self.spent:.4g} {self.unit}"
+            text += f", of which the layers below took {self.spent:.4g} {unit}"
         if self.changes:
             text += f"; a new one before layer{'s' if len(self.changes) > 1 else ''} {self.layers()}"
         if self.ends_in is not None:
             text += f"; it ends in layer {self.ends_in + 1}"
-        lasts = self.ends_in is None
-        used = self.spent + self.total
-        return Check(self.name, lasts, used, self.holds, self.unit, self.where, text, self.ends_in)
+        used, lasts = self.spent + self.total, self.ends_in is None
+        return Check(self.name, lasts, used, self.holds, unit, self.where, text, self.ends_in)
 
     def layers(self) -> str:
         """Layers before which a new one is put on, by their numbers in the program."""
-        named = [str(k + 1) for k in self.changes]
-        return ", ".join(named[:TOLD_LAYERS]) + (
-            f" and {len(named) - TOLD_LAYERS} more" if named[TOLD_LAYERS:] else ""
-        )
+        named, more = [str(k + 1) for k in self.changes], len(self.changes) - TOLD_LAYERS
+        return ", ".join(named[:TOLD_LAYERS]) + (f" and {more} more" if more > 0 else "")
 
 
 FRESH = Spent()  # Nothing: a program from the plate up begins with a full spool and a new cathode
@@ -112,24 +107,22 @@ def consumables_checks(nc: NCProgram, config: Config) -> list[Check]:
 
 def consumed(nc: NCProgram, config: Config, spent: Spent = FRESH) -> list[Consumed]:
     """What a program uses up of the things of which the profile says how much they hold.
-
-    With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there.
-    """
-    machine, found = config.machine, []
+    With a stop before each layer a new one may be put on before the first, too, if layers below have used the one that is there."""
+    machine, found, time_s = config.machine, [], motion_seconds(nc, config)
+    before = np.zeros(max(len(nc.layer_files), 1))
     if machine.spool_kg is not None:
-        area_mm2 = math.pi * config.process.wire_diameter_mm**2 / 4.0
-        kg_mm = area_mm2 * KG_MM3 * config.material.density_kg_m3
+        kg_mm = math.pi * config.process.wire_diameter_mm**2 / 4.0 * KG_MM3 * config.material.density_kg_m3
         feeds = nc.wire & (nc.wire_mm_s > 0.0)
         # A motion that never ends, for it has no feed, uses up nothing where no wire runs.
-        wire_kg = (
-            kg_mm * np.where(feeds, motion_seconds(nc, config), 0.0) * np.where(feeds, nc.wire_mm_s, 0.0)
-        )
-        none = np.zeros(max(len(nc.layer_files), 1))
-        found.append(_used(nc, config, (wire_kg, none), machine.spool_kg, SPOOL, spent.wire_kg))
+        wire_kg = kg_mm * np.where(feeds, time_s, 0.0) * np.where(feeds, nc.wire_mm_s, 0.0)
+        found.append(_used(nc, config, (wire_kg, before), machine.spool_kg, SPOOL, spent.wire_kg))
     if machine.cathode_h is not None:
-        beam_h = np.where(nc.beam, motion_seconds(nc, config), 0.0) / HOUR_S
-        scans = _preheating_h(nc, config)
-        found.append(_used(nc, config, (beam_h, scans), machine.cathode_h, CATHODE, spent.beam_h))
+        beam_h, scan = np.where(nc.beam, time_s, 0.0) / HOUR_S, nc.preheating
+        scans_h = before.copy()
+        if scan is not None:
+            layer, scan_s = np.clip(scan.layer, 0, before.size - 1), motion_seconds(scan, config)
+            np.add.at(scans_h, layer, np.where(scan.beam, scan_s, 0.0) / HOUR_S)
+        found.append(_used(nc, config, (beam_h, scans_h), machine.cathode_h, CATHODE, spent.beam_h))
     return found
 
 
@@ -142,20 +135,8 @@ def lasting(checks: Sequence[Check], config: Config, spent: Spent) -> tuple[list
     ):
         if holds is not None and (alone := by_name.get(name)) is not None:
             changes, ends_in, in_use = _changes([alone.value], holds, machine.optional_stop, used)
-            found.append(
-                Consumed(*WORDS[name], holds, alone.value, changes, ends_in, alone.where, used, in_use)
-            )
+            found.append(Consumed(name, holds, alone.value, changes, ends_in, alone.where, used, in_use))
     return [one.check() for one in found], spent_after(found)
-
-
-def _preheating_h(nc: NCProgram, config: Config) -> Floats:
-    """Time under beam of the preheating before each layer, (L,) h; of one layer at least."""
-    result = np.zeros(max(len(nc.layer_files), 1))
-    if nc.preheating is not None:
-        scan = nc.preheating
-        layer = np.clip(scan.layer, 0, result.size - 1)
-        np.add.at(result, layer, np.where(scan.beam, motion_seconds(scan, config), 0.0) / HOUR_S)
-    return result
 
 
 def _used(
@@ -176,7 +157,7 @@ def _used(
         since += 0.0 if changes else spent
         rows = np.flatnonzero((layer == ends_in) & (since > holds))
         where = nc.where(int(rows[0])) if rows.size else ""
-    return Consumed(*WORDS[name], holds, float(in_layer.sum()), changes, ends_in, where, spent, in_use)
+    return Consumed(name, holds, float(in_layer.sum()), changes, ends_in, where, spent, in_use)
 
 
 def _changes(
@@ -184,14 +165,8 @@ def _changes(
 ) -> tuple[tuple[int, ...], int | None, float]:
     """Layers before which a new one is put on, as late as may be, the layer in which it ends nevertheless, and what of the last is used.
 
-    Examples
-    --------
-    >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=True)
-    ((2,), None, 6.0)
-    >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=False)
-    ((), 2, 8.0)
-    >>> _changes([3.0], 6.0, stops=True, spent=4.0)
-    ((0,), None, 3.0)
+    >>> _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=True), _changes([3.0, 3.0, 2.0, 4.0], 6.0, stops=False)
+    (((2,), None, 6.0), ((), 2, 8.0))
     """
     changes: list[int] = []
     used = spent
@@ -205,53 +180,33 @@ def _changes(
     return tuple(changes), None, used
 
 
-def layer_pauses_s(nc: NCProgram) -> Floats:
-    """Time that the program waits before each layer and within it, (L,) s: a wait is of the layer of the metal after it.
-
-    What no metal follows is of the last layer that has any.
-    """
-    paused = nc.events.named(PAUSE)
-    laid = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    count = len(nc.layer_files)
-    if not laid.size:
-        return np.zeros(count)
-    following = np.searchsorted(laid, nc.events.row[paused])
-    layer = nc.layer[laid[np.minimum(following, laid.size - 1)]]
-    return np.bincount(layer, nc.events.value[paused], minlength=count).astype(np.float64)
-
-
 def program_summary(nc: NCProgram, config: Config) -> pd.DataFrame:
-    """One row a layer: file, Z, motions, lengths (turns are hatch), times, waits before and within it, and wire.
-
-    Times are those of constant feed: lengths over feed, rapids over ``machine.rapid_mm_s``; ramps of the axes come on top.
-    """
-    process = config.process
-    count = len(nc.layer_files)
-    inside = nc.layer >= 0
-    length = np.nan_to_num(nc.lengths)
+    """One row a layer: file, Z, motions, lengths (turns are hatch), times of constant feed, waits before and within it, and wire.
+    A wait is of the layer of the metal after it; what no metal follows is of the last layer that has any."""
+    count, inside, length = len(nc.layer_files), nc.layer >= 0, np.nan_to_num(nc.lengths)
     time = motion_seconds(nc, config)
-    wire = np.where(nc.wire & nc.deposit, time * np.nan_to_num(nc.wire_mm_s), 0.0)
-    area_m2 = math.pi * (process.wire_diameter_mm * 1e-3) ** 2 / 4.0
+    area_m2 = math.pi * (config.process.wire_diameter_mm * 1e-3) ** 2 / 4.0
+    paused, laid, pause_s = nc.events.named(PAUSE), np.flatnonzero(nc.deposit & inside), np.zeros(count)
+    if laid.size:
+        following = np.searchsorted(laid, nc.events.row[paused])
+        layer = nc.layer[laid[np.minimum(following, laid.size - 1)]]
+        pause_s = np.bincount(layer, nc.events.value[paused], minlength=count).astype(np.float64)
 
-    def total(values: np.typing.NDArray[np.float64], which: np.typing.NDArray[np.bool_]) -> object:
+    def total(values: Floats, which: Bools | bool = True) -> Floats:
         chosen = inside & which
         return np.bincount(nc.layer[chosen], values[chosen], minlength=count).astype(np.float64)
 
-    always = np.ones(len(nc), np.bool_)
-    wire_mm = np.asarray(total(wire, always))
+    wire_mm = total(np.where(nc.wire & nc.deposit, time * np.nan_to_num(nc.wire_mm_s), 0.0))
     return pd.DataFrame(
         {
             "layer": np.arange(count), "file": nc.layer_files, "z_mm": nc.layer_heights,
             "motions": np.bincount(nc.layer[inside], minlength=count),
             "contour_mm": total(length, nc.deposit & (nc.ring >= 0)),
             "hatch_mm": total(length, nc.deposit & (nc.island >= 0)), "travel_mm": total(length, ~nc.deposit),
-            "deposit_s": total(time, nc.deposit), "travel_s": total(time, ~nc.deposit), "pause_s": layer_pauses_s(nc),
+            "deposit_s": total(time, nc.deposit), "travel_s": total(time, ~nc.deposit), "pause_s": pause_s,
             "wire_mm": wire_mm, "wire_kg": wire_mm * 1e-3 * area_m2 * config.material.density_kg_m3,
         }
     )  # fmt: skip
-
-
-# -- parts of a plate -------------------------------------------------------------------------------------
 
 
 def plate_record(part: Part, config: Config, program: NCProgram | None = None) -> list[dict[str, Any]]:
@@ -283,18 +238,16 @@ def member_of(part: PlatePart, points: Floats) -> Ints:
 
 def _laid(part: PlatePart, nc: NCProgram, config: Config) -> list[dict[str, Any]]:
     """Mass and layers of the metal that a program lays for each part."""
-    seconds = motion_seconds(nc, config)
-    rows = np.flatnonzero(nc.wire & nc.deposit & (nc.layer >= 0))
-    count = len(part.members)
+    rows, count = np.flatnonzero(nc.wire & nc.deposit & (nc.layer >= 0)), len(part.members)
     if not rows.size:
         return [{"wire_kg": 0.0, "layers": 0}] * count
     # Parts keep apart and their outlines are convex, so that the middle of a chord lies in the outline of its part.
     owner = member_of(part, 0.5 * (nc.start[rows, :2] + nc.end[rows, :2]))
-    wire_mm = seconds[rows] * np.nan_to_num(nc.wire_mm_s[rows])
+    wire_mm = motion_seconds(nc, config)[rows] * np.nan_to_num(nc.wire_mm_s[rows])
     area_mm2 = math.pi * config.process.wire_diameter_mm**2 / 4.0
     mass_kg = np.bincount(owner, wire_mm, count) * area_mm2 * KG_MM3 * config.material.density_kg_m3
     layers = [len(np.unique(nc.layer[rows[owner == k]])) for k in range(count)]
-    return [{"wire_kg": float(mass_kg[k]), "layers": layers[k]} for k in range(count)]
+    return [{"wire_kg": float(kg), "layers": n} for kg, n in zip(mass_kg, layers, strict=True)]
 
 
 def plate_checks(

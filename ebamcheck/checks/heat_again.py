@@ -1,11 +1,8 @@
 """A second balance of a program's heat, in code of its own, and the limits of the heat gate worked out anew.
 
-Plan and check of the entries follow one heat column (:mod:`ebamcheck.heat.balance`): a mistake in it would give a plan too
-short waits, and then find its entries cool enough. Here the same heat is followed in the plainest way, from the data of
-the material and the text alone: cells as high as the layers, temperatures in place of heat contents, steps of first
-order, each with the data of its middle. It is coarser, so that it may find beads warmer by :func:`may_differ_k`; what is wrong by
-more has a mistake behind it, here or there.
-"""
+Plan and check follow one heat column (:mod:`ebamcheck.heat.balance`): with a mistake in it a plan has too short waits, and its entries
+are found cool enough. Here the heat is followed in the plainest way, from the data of the material and the text alone: cells as high as
+layers, steps of first order. It is coarser, and may differ by :func:`may_differ_k`; more is a mistake, here or there."""
 
 from __future__ import annotations
 
@@ -23,26 +20,19 @@ from ebamcheck.kernels import Floats, Ints, kernel
 from ebamcheck.settings.config import Config
 
 RADIATION_W_MM2K4 = 5.670374e-14  # Stefan-Boltzmann constant (CODATA 2018), by square millimetre
-# Of the limit's rise over the chamber: by how much two balances of the same heat may differ. Conductivity, heat capacity and emissivity
-# of an alloy are known no better.
-MODELS_SHARE = 0.1
+MODELS_SHARE = 0.1  # Of the limit's rise: data of alloys are known no better
 # By so many kelvins they may differ in any case: how far metal cools from its melting point until the next bead is not a matter of the
 # limit (49 K at most, of five shapes, four alloys and limits from 423 K up).
 MODELS_K = 60.0
 PLATE_CELLS = 6  # Cells of the base plate
 STEPS = 24  # Steps of every time, growing evenly: what is uneven evens out at first
-# Uppermost layers that are a cell each, and cells from which on those below are joined in pairs: heat evens out on its way down.
-SINGLE_LAYERS, MOST_CELLS = 48, 128
+SINGLE_LAYERS, MOST_CELLS = 48, 128  # Uppermost cells of one layer; cells from which others are joined
 HOTTEST_K = 6000.0  # End of the data; what is hotter has those of the end
 SUMMED = 4000  # Temperatures in the sum of the heat that melts: less than a kelvin apart
 
 
 def highest_entry_k(config: Config) -> float:
-    """Absolute temperature over which no bead may be entered, by the settings, K.
-
-    What the process sets; else the limit of the material, or its solidus where nothing keeps the part cool. Never over the
-    solidus.
-    """
+    """Absolute temperature over which no bead may be entered, K: what the process sets, else the limit of the material, never its solidus."""
     process, material = config.process, config.material
     if process.interpass_limit_k is not None:
         return min(process.interpass_limit_k, material.solidus_k)
@@ -58,10 +48,8 @@ def may_differ_k(config: Config) -> float:
 
 def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
     """Power of the beam at which the wire of a bead, and the metal that is remelted with it, melts from the cold, W.
-
-    Where the full power is too little for both, all of it, or that for the wire alone, is asked for. `thickness_mm` is the height of what
-    a bead lays where its metal is spread over one spacing, at the feed of the process.
-    """
+    Where the full power is too little for both, all of it, or that for the wire alone. `thickness_mm` is the height of what a bead lays where
+    its metal is spread over one spacing, at the feed of the process."""
     process, material = config.process, config.material
     each_mm3_s = process.travel_speed_mm_s * process.bead_width_mm * process.bead_spacing
     kg_s = each_mm3_s * np.asarray(thickness_mm, np.float64) * 1e-9 * material.density_kg_m3
@@ -75,7 +63,6 @@ def melting_power_w(config: Config, thickness_mm: ArrayLike) -> Floats:
 
 
 def _data(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
-    """Temperatures and values of a material."""
     kelvin, values = np.array(points, np.float64).T
     return kelvin, values
 
@@ -203,7 +190,20 @@ class _Column:
         self._area = np.append(self._area, np.full(plate + 1, shape.area))
         if self._kelvin.size > MOST_CELLS:
             self._join()
-        shining = np.add.reduceat(self._glow * _shining_mm2(self._laid), self._first)
+        # Surface by which each layer sees the chamber: its sides, its top as far as none lies on it, and what overhangs. The walls of a
+        # channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
+        height, area, outer, inner, holes = self._laid.T
+        filled = area + holes
+        seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)
+        seen[1:] += np.maximum(filled[1:] - filled[:-1], 0.0)
+        below = int(np.flatnonzero(holes <= 0.0).max(initial=-1)) + 1
+        if below < holes.size:
+            depth = np.cumsum(height[::-1])[::-1][below:] - 0.5 * height[below:]
+            wall = inner[below:] * height[below:]
+            nearer = wall * np.exp(-0.5 * depth * inner[below:] / holes[below:])
+            opening = min(float(holes[-1]), float(wall.sum()))
+            seen[below:] += opening * nearer / max(float(nearer.sum()), 1e-12)
+        shining = np.add.reduceat(self._glow * np.asarray(seen, np.float64), self._first)
         self._shining = np.concatenate([np.zeros(PLATE_CELLS), shining])
 
     def lay_plate(self, cell: _Shape) -> None:
@@ -291,20 +291,3 @@ def _follow(
                 now[i] = (right[i] + link[i + 1] * now[i + 1]) / pivot[i]
         # What two halves differ by from the whole is the error of one order: twice it is taken out.
         kelvin[:] = 2.0 * now - whole
-
-
-def _shining_mm2(laid: Floats) -> Floats:
-    """Surface (n,) by which each layer, (n, 5) as :class:`_Shape` has it, sees the chamber: its sides, its top as far as none lies on it, and what overhangs."""
-    # The walls of a channel that is open above see as much of it as its opening, the more of it the nearer they are to that.
-    height, area, outer, inner, holes = laid.T
-    filled = area + holes
-    seen = outer * height + np.maximum(filled - np.append(filled[1:], holes[-1]), 0.0)
-    seen[1:] += np.maximum(filled[1:] - filled[:-1], 0.0)
-    below = int(np.flatnonzero(holes <= 0.0).max(initial=-1)) + 1
-    if below < holes.size:
-        depth = np.cumsum(height[::-1])[::-1][below:] - 0.5 * height[below:]
-        wall = inner[below:] * height[below:]
-        nearer = wall * np.exp(-0.5 * depth * inner[below:] / holes[below:])
-        opening = min(float(holes[-1]), float(wall.sum()))
-        seen[below:] += opening * nearer / max(float(nearer.sum()), 1e-12)
-    return np.asarray(seen, np.float64)

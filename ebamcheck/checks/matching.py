@@ -1,9 +1,7 @@
 """Which bead of a program is which of a plan: found by where they lie and in which order they come.
 
-Beads and planned tracks of one layer with the same start and end are the same; what is left on both sides between two
-such pairs is taken together in its order, and then by nearness, so that a bead that was moved is compared with the
-track that it should have followed. A bead without a track is one that nobody planned.
-"""
+Beads and planned tracks of one layer with the same start and end are the same; what is left on both sides between two such pairs is
+taken together in its order, and then by nearness. A bead without a track is one that nobody planned."""
 
 from __future__ import annotations
 
@@ -22,16 +20,12 @@ from ebamcheck.nc.motions import Beads, NCProgram
 from ebamcheck.nc.roles import nearest_layer
 from ebamcheck.result import Check
 
-# Distance of layers in the space in which ends are compared: no bead is like one of another layer.
-APART_MM = 1e6
+APART_MM = 1e6  # Of layers in the space in which ends are compared: no bead is like one of another
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """Beads (P,) of a program, the track of a plan that each follows, and whether another bead follows it already.
-
-    A bead that nobody planned has track -1.
-    """
+    """Beads (P,) of a program, the track of a plan that each follows, and whether another bead follows it already."""
 
     beads: Beads
     track: Ints
@@ -40,7 +34,7 @@ class Matching:
 
 
 def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
-    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one that nobody planned."""
+    """Give every bead the role of the track that it follows: its ring or island, turns and further parts of lines; none to one not planned."""
     beads = nc.beads
     known = np.flatnonzero(np.diff(path.track_starts) > 0)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[known]
@@ -52,17 +46,14 @@ def matched(nc: NCProgram, path: TrackColumns) -> tuple[NCProgram, Matching]:
     if alike and (np.abs(found - ends) <= TWO_PLACES_MM).all():
         pick, again = np.arange(len(ends)), np.zeros(len(ends), np.bool_)
     else:
-        pick, again = _pairs(_placed(found, found_layer), _placed(ends, layer))
+        # Ends as points that are far apart in different layers.
+        placed = (np.column_stack([found, APART_MM * found_layer]), np.column_stack([ends, APART_MM * layer]))
+        pick, again = _pairs(*(np.nan_to_num(places, nan=-APART_MM) for places in placed))
     track = np.where(pick >= 0, np.append(known, -1)[pick], -1)
     result = Matching(beads, track, again, path)
     turn, goes_on = _marks(nc, result)
     ring, island = (beads.spread(np.append(of, -1)[track], len(nc)) for of in (path.ring, path.island))
     return replace(nc, ring=ring, island=island, turn=turn, goes_on=goes_on), result
-
-
-def _placed(ends: Floats, layer: Ints) -> Floats:
-    """Ends (n, 4) as points (n, 5) that are far apart in different layers."""
-    return np.nan_to_num(np.column_stack([ends, APART_MM * layer]), nan=-APART_MM)
 
 
 def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
@@ -80,38 +71,27 @@ def _pairs(found: Floats, wanted: Floats) -> tuple[Ints, Bools]:
             taken[free[0]] = True
         elif near:
             pick[i], again[i] = near[0], True
-    _in_order(found, wanted, pick, taken)
-    _by_nearness(found, wanted, pick, taken)
-    return pick, again
-
-
-def _in_order(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> None:
-    """Take what is left between two pairs of neighbours together, where it is as many beads as tracks."""
-    left = np.flatnonzero(pick < 0)
-    if not left.size:
-        return
-    before = np.maximum.accumulate(np.where(pick >= 0, np.arange(pick.size), -1))[left]
-    after = np.minimum.accumulate(np.where(pick >= 0, np.arange(pick.size), pick.size)[::-1])[::-1][left]
+    # What is left between two pairs of neighbours is taken together, where it is as many beads as tracks.
+    left, index = np.flatnonzero(pick < 0), np.arange(pick.size)
+    before = np.maximum.accumulate(np.where(pick >= 0, index, -1))[left]
+    after = np.minimum.accumulate(np.where(pick >= 0, index, pick.size)[::-1])[::-1][left]
     for low, high in dict.fromkeys(zip(before.tolist(), after.tolist(), strict=True)):
         mine = left[(before == low) & (after == high)]
         a = int(pick[low]) + 1 if low >= 0 else 0
         b = int(pick[high]) if high < pick.size else len(wanted)
-        free = np.arange(a, max(a, b))
-        free = free[~taken[free]]
-        if free.size == mine.size and (wanted[free, 4] == found[mine, 4]).all():
-            pick[mine], taken[free] = free, True
-
-
-def _by_nearness(found: Floats, wanted: Floats, pick: Ints, taken: Bools) -> None:
-    """Take each bead that is left with the free track of its layer that starts or ends where it does."""
-    free = np.flatnonzero(~taken)
+        open_ = np.arange(a, max(a, b))
+        open_ = open_[~taken[open_]]
+        if open_.size == mine.size and (wanted[open_, 4] == found[mine, 4]).all():
+            pick[mine], taken[open_] = open_, True
+    # Each bead that is left is taken with the free track of its layer that starts or ends where it does.
     for i in np.flatnonzero(pick < 0).tolist():
-        mine = free[~taken[free] & (wanted[free, 4] == found[i, 4])]
+        mine = np.flatnonzero(~taken & (wanted[:, 4] == found[i, 4]))
         apart = np.abs(wanted[mine, :4] - found[i, :4])
-        near = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
-        if mine.size and near.min() <= TWO_PLACES_MM:
-            pick[i] = mine[np.argmin(near)]
+        away = np.minimum(apart[:, :2].max(axis=1, initial=0.0), apart[:, 2:].max(axis=1, initial=0.0))
+        if mine.size and away.min() <= TWO_PLACES_MM:
+            pick[i] = mine[np.argmin(away)]
             taken[pick[i]] = True
+    return pick, again
 
 
 def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
@@ -125,7 +105,14 @@ def _marks(nc: NCProgram, match: Matching) -> tuple[Bools, Bools]:
         mine = np.arange(beads.first[i], beads.last[i] + 1)
         a, b = (int(n) for n in path.track_starts[match.track[i] : match.track[i] + 2])
         begins = np.append(np.flatnonzero(~path.goes_on[a:b]), b - a) + a
-        line = _nearest_line(nc, mine, path.segment_start[begins[:-1]], path.end[begins[1:] - 1])
+        # Line (n,) from which the start, the middle and the end of each motion are least away in all.
+        ends = np.stack([path.segment_start[begins[:-1]], path.end[begins[1:] - 1]], axis=1)
+        lines = np.asarray(shapely.linestrings(ends), object)
+        away = np.zeros((mine.size, lines.size))
+        for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
+            points = np.asarray(shapely.points(np.nan_to_num(place[mine, :2])), object)
+            away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
+        line = np.asarray(away.argmin(axis=1), np.int64)
         turn[mine] = path.turn[begins[line]]
         goes_on[mine] = (np.diff(line, prepend=-1) == 0) & ~turn[mine]
     return turn, goes_on
@@ -141,16 +128,6 @@ def _one_by_one(match: Matching) -> tuple[Bools, Ints, Ints]:
     rows, bead = beads.rows[chosen], beads.bead[chosen]
     first = np.append(path.track_starts[:-1], 0)[match.track]
     return alike, rows, first[bead] + rows - beads.first[bead]
-
-
-def _nearest_line(nc: NCProgram, rows: Ints, start: Floats, end: Floats) -> Ints:
-    """Line (n,) from which the start, the middle and the end of each motion are least away in all."""
-    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.stack([start, end], axis=1)), dtype=np.object_))
-    away = np.zeros((rows.size, lines.size))
-    for place in (nc.start, 0.5 * (nc.start + nc.end), nc.end):
-        points = np.atleast_1d(np.asarray(shapely.points(np.nan_to_num(place[rows, :2])), dtype=np.object_))
-        away += np.asarray(shapely.distance(points[:, None], lines[None, :]))
-    return np.asarray(away.argmin(axis=1), np.int64)
 
 
 def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
@@ -172,16 +149,7 @@ def matching_checks(nc: NCProgram, match: Matching) -> list[Check]:
     faults.sort(key=lambda fault: fault[0])
     places = [(nc.where(row) if len(nc) else f"{nc.files[0].name}:1", what) for row, what in faults]
     good = f"{known.size} beads, each once and in its order"
-    return [count_check("beads as planned", places, good), _hatch_path(nc, match)]
-
-
-def _named(path: TrackColumns, track: int) -> str:
-    ring = int(path.ring[track])
-    return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
-
-
-def _hatch_path(nc: NCProgram, match: Matching) -> Check:
-    """Distance of the motions of hatch beads, turns among them, from their tracks, both ways."""
+    # Distance of the motions of hatch beads, turns among them, from their tracks, both ways.
     beads, path = match.beads, match.path
     alike, rows, segment = _one_by_one(match)
     hatch = path.island[np.searchsorted(path.track_starts, segment, side="right") - 1] >= 0
@@ -194,20 +162,20 @@ def _hatch_path(nc: NCProgram, match: Matching) -> Check:
     for i in other[np.append(path.island, -1)[match.track[other]] >= 0].tolist():
         mine = np.arange(beads.first[i], beads.last[i] + 1)
         a, b = path.track_starts[match.track[i] : match.track[i] + 2]
-        driven, wanted = (
-            np.stack([start, end], axis=1).reshape(-1, 2)
-            for start, end in (
-                (nc.start[mine, :2], nc.end[mine, :2]),
-                (path.segment_start[a:b], path.end[a:b]),
-            )
-        )
+        driven = np.stack([nc.start[mine, :2], nc.end[mine, :2]], axis=1).reshape(-1, 2)
+        wanted = np.stack([path.segment_start[a:b], path.end[a:b]], axis=1).reshape(-1, 2)
         away[mine] = shape_distance(driven, np.repeat(np.arange(mine.size), 2), wanted)
     found = np.flatnonzero(away >= 0.0)
     what = "distance of hatch and turns from their plan"
-    return worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what)
+    return [
+        count_check("beads as planned", places, good),
+        worst_check("hatch path", nc, found, away[found], PATH_TOLERANCE_MM, "mm", what),
+    ]
 
 
-# -- distance of paths as shapes ---------------------------------------------------------------------------
+def _named(path: TrackColumns, track: int) -> str:
+    ring = int(path.ring[track])
+    return f"contour ring {ring}" if ring >= 0 else f"a bead of island {int(path.island[track])}"
 
 
 @kernel
@@ -222,10 +190,7 @@ def nearest_each(places: Floats, segments: Floats) -> tuple[Ints, Floats]:
 
 
 def shape_distance(driven: Floats, motion: Ints, wanted: Floats) -> Floats:
-    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that of its points.
-
-    It is that of the motion from the other path, and of what lies nearest to the motion there.
-    """
+    """Largest distance of paths, (n, 2) and (m, 2) points, as shapes, both ways, at each motion of the first; `motion` (n,) is that of its points."""
     path, target = (
         np.hstack([at[:-1], at[1:]]) if len(at) > 1 else np.hstack([at, at]) for at in (driven, wanted)
     )

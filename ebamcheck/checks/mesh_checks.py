@@ -1,8 +1,6 @@
-"""Whether the layers of a program have the metal of the solid: what their sections alone cannot tell.
+"""Whether the layers of a program have the metal of the solid, and their sections are those of the mesh: what sections alone cannot tell.
 
-A program's metal is held against sections times heights of layers. These may themselves be more or less than the part:
-a level face within a layer moves to one of its borders. That is held against the volume of the mesh.
-"""
+A level face within a layer moves to one of its borders, so that layers may be more or less than the part."""
 
 from __future__ import annotations
 
@@ -13,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
@@ -34,19 +31,14 @@ from ebamcheck.settings.config import Config
 from ebamcheck.showing.short_text import counted
 from ebamcheck.slicers.slicing import slice_part
 
-# Sections from which the volume of a layer is summed where the mesh has none of its own: bodies that overlap.
-CUTS_OF_A_LAYER = 16
-CUTS_AT_ONCE = 512  # Sections that are held at once for that
-# Area, seen from above, of the floor and of the roof of what is looked at: over the rounding of upright walls.
-LEAST_MM2 = 0.05
-MOST_SPANS = 4  # Most heights between two cuts at which the mesh is cut once more
+CUTS_OF_A_LAYER = 16  # Sections from which the volume of a layer is summed where bodies overlap
+LEAST_MM2 = 0.05  # Area from above of floor and roof of what is looked at: over the rounding of upright walls
 FINEST = 1e-6  # Share of the part's size by which heights differ that are the same
-# Lines over the width of a bead: two or more cross every hole and every wall that may be built.
-LINES_PER_BEAD = 2.0
-# Lines of one direction across a part at most: over 200 beads of width they lie farther apart than that.
-MOST_LINES = 400
-# Share of their distance by which lines lie beside whole ones: sides of parts lie at round numbers.
-OFF_GRID = 0.381966
+LINES_PER_BEAD = 2.0  # Two or more lines cross every hole and wall that may be built
+OFF_GRID = 0.381966  # Share of their distance by which lines lie beside whole ones, where sides lie
+CUTS_AT_ONCE = 512  # Sections that are held at once for that
+MOST_SPANS = 4  # Most heights between two cuts at which the mesh is cut once more
+MOST_LINES = 400  # Of one direction across a part: over 200 beads of width they lie farther apart
 AT_ONCE = 2_000_000  # Cut facets that are held at once
 # Remedy where listed layers do not begin on what stands.
 ON_WHAT_STANDS = "list the middles of the layers (layers.heights_mm), absolute: the lowest half a layer over what stands (layers.base_mm)"
@@ -99,9 +91,8 @@ def solid_check(part: Part, layers: Layers, config: Config) -> Solid:
     if not _of_some_layers(config) and not any(_overlap(mesh, cuts, areas) for mesh, areas, _ in parts):
         near = nearest_fitting(part, config)
         if near is not None:
-            text += (
-                f"; layers of {near.height_mm:g} mm (layers.layer_height_mm) leave {100.0 * near.share:.2f} %"
-            )
+            share = 100.0 * near.share
+            text += f"; layers of {near.height_mm:g} mm (layers.layer_height_mm) leave {share:.2f} %"
     return solid(rule.share, text, layer, z_mm)
 
 
@@ -167,9 +158,6 @@ def _summed_volumes(part: Part, borders: Floats) -> Floats:
     areas = [slice_part(part, block).areas() for block in blocks]
     mean = np.concatenate(areas).reshape(-1, CUTS_OF_A_LAYER).mean(axis=1)
     return np.asarray(mean * np.diff(borders), np.float64)
-
-
-# -- between the cuts ----------------------------------------------------------------------------------
 
 
 class Lost(NamedTuple):
@@ -257,7 +245,13 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
     rows = rows[(np.minimum(floor, roof) > LEAST_MM2)[below[rows] + 1]]
     if not rows.size:
         return
-    label = _runs(part.faces[rows], len(part.vertices))
+    # Runs of facets that are joined by edges.
+    faces = part.faces[rows]
+    groups = edge_groups(np.ascontiguousarray(faces), len(part.vertices))
+    facet = groups.half_edges // 3
+    first = np.repeat(facet[groups.starts[:-1]], np.diff(groups.starts))
+    graph = coo_array((np.ones(len(facet)), (first, facet)), shape=(len(faces), len(faces)))
+    label = np.asarray(connected_components(graph, directed=False)[1], np.int64)
     lowest, highest = np.full(label.max() + 1, np.inf), np.full(label.max() + 1, -np.inf)
     np.minimum.at(lowest, label, low[rows])
     np.maximum.at(highest, label, high[rows])
@@ -272,52 +266,22 @@ def _turning(part: Part, cuts: Floats) -> Iterator[tuple[int, list[tuple[float, 
             yield k, spans
 
 
-def _runs(faces: NDArray[np.int32], count: int) -> Ints:
-    """Number (F,) of the run of facets, joined by edges, that each belongs to."""
-    groups = edge_groups(np.ascontiguousarray(faces), count)
-    facet = groups.half_edges // 3
-    first = np.repeat(facet[groups.starts[:-1]], np.diff(groups.starts))
-    graph = coo_array((np.ones(len(facet)), (first, facet)), shape=(len(faces), len(faces)))
-    _, label = connected_components(graph, directed=False)
-    return np.asarray(label, np.int64)
-
-
-# -- sections of the mesh ------------------------------------------------------------------------------
-
-
-class _Crossings(NamedTuple):
-    """Where lines cross borders, (n,) each: layer, line, place along it, and by how much the number of solids around it changes."""
-
-    layer: Ints
-    line: Ints
-    place: Floats
-    change: Ints
-
-
-class _Facets(NamedTuple):
-    """Facets of a part, and Z of the lowest and the highest corner of each, (F,) mm: looked at for every block of layers and either axis."""
-
-    part: Part
-    low_mm: Floats
-    high_mm: Floats
-
-    @classmethod
-    def of(cls, part: Part) -> _Facets:
-        a, b, c = (part.vertices[part.faces[:, k], 2] for k in range(3))
-        return cls(part, np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c))
+# Where lines cross borders, (n,) each: layer, line, place along it, and by how much the number of solids around it changes.
+_Crossings = tuple[Ints, Ints, Floats, Ints]
+# A part, and Z of the lowest and the highest corner of each of its facets, (F,) mm.
+_Facets = tuple[Part, Floats, Floats]
 
 
 def sections_check(part: Part, layers: Layers, config: Config) -> Check:
     """Check sections against the mesh, along lines in X and in Y across every layer.
-
-    Where there is metal in one and none in the other, the border of the one lies beside that of the other: by no more than
-    `curves.section_tolerance_mm`. Lines that graze a side have long pieces whose ends lie on both.
-    """
+    Where one has metal and the other none, their borders lie apart: by no more than `curves.section_tolerance_mm`. Lines that graze a side
+    have long pieces whose ends lie on both."""
     limit = config.curves.section_tolerance_mm
     sections = [layers.section(k) for k in range(len(layers))]
     step = config.process.bead_width_mm / LINES_PER_BEAD
     worst, layer, x_mm, y_mm = 0.0, -1, np.nan, np.nan
-    facets = _Facets.of(part)
+    z = part.vertices[part.faces, 2]
+    facets = part, z.min(axis=1), z.max(axis=1)
     for axis in (0, 1):
         for k, at in _different(facets, np.asarray(layers.heights), sections, axis, step, limit):
             depth = float(shapely.distance(shapely.Point(at), sections[k].boundary))
@@ -336,9 +300,7 @@ def sections_check(part: Part, layers: Layers, config: Config) -> Check:
 
 def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     """Check that the layers reach from the bottom of the part to within half a layer of its top, each as high as it is set.
-
-    Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are.
-    """
+    Of layers on what stands, the lowest has to lie there. Of listed heights, the user says which they are."""
     # Cuts of layers of several heights do not tell where each of them begins.
     uneven = len(cuts) > 2 and bool(np.ptp(np.diff(cuts)) > PLACE_MM)
     if config.base_mm > 0.0 and len(cuts) and not uneven:
@@ -363,14 +325,6 @@ def heights_check(part: Part, cuts: Floats, config: Config) -> Check:
     return _furthest_off(off, good)
 
 
-def _furthest_off(off_mm: dict[str, float], good: str) -> Check:
-    """Check of the layers by what is furthest off, by name."""
-    what = max(off_mm, key=lambda name: off_mm[name])
-    value = max(off_mm[what], 0.0)
-    text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"
-    return Check("layers of the part", value <= PLACE_MM, value, PLACE_MM, "mm", "", text)
-
-
 def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) -> Check:
     """Check that a layer on what stands, at Z `base_mm`, is cut at its middle, and does not begin over the top of the part."""
     low_mm, top_mm = part.bounds[:, 2].tolist()
@@ -382,26 +336,29 @@ def layer_check(part: Part, cut_mm: float, base_mm: float, thickness_mm: float) 
     return _furthest_off(off, f"a layer of {thickness_mm:.4g} mm on {base_mm:.4g} mm, cut at its middle")
 
 
-# -- lines -------------------------------------------------------------------------------------------
+def _furthest_off(off_mm: dict[str, float], good: str) -> Check:
+    what = max(off_mm, key=lambda name: off_mm[name])
+    value = max(off_mm[what], 0.0)
+    text = good if value <= PLACE_MM else f"{what}: {value:.4g} mm"
+    return limit_check("layers of the part", value, PLACE_MM, "mm", text)
 
 
 def _different(
     facets: _Facets, heights: Floats, sections: list[BaseGeometry], axis: int, step_mm: float, least_mm: float
 ) -> Iterator[tuple[int, tuple[float, float]]]:
     """Ends of the pieces of lines along an axis that lie in one of mesh and sections and not in the other: layer, and place."""
-    low, high = facets.part.bounds[:, 1 - axis].tolist()
+    low, high = facets[0].bounds[:, 1 - axis].tolist()
     step = max(step_mm, (high - low) / MOST_LINES)
     lines = low + (np.arange(int((high - low) / step) + 1) + OFF_GRID) * step
     for some in _blocks(facets, heights):
         mesh = _of_mesh(facets, heights, some, axis, lines)
         ours = [_of_section(sections[k], k, axis, lines) for k in range(some.start, some.stop)]
         layer, line, place, _ = (np.concatenate(column) for column in zip(mesh, *ours, strict=True))
-        solid = np.concatenate([mesh.change, *(np.zeros_like(c.change) for c in ours)])
-        drawn = np.concatenate([np.zeros_like(mesh.change), *(c.change for c in ours)])
+        solid = np.concatenate([mesh[3], *(np.zeros_like(crossed[3]) for crossed in ours)])
+        drawn = np.concatenate([np.zeros_like(mesh[3]), *(crossed[3] for crossed in ours)])
         order = np.lexsort((place, line, layer))
         layer, line, place = layer[order], line[order], place[order]
-        begins = np.diff(layer, prepend=-1) + np.diff(line, prepend=-1) != 0
-        begins |= np.diff(layer, prepend=-1) != 0
+        begins = (np.diff(layer, prepend=-1) != 0) | (np.diff(line, prepend=-1) != 0)
         inside = _winding(solid[order], begins) > 0
         differ = inside != (_winding(drawn[order], begins) > 0)
         piece = np.diff(place, append=np.inf)
@@ -422,7 +379,7 @@ def _winding(change: Ints, begins: Bools) -> Ints:
 
 def _blocks(facets: _Facets, heights: Floats) -> Iterator[range]:
     """Layers one after the other, as many at once as cut :data:`AT_ONCE` facets."""
-    first, last = (np.searchsorted(heights, side) for side in (facets.low_mm, facets.high_mm))
+    first, last = (np.searchsorted(heights, side) for side in facets[1:])
     count = np.bincount(first, minlength=len(heights) + 1) - np.bincount(last, minlength=len(heights) + 1)
     block = np.cumsum(np.cumsum(count)[: len(heights)]) // AT_ONCE
     for number in np.unique(block).tolist():
@@ -432,8 +389,8 @@ def _blocks(facets: _Facets, heights: Floats) -> Iterator[range]:
 
 def _of_mesh(facets: _Facets, heights: Floats, some: range, axis: int, lines: Floats) -> _Crossings:
     """Crossings of lines with the sections of facets: a facet is left by its rising edge and entered by its falling one."""
-    part, own = facets.part, heights[some.start : some.stop]
-    first, last = (np.searchsorted(own, side) for side in (facets.low_mm, facets.high_mm))
+    (part, *ends_mm), own = facets, heights[some.start : some.stop]
+    first, last = (np.searchsorted(own, side) for side in ends_mm)
     cut = np.flatnonzero(last > first)
     count = (last - first)[cut]
     corners = part.vertices[part.faces[np.repeat(cut, count)]]
@@ -471,4 +428,4 @@ def _crossed(begin: Floats, end: Floats, layer: Ints, axis: int, lines: Floats) 
     place = begin[segment, axis] + share * (end[segment, axis] - begin[segment, axis])
     # Along X the solid begins where its border goes down, along Y where it goes to the right.
     change = np.where((b < a) if axis == 0 else (b > a), 1, -1)
-    return _Crossings(layer[segment], line, place, change)
+    return layer[segment], line, place, change

@@ -1,12 +1,7 @@
 """The metal that a program's text lays: a height field layer by layer, the surface that is built up, and the wire of each bead by its place.
 
-Every motion with beam and wire on counts, whatever a comment says of it. The wire's section, speed and the feed give its
-metal; the pool, a half sphere as wide as the bead, spreads it (:mod:`ebamcheck.metal.footprints` plans by the same
-physics, in other code). A place stays molten while the beam is within a bead width of it, and is levelled over that
-distance; what is still too high or too low then is where the next layer begins.
-
-Nothing here is taken from what gives the wire of a program its speed: every check of the metal would confirm a mistake there.
-"""
+Wire section, wire speed and feed give the metal; the pool, a half sphere as wide as the bead, spreads it; a place is levelled over a bead
+width; what is still too high or too low is where the next layer begins. Nothing is taken from what gives the wire of a program its speed."""
 
 from __future__ import annotations
 
@@ -45,24 +40,19 @@ from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.threads import run_each
 
 STEP_SHARE = 1.0 / 12.0  # Distance of the places at which metal is laid, over the bead width: half a cell
-# Share of a hole's area under metal from which on it counts as closed: what is left is no hole that a tool finds.
-CLOSED = 0.5
-# Lines that a zone may have more or less than its width over the spacing: the border of a zone runs through a line.
-HALF_LINE = 0.5
-# Width of a window of the layer's metal, in bead widths: four lines, of which a missing one is a quarter of the metal.
-WINDOW_BEADS = 3.0
+CLOSED = 0.5  # Share of a hole's area under metal from which on no tool finds it
+HALF_LINE = 0.5  # Lines by which a zone may be off: its border runs through one
+WINDOW_BEADS = 3.0  # Width of a window in bead widths: four lines, of which a missing one is a quarter
 # Share of what lies too high or too low that a layer levels at most, and share of its height that this may come to. All layers together
 # have the metal of the part: where sections taper, what their rims lack heaps up inside of them, and no wire levels it. So all between
 # the layer's height and this is asked for; how far the surface may heap up is a check of its own (`surface`).
 TO_LEVEL, MOST_TO_LEVEL = 0.3, 0.2
 AT_LIMIT = 0.01  # A bead within this of the least or greatest wire cannot have less, or more
-# Share of the metal over its width that a bead lays itself, at least: half a spacing between two neighbours.
-LEAST_OWN = 0.3
+LEAST_OWN = 0.3  # Share of the metal over its width that a bead lays itself, at least
 AT_ONCE = 8  # Layers whose metal is held at a time; they are measured on all threads
 FIELD_FILE = "deposit_worst.parquet"  # Name of the field of the worst layer in a run folder
 HOLE_COLUMNS = ("layer", "x_mm", "y_mm", "width_mm", "covered")
-# Names of the zones of a layer: deep_cells, the others, and the worst window.
-ZONES = ("inside", "edge", "zone")
+ZONES = ("inside", "edge", "zone")  # Of a layer: deep_cells, the others, and the worst window
 # Figures of the zones of a layer that has none.
 NO_ZONES = {
     "inside": math.nan, "edge": math.nan,
@@ -111,12 +101,9 @@ class LayerField:
 @dataclass(frozen=True, eq=False)
 class Asked:
     """What the places (n,) along the beads of a layer lay, and what they ask for, in program order.
-
-    A place asks for the area of the section that is nearer to it than to any other, one layer high, and by part for what levels the
-    surface there. The columns of `laid`, `least` and `most` (n, 3) are metal by the nearest area, the same with all that lies in the pool, and the
-    metal over the width of the bead, mm2; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where the bead
-    has the least wire, 1 where it has the most, else 0.
-    """
+    Columns of `laid`, `least` and `most` (n, 3), mm2: metal by the area of the section nearest to a place, the same with all that lies in the
+    pool, and the metal over the width of the bead; `own` is what the bead lays itself over one bead width; `at_limit` is -1 where it has the
+    least wire, 1 where it has the most, else 0."""
 
     row: Ints
     along_mm: Floats
@@ -182,10 +169,8 @@ def deposit(
     stands: Surface | None = None, asked: bool = False,
 ) -> Deposit:  # fmt: skip
     """Lay the metal of a program, layer by layer, over the sections `layers` of a slicer that did not make it, if there is one.
-
-    The layers lie at `z_of` (L,) in the program, the lowest on the surface `stands`, or level. The fields of the layers `keep` are
-    returned, too, and, where it is `asked`, what the place of each bead asks for.
-    """
+    The layers lie at `z_of` (L,), the lowest on the surface `stands`, or level. The fields of the layers `keep` are returned, too, and,
+    where it is `asked`, what the place of each bead asks for."""
     process = config.process
     rows = np.flatnonzero(nc.deposit & nc.wire)
     index = nearest_layer(nc.end[rows, 2], z_of)
@@ -321,27 +306,12 @@ def _extreme(name: str, height: Floats, target: Target) -> dict[str, float]:
     return {f"{name}_mm": greatest, f"{name}_x_mm": float(x), f"{name}_y_mm": float(y)}
 
 
-def _reaches_mm(film: Bools, inside: Bools, section: BaseGeometry, target: Target) -> Floats:
-    """Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others."""
-    reach, step = np.zeros(film.shape), target.step_mm
-    if inside.any():
-        # From the border of a cell to the middle of the next it is half a cell.
-        reach[film] = (border_distance(~inside)[film] - 0.5) * step
-    else:
-        # A section thinner than a cell fills none to the half.
-        row, column = np.nonzero(film)
-        middles = target.origin + (np.column_stack([column, row]) + 0.5) * step
-        reach[film] = distances(middles, segments_of(section.boundary))
-    return reach
-
-
 def _wall(section: BaseGeometry, figures: dict[str, float], process: ProcessSettings) -> dict[str, float]:
     """Thinnest wall under a bead of a layer with too much metal beside it, and where it is; else NaN."""
     beside = figures["outside_mm3"] > process.outside_share * figures["laid_mm3"]
     beside = beside or figures["reach_mm"] > process.outside_reach_mm
     wall = thinnest_wall(section, process.bead_width_mm) if beside else None
-    values = (math.nan,) * 3 if wall is None else (wall.width_mm, wall.x_mm, wall.y_mm)
-    return dict(zip(("wall_mm", "wall_x_mm", "wall_y_mm"), values, strict=True))
+    return dict(zip(("wall_mm", "wall_x_mm", "wall_y_mm"), wall or (math.nan,) * 3, strict=True))
 
 
 def over_limits(figures: dict[str, float], process: ProcessSettings) -> float:
@@ -381,13 +351,23 @@ def _holes(parts: list[shapely.Polygon]) -> list[shapely.MultiPolygon]:
     return [shapely.MultiPolygon(left) for left in map(valid_polygons, free) if left]
 
 
+def _reaches_mm(film: Bools, inside: Bools, section: BaseGeometry, target: Target) -> Floats:
+    """Distance of the cells (rows, columns) of a film from the section, mm; 0 in all others."""
+    reach = np.zeros(film.shape)
+    if inside.any():
+        # From the border of a cell to the middle of the next it is half a cell.
+        reach[film] = (border_distance(~inside)[film] - 0.5) * target.step_mm
+    else:
+        # A section thinner than a cell fills none to the half.
+        row, column = np.nonzero(film)
+        middles = target.origin + (np.column_stack([column, row]) + 0.5) * target.step_mm
+        reach[film] = distances(middles, segments_of(section.boundary))
+    return reach
+
+
 def deep_cells(inside: Bools, bead_cells: float) -> Bools:
     """Cells of a section that lie further than a bead width from its border, where such cells are a bead wide or more.
 
-    A narrower strip, between two beads along a wall, holds less than a line: it levels with what lies beside it.
-
-    Examples
-    --------
     >>> wall, block = np.zeros((30, 60), bool), np.zeros((30, 60), bool)
     >>> wall[8:22, 1:59], block[1:29, 1:59] = True, True
     >>> [int(deep_cells(cells, 6.0).any(axis=1).sum()) for cells in (wall, block)]
@@ -403,9 +383,7 @@ def zone_figures(
     target: Target, laid_mm: Floats, before_mm: Floats, parts: tuple[Bools, Bools], thickness_mm: float, process: ProcessSettings
 ) -> dict[str, float]:  # fmt: skip
     """Figures of the zones of one layer: its `parts`, :func:`deep_cells` and the others, and the worst of all windows.
-
-    `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below.
-    """
+    `laid_mm` is the height of the metal in each cell, `before_mm` that of the surface under it over the layer below."""
     deep, rim = parts
     inside, bead_cells = deep | rim, process.bead_width_mm / target.step_mm
     wanted = target.share * thickness_mm
@@ -447,13 +425,7 @@ def zone_off(height: ArrayLike, owed: ArrayLike) -> Floats:
 
 
 def zone_limit(tolerance: Floats | float, area_mm2: ArrayLike, process: ProcessSettings) -> Floats:
-    """What zones may be off by: the tolerance of all of them, and half a line over the lines that are side by side in one.
-
-    Examples
-    --------
-    >>> zone_limit(0.03, [324.0, 3600.0], ProcessSettings()).round(3)
-    array([0.15 , 0.066])
-    """
+    """What zones may be off by: the tolerance of all of them, and half a line over the lines that are side by side in one."""
     width_mm = np.sqrt(np.maximum(np.asarray(area_mm2, np.float64), process.bead_width_mm**2))
     return np.asarray(tolerance + HALF_LINE * process.hatch_spacing_mm / width_mm, np.float64)
 
@@ -510,15 +482,8 @@ def _nearest_areas(target: Target, places: Floats, fields: tuple[Floats, Floats]
 
 
 def strip_of(bead_mm: float, step_mm: float) -> Floats:
-    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide.
-
-    The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc. The sum is 1.
-
-    Examples
-    --------
-    >>> strip_of(6.0, 1.0).sum(axis=0).round(2).tolist()
-    [0.0, 0.08, 0.17, 0.17, 0.17, 0.17, 0.17, 0.08, 0.0]
-    """
+    """Weights of the cells around a place whose mean along a straight bead is that of the strip under it, one bead wide; their sum is 1.
+    The inverse Abel transform of a strip: 1 / sqrt(R^2 - r^2) has the same integral along every line across its disc."""
     # By so many points across a cell its weight errs by less than a thousandth.
     radius, points = 0.5 * bead_mm / step_mm, 20
     cells = 2 * int(np.ceil(radius + 0.5)) + 1

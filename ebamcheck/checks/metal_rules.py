@@ -1,13 +1,11 @@
 """Checks of the metal that a program lays: as much as the part has, where it has it, and flat; and of the wire of every bead by its place.
 
-Their limits are settings of the process, or follow from the bead; none is taken from what the program reaches.
-"""
+Their limits are settings of the process, or follow from the bead; none is taken from what the program reaches."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,45 +34,32 @@ from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.showing.short_text import counted
 from ebamcheck.threads import run_each
 
-# Name of the check of openings and walls of the part that are narrower than a least that is set.
-NARROW = "narrow features"
+NARROW = "narrow features"  # Check of features narrower than a least that is set
 # Names of the checks of the metal of all beads together, in their order.
 DEPOSIT_CHECKS = (
     "metal", "metal of layers", "metal outside", "reach of metal", "holes", NARROW, "height inside", "height at edges",
     "height of layers", "height of zones", "surface",
 )  # fmt: skip
 WIRE_OF_BEADS, LAID_ONCE = "wire of beads", "metal laid once"
-# Bead spots (a bead width squared, one layer high) by which the starts and ends of its beads may put the metal of a layer off.
-LEAST_SPOTS = 1.0
-# A single layer may have so many times the share of metal outside that the whole program may.
-LAYER_OUTSIDE = 3.0
+LEAST_SPOTS = 1.0  # Bead spots, one layer high, by which starts and ends of beads may put a layer off
+LAYER_OUTSIDE = 3.0  # Times the share of metal outside that a single layer may have
+LEAST_ZONE = 25.0  # Zones of fewer squared bead widths do not count for the mean over all layers
 OF_LAYER = "of the layer's metal"
-# Zones of a layer under this many squared bead widths do not count for the mean over all layers.
-LEAST_ZONE = 25.0
 MEAN_ZONES = ("inside", "edge")  # Zones that have a mean over all layers
 HIGHEST = 0.35  # Share of a layer to which wrong wire that comes back in every layer may add up
 # Share of the height of a single line that its neighbours take when it levels, by a Gaussian of half a bead width: what comes back in
 # every layer adds up to one over this.
 LEVELLED = 0.43
-# Wire that a long bead may lack, or have too much of, over what its place asks for. Webs and fins of 3 to 30 mm on a plate, frames,
-# rings, tapers and meshes, as they are planned, are all within it.
+# Wire that a long bead may lack, or have too much of, over what its place asks for: webs, fins, frames and tapers as planned are within it.
 MOST = HIGHEST * LEVELLED
-# Factor by which a hatch bead may be further off than a contour: it has one wire, and cannot follow its place.
-HATCH_ROOM = 1.2
-# Share of a layer by which metal may lie too high over the width of a hatch bead that lacks wire: along the lines of a hatch it is higher
-# than between them, and higher still where islands meet.
-HEAPED = 0.2
+HATCH_ROOM = 1.2  # Over the limit of a contour: a hatch bead has one wire, and cannot follow its place
+HEAPED = 0.2  # Share of a layer by which metal may lie too high over a hatch bead: it heaps up along lines
 # Lengths of contour, in bead widths, that are judged, wherever they begin: up to 45 bead widths, where hardly anything is levelled along
 # the bead. Between two of them limit and error change by less than a tenth.
 SPANS = tuple(0.5 * 2.0 ** (0.5 * k) for k in range(14))
 LEAST_BEADS = 0.1  # Length of a bead, in bead widths, under which it has hardly a place of its own
 MOST_METAL = 1.5  # Metal of a spot over that of the layer: half a bead more than all
-# Bead widths of the stretch of a bead over which the metal is averaged: more than what ends, turns and borders of islands pile up in one
-# place.
-STRETCH_BEADS = 3.0
-
-
-# -- metal of all beads together ----------------------------------------------------------------------
+STRETCH_BEADS = 3.0  # Length over which metal is averaged: more than ends and turns pile up
 
 
 @dataclass(frozen=True)
@@ -94,14 +79,14 @@ class MetalBelow:
         solid = _with_metal(table)
         area, height = list(self.zone_mm2), list(self.zone_layers_mm2)
         for k, zone in enumerate(MEAN_ZONES):
-            wide = solid[_is_wide(solid, zone, process)]
-            mm2 = wide[f"{zone}_mm2"].to_numpy(np.float64)
+            wide = _is_wide(solid, zone, process)
+            mm2, layers = (solid[name].to_numpy(np.float64)[wide] for name in (f"{zone}_mm2", zone))
             area[k] += float(mm2.sum())
-            height[k] += float((mm2 * wide[zone].to_numpy(np.float64)).sum())
+            height[k] += float((mm2 * layers).sum())
         names = ("wanted_mm3", "laid_mm3", "outside_mm3")
         wanted, laid, outside = (getattr(self, name) + float(solid[name].sum()) for name in names)
-        layers = self.layers + len(solid)
-        return MetalBelow(layers, wanted, laid, outside, (area[0], area[1]), (height[0], height[1]))
+        count, zones = self.layers + len(solid), ((area[0], area[1]), (height[0], height[1]))
+        return MetalBelow(count, wanted, laid, outside, *zones)
 
     def mean(self, zone: str) -> float:
         """Mean height of the metal of a zone, in layers; NaN where no layer is wide enough for one."""
@@ -110,7 +95,6 @@ class MetalBelow:
 
 
 def _with_metal(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows of layers that have metal, or are to have some."""
     return table[(table["wanted_mm3"] > 0.0) | (table["laid_mm3"] > 0.0)]
 
 
@@ -123,12 +107,9 @@ def _is_wide(solid: pd.DataFrame, zone: str, process: ProcessSettings) -> Bools:
 def deposit_checks(
     nc: NCProgram, found: Deposit, config: Config, below: MetalBelow | None = None
 ) -> list[Check]:
-    """Check the metal of a program, see :func:`ebamcheck.checks.metal.deposit`.
-
-    What holds for a whole part has to hold for the metal `below` and the program together. None: nothing stands there or, under the
-    only layer of a program that does not begin on the plate (``layers.base_mm``), it is not known; that layer is then held to the
-    limits of a single one alone.
-    """
+    """Check the metal of a program, together with the metal `below`, see :func:`ebamcheck.checks.metal.deposit`.
+    None: nothing stands there or, under the only layer of a program that does not begin on the plate (``layers.base_mm``), it is not
+    known; that layer is then held to the limits of a single one alone."""
     solid = _with_metal(found.layers)
     if not len(solid):
         return [Check(name, False, math.inf, 0.0, "", "", "no layer has metal") for name in DEPOSIT_CHECKS]
@@ -184,19 +165,14 @@ class _Metal:
         self, name: str, k: int, figure: float, limit: float, unit: str, text: str, wall: bool = False
     ) -> Check:
         """Check whose worst layer is row `k`; with what to do about its thinnest `wall`, where it is over its limit."""
-        more, remedy = self._of_wall(k) if wall and not figure <= limit else ("", "")
-        where = self.where(int(self.solid["layer"].iloc[k]))
-        return limit_check(name, figure, limit, unit, text + more, where, remedy=remedy)
-
-    def _of_wall(self, k: int) -> tuple[str, str]:
-        """What a bead takes that is as narrow as the thinnest wall of a layer, and what to do; empty where beads fit its walls."""
-        row = self.solid.iloc[k]
-        if not math.isfinite(row["wall_mm"]):
-            return "", ""
-        bead = narrow_bead(float(row["wall_mm"]), float(self.thickness_mm[k]), self.config)
-        place = f"({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f})"
-        text = f"; the thinnest wall of that layer, at {place}, is {row['wall_mm']:.1f} mm thick: {bead}"
-        return text, COARSE if bead.can_be_laid else TOO_THIN
+        row, remedy = self.solid.iloc[k], ""
+        if wall and not figure <= limit and math.isfinite(row["wall_mm"]):
+            bead = narrow_bead(float(row["wall_mm"]), float(self.thickness_mm[k]), self.config)
+            place = f"({row['wall_x_mm']:.1f}, {row['wall_y_mm']:.1f})"
+            text += f"; the thinnest wall of that layer, at {place}, is {row['wall_mm']:.1f} mm thick: {bead}"
+            remedy = COARSE if bead.can_be_laid else TOO_THIN
+        where = self.where(int(row["layer"]))
+        return limit_check(name, figure, limit, unit, text, where, remedy=remedy)
 
 
 def _whole(metal: _Metal) -> Check:
@@ -326,55 +302,35 @@ def _surface(metal: _Metal) -> Check:
     return metal.judged("surface", k, values[k], metal.config.process.largest_unevenness_mm, "mm", text)
 
 
-# -- wire of every bead -------------------------------------------------------------------------------
 # Where beads meet or lie side by side, one may lay what the other leaves: wire is wrong where the place says so by the area of the
 # section nearest to it, together with all that lies in its pool, and by the height of the metal over the width of the bead. What counts is the height that the error comes to, over any length of bead. Every pool levels some of it; along the bead it levels an
 # error that is not much longer than the bead is wide, and hardly any of a long one.
 
 
-class _Span(NamedTuple):
-    """The span of a bead in one layer that is furthest over its limit, or nearest to it: what it is off, and its limit."""
-
-    over: float
-    off: float
-    limit: float
-    length_mm: float
-    row: int
-
-
 def bead_wire_check(nc: NCProgram, found: Deposit, config: Config) -> Check:
     """Check that every bead has the wire that its place asks for, over any length of it, by a deposit whose places were `asked`.
-
     A contour may change its wire along itself, and is judged over every span of :data:`SPANS`; a hatch bead has one wire, and is
-    judged as a whole, and where its wire changes.
-    """
+    judged as a whole, and where its wire changes."""
     if config.base_mm > 0.0 or not found.asked:
         text = "what the lowest layer lies on, and so what its beads have to level, is not in the program"
         text = text if config.base_mm > 0.0 else "no bead has a place of its own"
         return Check(WIRE_OF_BEADS, True, 0.0, MOST, "of the wire", "", text)
     judged = run_each(lambda asked: _worst_span(nc, asked, config.process.bead_width_mm), found.asked)
-    worst = max((span for span, _ in judged), key=lambda span: span.over)
-    said = f"over {worst.length_mm:.3g} mm a bead has {1.0 + worst.off:.3g} times the wire that its place asks for"
-    text, layer = f"{sum(beads for _, beads in judged)} beads; {said}", int(nc.layer[worst.row])
-    where, at = nc.where(worst.row), nc.start[worst.row, :2]
-    return limit_check(WIRE_OF_BEADS, abs(worst.off), worst.limit, "of the wire", text, where, layer, at)
+    _, off, limit, length_mm, row, _ = max(judged, key=lambda span: span[0])
+    beads = sum(span[-1] for span in judged)
+    text = f"{beads} beads; over {length_mm:.3g} mm a bead has {1.0 + off:.3g} times the wire that its place asks for"
+    layer, at = int(nc.layer[row]), nc.start[row, :2]
+    return limit_check(WIRE_OF_BEADS, abs(off), limit, "of the wire", text, nc.where(row), layer, at)
 
 
 def most_off(length_mm: Floats, bead_mm: float) -> Floats:
-    """Wire that spans (m,) of a bead may lack, or have too much of, over what their places ask for.
-
-    Examples
-    --------
-    >>> most_off(np.array([6.0, 18.0, 600.0]), 6.0).round(3).tolist()
-    [0.301, 0.167, 0.151]
-    """
-    return np.asarray(
-        MOST * (1.0 + (bead_mm / np.maximum(length_mm, LEAST_BEADS * bead_mm)) ** 2), np.float64
-    )
+    """Wire that spans (m,) of a bead may lack, or have too much of, over what their places ask for."""
+    share = bead_mm / np.maximum(length_mm, LEAST_BEADS * bead_mm)
+    return np.asarray(MOST * (1.0 + share**2), np.float64)
 
 
-def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[_Span, int]:
-    """Worst span of the beads of a layer, and how many these are."""
+def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[float, float, float, float, int, int]:
+    """Worst span of the beads of a layer: over its limit, what it is off, limit, length, mm, and motion; and how many beads there are."""
     on_contour = nc.ring[asked.row] >= 0
     sums, bead = _Sums(asked), nc.beads.group[asked.row]
     first = np.flatnonzero(np.diff(bead, prepend=-1))
@@ -397,8 +353,8 @@ def _worst_span(nc: NCProgram, asked: Asked, bead_mm: float) -> tuple[_Span, int
     off = np.where(length >= LEAST_BEADS * bead_mm, off, 0.0)
     limit = np.where(on_contour[begins], 1.0, HATCH_ROOM) * most_off(length, bead_mm)
     k = int(np.argmax(np.abs(off) / limit))
-    worst = float(off[k]), float(limit[k]), float(length[k]), int(asked.row[begins[k]])
-    return _Span(abs(worst[0]) / worst[1], *worst), first.size
+    worst, most = float(off[k]), float(limit[k])
+    return abs(worst) / most, worst, most, float(length[k]), int(asked.row[begins[k]]), first.size
 
 
 class _Sums:
@@ -456,74 +412,51 @@ def _changes(asked: Asked, on_contour: Bools, begin: Ints, end: Ints) -> tuple[I
         return first, stop, np.where(usual > 0.0, laid / length / usual - 1.0, 0.0)
 
 
-# -- metal laid twice ---------------------------------------------------------------------------------
-
-
-class _Spot(NamedTuple):
-    """The fullest spot of a layer: its metal over that of the layer, where it is, and the motion that brings it."""
-
-    metal: float
-    layer: int
-    x: float
-    y: float
-    row: int
-
-
 def overfill_check(nc: NCProgram, z_of: Floats, config: Config, layers: Layers) -> Check:
-    """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer.
-
-    Where beads overlap they get less wire, so that every spot has about the metal of the layer. A bead more, or one laid again,
-    brings a spot 0.7 times that, where beads lie 0.7 widths apart. Spots count where the section is at least two bead widths wide:
-    contours around less than that lie in each other, and the feeder cannot give as little wire as they would need; the metal of such
-    layers is judged as a whole. The `layers` lie at Z `z_of` (L,).
-    """
+    """Most metal that a layer lays in the spot of a bead, a square of its width, over that of the layer; they lie at Z `z_of` (L,).
+    A bead more, or one laid again, brings a spot 0.7 times that. Spots count where the section is at least two bead widths wide: contours
+    around less lie in each other, and the metal of such layers is judged as a whole."""
     rows = nc.beads.rows
     rows = rows[np.isfinite(nc.start[rows]).all(axis=1) & nc.deposit[rows] & nc.wire[rows]]
     thickness = np.diff(z_of, prepend=config.base_mm)
     mm2 = np.nan_to_num(bead_sections_mm2(nc, config), posinf=0.0)
 
-    def fullest(k: int) -> _Spot | None:
+    def fullest(k: int) -> tuple[float, int, Floats, int] | None:
         mine = rows[nc.layer[rows] == k]
         if not (mine.size and thickness[k] > 0.0):
             return None
-        return _fullest(nc, mine, mm2, k, float(thickness[k]), layers, config.process.bead_width_mm)
+        bead_mm, across = config.process.bead_width_mm, 6
+        cell = bead_mm / across
+        row, at = nc.samples(mine, cell)
+        pieces, lengths = np.bincount(row, minlength=1)[row], np.nan_to_num(nc.lengths[row])
+        along, origin = lengths / pieces, at.min(axis=0) - 2.0 * bead_mm
+        size = np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1
+        columns, count = size.tolist()
+        i, j = np.floor((at - origin) / cell).astype(np.int64).T
+        metal_mm3 = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
+        field = np.asarray(metal_mm3.reshape(count, columns), np.float64)
+        # Once for the width of the bead, and once for the spot.
+        for _ in range(2):
+            field = ndimage.uniform_filter(field, across, mode="constant")
+        field = field / (cell**2 * float(thickness[k]))
+        wide = shapely.buffer(eroded(layers.section(k), bead_mm), bead_mm)
+        shapely.prepare(wide)
+        excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), field[j, i] - 1.0, 0.0)
+        # Mean over the stretch of a bead that ends at each place; what a short bead lacks of a stretch has none.
+        bead, ends = nc.beads.group[row], np.cumsum(along)
+        sums = np.append(0.0, np.cumsum(excess * along))
+        stretch_mm = STRETCH_BEADS * bead_mm
+        first = np.searchsorted(ends, ends - stretch_mm, side="right")
+        first = np.maximum(first, np.searchsorted(bead, bead))
+        mean = (sums[1:] - sums[first]) / stretch_mm
+        # Of a bead laid twice the later one is named.
+        worst = mean.size - 1 - int(np.argmax(mean[::-1] + 0.0))
+        return 1.0 + float(mean[worst]), k, at[worst], int(row[worst])
 
     found = [spot for spot in run_each(fullest, range(z_of.size)) if spot is not None]
     if not found:
         return Check(LAID_ONCE, True, 0.0, MOST_METAL, "of the layer", "", "no layer lays metal")
-    worst = max(found, key=lambda spot: spot.metal)
-    text = f"a spot gets {worst.metal:.3g} times the metal of its layer: layer {worst.layer + 1}, at ({worst.x:.1f}, {worst.y:.1f})"
-    at, where = (worst.x, worst.y), nc.where(worst.row)
-    return limit_check(LAID_ONCE, worst.metal, MOST_METAL, "of the layer", text, where, worst.layer, at)
-
-
-def _fullest(
-    nc: NCProgram, rows: Ints, mm2: Floats, k: int, height_mm: float, layers: Layers, bead_mm: float
-) -> _Spot:
-    """Fullest spot along motions of layer `k`; `mm2` (B,) are the sections of the beads that all motions lay."""
-    across = 6
-    cell = bead_mm / across
-    row, at = nc.samples(rows, cell)
-    pieces, lengths = np.bincount(row, minlength=1)[row], np.nan_to_num(nc.lengths[row])
-    along = lengths / pieces
-    origin = at.min(axis=0) - 2.0 * bead_mm
-    columns, count = (np.ceil((at.max(axis=0) + 2.0 * bead_mm - origin) / cell).astype(np.int64) + 1).tolist()
-    i, j = np.floor((at - origin) / cell).astype(np.int64).T
-    metal_mm3 = np.bincount(j * columns + i, mm2[row] * lengths / pieces, minlength=count * columns)
-    field = np.asarray(metal_mm3.reshape(count, columns), np.float64)
-    # Once for the width of the bead, and once for the spot.
-    for _ in range(2):
-        field = ndimage.uniform_filter(field, across, mode="constant")
-    field = field / (cell**2 * height_mm)
-    wide = shapely.buffer(eroded(layers.section(k), bead_mm), bead_mm)
-    shapely.prepare(wide)
-    excess = np.where(shapely.intersects_xy(wide, at[:, 0], at[:, 1]), field[j, i] - 1.0, 0.0)
-    # Mean over the stretch of a bead that ends at each place; what a short bead lacks of a stretch has none.
-    bead, ends = nc.beads.group[row], np.cumsum(along)
-    sums = np.append(0.0, np.cumsum(excess * along))
-    stretch_mm = STRETCH_BEADS * bead_mm
-    first = np.maximum(np.searchsorted(ends, ends - stretch_mm, side="right"), np.searchsorted(bead, bead))
-    mean = (sums[1:] - sums[first]) / stretch_mm
-    # Of a bead laid twice the later one is named.
-    worst = mean.size - 1 - int(np.argmax(mean[::-1] + 0.0))
-    return _Spot(1.0 + float(mean[worst]), k, float(at[worst, 0]), float(at[worst, 1]), int(row[worst]))
+    metal, k, at, row = max(found, key=lambda spot: spot[0])
+    place = f"layer {k + 1}, at ({at[0]:.1f}, {at[1]:.1f})"
+    text = f"a spot gets {metal:.3g} times the metal of its layer: {place}"
+    return limit_check(LAID_ONCE, metal, MOST_METAL, "of the layer", text, nc.where(row), k, at)

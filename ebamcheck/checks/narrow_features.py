@@ -1,9 +1,7 @@
 """Features of the part that are narrower than a bead, found in its sections alone: openings that the melt bridges, and walls.
 
-An opening (a hole, a slot, a gap between bodies, a notch) is what a section lacks and its closing by a disc has; a wall is what the
-section has and its opening lacks (Serra 1982, chapter 2). Its width is measured from side to side. Corners are no features, but
-where their sides nearly face one another: every bead rounds a corner, and the checks of the metal judge that.
-"""
+An opening is what a section lacks and its closing by a disc has; a wall is what the section has and its opening lacks (Serra 1982,
+chapter 2). Corners are no features, but where their sides nearly face one another."""
 
 from __future__ import annotations
 
@@ -28,17 +26,15 @@ from ebamcheck.geometry.regions import (
     valid_polygons,
 )
 from ebamcheck.heat.medium import least_power_share
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import least_hole_mm, least_wall_mm, line_energy_j_mm, wire_speed_mm_s
 from ebamcheck.threads import run_each
 
-# Sides face one another where they enclose less than 40 degrees: a gusset's corner of 45 is none.
-FACING = math.cos(math.radians(40.0))
+FACING = math.cos(math.radians(40.0))  # Sides face one another under it: a gusset's corner of 45 does not
 NO_WIDTH_MM = 1e-5  # Openings narrower than this are the rounding of coordinates
 STEPS = 4  # Places on a side over the length of the least width
-# Places on a side, over its length: near its ends, where sides reach deepest into a notch, and in its middle.
-ON_SIDE = np.array([0.02, 0.5, 0.98])
+ON_SIDE = np.array([0.02, 0.5, 0.98])  # Near its ends, where notches are deepest, and in its middle
 LONG = 2.0  # Length over width from which on a hole is called a slot
 TAPERS = 1.25  # Greatest width over the least from which on both are told
 LYING = 2.0  # Height over width up to which something that ends over and under is taken to lie on its side
@@ -60,11 +56,8 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class NarrowFeature:
-    """A feature over all layers that it goes through, from the `first` to the `last`.
-
-    It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead; openings are narrowed by the allowance
-    for machining. Its length and place are those in the layer where it is narrowest.
-    """
+    """A feature over all layers that it goes through, from the `first` to the `last`; length and place are those where it is narrowest.
+    It is narrow under `least_mm`: the width that a setting allows (`is_set`), or that of the bead, with what is allowed for machining."""
 
     kind: Kind
     least_mm: float
@@ -92,10 +85,8 @@ class NarrowFeature:
         return f"{'beads can lay' if self.is_wall else 'a bead'} ({self.least_mm:.3g} mm)"
 
     def in_words(self) -> str:
-        """Return kind and size.
+        """Kind and size.
 
-        Examples
-        --------
         >>> NarrowFeature("slot", 6.0, False, 1.0, 1.0, 20.0, 0, 1.0, 2.0, 0, 5).in_words()
         'a slot 1 mm wide and 20 mm long on 6 layers'
         """
@@ -109,10 +100,7 @@ class NarrowFeature:
 
 
 def narrow_features(sections: Sequence[BaseGeometry], config: Config) -> list[NarrowFeature]:
-    """Find openings and walls narrower than the least that is set or, where none is, than beads can build; the narrowest first.
-
-    An allowance for machining takes its double from every opening of the part's sections, and adds it to every wall.
-    """
+    """Find openings and walls narrower than the least that is set or, where none is, than beads can build; the narrowest first."""
     process = config.process
     beads = config.changed(process={"least_hole_mm": None, "least_wall_mm": None})
     allowance_mm = 2.0 * process.machining_allowance_mm
@@ -127,23 +115,29 @@ def narrow_features(sections: Sequence[BaseGeometry], config: Config) -> list[Na
         if set_mm is None or set_mm < bead_mm:
             others = _features(sections, walls, bead_mm + machined_mm, False, config)
             found += [one for one in others if set_mm is None or one.narrowest_mm >= set_mm + machined_mm]
+    # An allowance for machining takes its double from every opening of the part's sections, and adds it to every wall.
     return sorted(found, key=lambda one: (not one.is_set, one.narrowest_mm / one.least_mm))
 
 
 def _features(
     sections: Sequence[BaseGeometry], walls: bool, least_mm: float, is_set: bool, config: Config
-) -> list[NarrowFeature]:
+) -> Iterator[NarrowFeature]:
     """Features of one kind that are narrower than a width; layers that are alike are looked at once."""
     if least_mm <= 0.0:
-        return []
+        return
     new = [k == 0 or not shapely.equals_exact(sections[k], sections[k - 1]) for k in range(len(sections))]
     looked_at = [section for section, is_new in zip(sections, new, strict=True) if is_new]
     shallow_mm, high_mm = config.process.outside_reach_mm, config.layer_height_mm
     found = run_each(lambda section: narrow_places(section, walls, least_mm, shallow_mm), looked_at)
     places = [found[k] for k in np.cumsum(new) - 1]
-    groups = _through_layers(places, least_mm)
-    kept = [g for g in groups if not _lies(g, places, sections, walls, least_mm, high_mm)]
-    return [_feature(group, least_mm, is_set) for group in kept]
+    for group in _through_layers(places, least_mm):
+        if not _lies(group, places, sections, walls, least_mm, high_mm):
+            layer, at = min(group, key=lambda one: one[1].narrowest_mm)
+            widest_mm, layers = max(place.widest_mm for _, place in group), [k for k, _ in group]
+            yield NarrowFeature(
+                at.kind, least_mm, is_set, at.narrowest_mm, widest_mm, at.length_mm,
+                layer, at.x_mm, at.y_mm, min(layers), max(layers),
+            )  # fmt: skip
 
 
 def _lies(
@@ -168,34 +162,10 @@ def _lies(
 
 
 def narrow_places(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> list[Place]:
-    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides.
-
-    Examples
-    --------
-    >>> plate = shapely.box(0, 0, 40, 30).difference(shapely.box(10, 14, 30, 15))
-    >>> [(p.kind, p.narrowest_mm, p.length_mm) for p in narrow_places(plate, False, 6.0, 1.0)]
-    [('slot', 1.0, 20.0)]
-    """
-    found = _narrowed(section, walls, least_mm, shallow_mm)
-    return list(_measured(found, walls, least_mm)) if found else []
-
-
-class _Narrowed(NamedTuple):
-    """A section, the same opened or closed, and where the two lie far apart."""
-
-    parts: np.ndarray
-    rings: np.ndarray
-    filled: BaseGeometry
-    lost: Bools
-    sides: _Sides
-
-
-def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: float) -> _Narrowed | None:
-    """Open or close a section, and take the places on its sides that then lie deep; None where none does."""
+    """Find the walls of a section, or its openings, that are narrower than `least_mm`; notches and tips to `shallow_mm` are uneven sides."""
     parts = np.asarray([shapely.orient_polygons(p) for p in valid_polygons(section)], object)
     if not parts.size:
-        return None
-    rings = np.asarray([ring for part in parts for ring in (part.exterior, *part.interiors)], object)
+        return []
     # Opening of the section by a disc of the least width for walls, else its closing.
     whole, radius = shapely.MultiPolygon(list(parts)), 0.5 * least_mm
     filled: BaseGeometry = (
@@ -203,59 +173,51 @@ def _narrowed(section: BaseGeometry, walls: bool, least_mm: float, shallow_mm: f
         if walls
         else inset(shapely.buffer(whole, radius, quad_segs=ARC_SEGMENTS), radius)
     )
-    lost = _lost(parts, filled, walls)
-    sides = _sides_of_rings(rings, max(least_mm / STEPS, shallow_mm))
-    depth = distances(np.ascontiguousarray(sides.at), segments_of(filled.boundary))
-    deep = (depth > shallow_mm) | lost[sides.ring]
-    if not deep.any():
-        return None
-    return _Narrowed(parts, rings, filled, lost, _Sides(sides.at[deep], sides.out[deep], sides.ring[deep]))
-
-
-def _lost(parts: np.ndarray, filled: BaseGeometry, walls: bool) -> Bools:
-    """Rings (R,) of which nothing is left: outer ones of parts without a core, or those of holes that are closed."""
     shapely.prepare(filled)
-    found = []
-    for part in parts:
-        gone = walls and not shapely.intersects(filled, part)
-        holes = [not walls and shapely.contains(filled, shapely.Polygon(ring)) for ring in part.interiors]
-        found += [gone, *(gone or hole for hole in holes)]
-    return np.asarray(found, np.bool_)
-
-
-class _Sides(NamedTuple):
-    """Places along rings: where, the direction out of the metal there, and whose they are."""
-
-    at: Floats
-    out: Floats
-    ring: Ints
-
-
-def _sides_of_rings(rings: np.ndarray, step_mm: float) -> _Sides:
-    """Places on the sides of rings with the metal on their left: the middles and near both ends, of no more than a step each."""
-    points, ring = shapely.get_coordinates(shapely.segmentize(rings, step_mm), return_index=True)
+    # Of some rings nothing is left: outer ones of parts without a core, or those of holes that are closed.
+    rings, part_of = shapely.get_rings(parts, return_index=True)
+    gone = walls & ~shapely.intersects(filled, parts)[part_of]
+    hole = np.diff(part_of, prepend=-1) == 0
+    lost = gone | (hole & (not walls) & shapely.contains(filled, shapely.polygons(rings)))
+    # Places on the sides, no more than a step apart, and the direction out of the metal there.
+    fine = shapely.segmentize(rings, max(least_mm / STEPS, shallow_mm))
+    points, ring = shapely.get_coordinates(fine, return_index=True)
     along = np.diff(points, axis=0)
     length = np.hypot(along[:, 0], along[:, 1])
     side = np.flatnonzero((ring[1:] == ring[:-1]) & (length > 0.0))
-    along = along[side]
-    out = np.column_stack([along[:, 1], -along[:, 0]]) / length[side, None]
-    at = points[side, None] + ON_SIDE[:, None] * along[:, None]
-    owner = np.repeat(ring[side].astype(np.int64), len(ON_SIDE))
-    return _Sides(at.reshape(-1, 2), np.repeat(out, len(ON_SIDE), axis=0), owner)
+    out = np.column_stack([along[side, 1], -along[side, 0]]) / length[side, None]
+    out = np.repeat(out, ON_SIDE.size, axis=0)
+    at = (points[side, None] + ON_SIDE[:, None] * along[side, None]).reshape(-1, 2)
+    owner = np.repeat(ring[side].astype(np.int64), ON_SIDE.size)
+    deep = (distances(at, segments_of(filled.boundary)) > shallow_mm) | lost[owner]
+    one, other = (whole, filled) if walls else (filled, whole)
+    pieces = valid_polygons(shapely.difference(one, other)) if deep.any() else []
+    if not pieces:
+        return []
+    ahead = out[deep] * (-1.0 if walls else 1.0)
+    middle, width_mm, start, end = _across(at[deep], ahead, owner[deep], rings, walls, least_mm)
+    tree, near, found = shapely.STRtree(pieces), np.zeros(0, np.int64), []
+    if len(middle):
+        near = tree.query_nearest(shapely.points(middle), all_matches=False)[1]
+    closed = set(tree.query(shapely.get_point(rings[lost], 0), "intersects")[1].tolist())
+    for k in sorted({*near.tolist(), *closed}):
+        mine = np.flatnonzero(near == k)
+        kind: Kind = "wall" if walls else "hole" if k in closed else "notch"
+        place = _place(pieces[k], kind, middle[mine], width_mm[mine])
+        if not walls and mine.size:
+            n = mine[width_mm[mine].argmin()]
+            a, b = part_of[[start[n], end[n]]]
+            place = _between(place, parts[a], parts[b]) if a != b else place
+        if place.narrowest_mm >= NO_WIDTH_MM:
+            found.append(place)
+    return found
 
 
-class _Across(NamedTuple):
-    """Ways from one side to the side that faces it: middle (n, 2), length (n,) mm, and the rings at both ends."""
-
-    middle: Floats
-    width_mm: Floats
-    start: Ints
-    end: Ints
-
-
-def _across(sides: _Sides, rings: np.ndarray, walls: bool, least_mm: float) -> _Across:
-    """Ways across the narrow places, from every place on a side to the nearest side straight ahead, if that faces it."""
-    at, ahead = sides.at, sides.out * (-1.0 if walls else 1.0)
+def _across(
+    at: Floats, ahead: Floats, owner: Ints, rings: np.ndarray, walls: bool, least_mm: float
+) -> tuple[Floats, Floats, Ints, Ints]:
+    """Ways from places (m, 2) on sides to the nearest side straight `ahead`, if that faces it.
+    Their middle (n, 2) and length (n,), mm, and the rings at both ends."""
     points, ring = shapely.get_coordinates(rings, return_index=True)
     joined = np.flatnonzero(ring[1:] == ring[:-1])
     ends = np.stack([points[joined], points[joined + 1]], axis=1)
@@ -274,36 +236,9 @@ def _across(sides: _Sides, rings: np.ndarray, walls: bool, least_mm: float) -> _
     faces = np.abs(turned[order]) >= FACING * size[order]
     faces &= (turned[order] < 0.0) != walls
     order = order[faces]
-    middle = at[way[order]] + 0.5 * length[order, None] * ahead[way[order]]
-    other = ring[joined][side[order]].astype(np.int64)
-    return _Across(middle, length[order], sides.ring[way[order]], other)
-
-
-def _measured(found: _Narrowed, walls: bool, least_mm: float) -> Iterator[Place]:
-    """Narrow places among the pieces that opening or closing took or gave: those with ways across, and whole rings that are lost."""
-    parts, lost = found.parts, found.rings[found.lost]
-    whole_section = shapely.MultiPolygon(list(parts))
-    one, other = (whole_section, found.filled) if walls else (found.filled, whole_section)
-    pieces = valid_polygons(shapely.difference(one, other))
-    if not pieces:
-        return
-    across = _across(found.sides, found.rings, walls, least_mm)
-    tree = shapely.STRtree(pieces)
-    owner = np.zeros(0, np.int64)
-    if len(across.middle):
-        owner = tree.query_nearest(shapely.points(across.middle), all_matches=False)[1]
-    whole = {int(k) for ring in lost for k in tree.query(shapely.Point(ring.coords[0]), "intersects")}
-    part_of = np.repeat(np.arange(len(parts)), [1 + len(part.interiors) for part in parts])
-    for k in sorted({*owner.tolist(), *whole}):
-        mine = np.flatnonzero(owner == k)
-        kind: Kind = "wall" if walls else "hole" if k in whole else "notch"
-        place = _place(pieces[k], kind, across.middle[mine], across.width_mm[mine])
-        if not walls and mine.size:
-            at = mine[across.width_mm[mine].argmin()]
-            a, b = part_of[[across.start[at], across.end[at]]]
-            place = _between(place, parts[a], parts[b]) if a != b else place
-        if place.narrowest_mm >= NO_WIDTH_MM:
-            yield place
+    begin = way[order]
+    middle = at[begin] + 0.5 * length[order, None] * ahead[begin]
+    return middle, length[order], owner[begin], ring[joined][side[order]].astype(np.int64)
 
 
 def _place(piece: shapely.Polygon, kind: Kind, middle: Floats, width_mm: Floats) -> Place:
@@ -346,29 +281,6 @@ def _through_layers(places: list[list[Place]], least_mm: float) -> list[list[tup
     return [[flat[i] for i in np.flatnonzero(group == g).tolist()] for g in range(count)]
 
 
-def _feature(group: list[tuple[int, Place]], least_mm: float, is_set: bool) -> NarrowFeature:
-    """Return a feature of the places that belong together."""
-    layer, place = min(group, key=lambda one: one[1].narrowest_mm)
-    layers = [k for k, _ in group]
-    widest_mm = max(one.widest_mm for _, one in group)
-    return NarrowFeature(
-        place.kind, least_mm, is_set, place.narrowest_mm, widest_mm, place.length_mm,
-        layer, place.x_mm, place.y_mm, min(layers), max(layers),
-    )  # fmt: skip
-
-
-# -- thin walls ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ThinWall:
-    """The thinnest wall of a section: its width, and a point in it, mm."""
-
-    width_mm: float
-    x_mm: float
-    y_mm: float
-
-
 @dataclass(frozen=True)
 class NarrowBead:
     """Width, wire, power and current of a bead as wide as a wall, at the travel speed that is set, and the least width of each limit by its name."""
@@ -391,7 +303,6 @@ class NarrowBead:
         return self.width_mm >= self.least_mm
 
     def __str__(self) -> str:
-        """Say what the bead takes, or which limit stands in its way."""
         if self.can_be_laid:
             return (
                 f"a bead of {self.width_mm:.1f} mm is within the process window ({self.wire_mm_s:.1f} mm/s of wire, "
@@ -402,27 +313,19 @@ class NarrowBead:
         return f"no bead of this wire, travel speed and layer height is narrower than {self.least_mm:.1f} mm, by {name}"
 
 
-def thinnest_wall(section: BaseGeometry, bead_width_mm: float) -> ThinWall | None:
-    """Find the thinnest piece of a section that no bead fits into; None where beads fit everywhere but in corners."""
+def thinnest_wall(section: BaseGeometry, bead_width_mm: float) -> tuple[float, float, float] | None:
+    """Width of the thinnest piece of a section that no bead fits into, and a point in it, mm; None where beads fit but in corners."""
     _, thin = split_thin(section, bead_width_mm, CRUMB * bead_width_mm**2)
     alone = [part for part in valid_polygons(section) if mean_width_mm(part) < bead_width_mm]
-    found = [*thin, *alone]
-    if not found:
+    if not (found := [*thin, *alone]):
         return None
     wall = min(found, key=mean_width_mm)
     point: shapely.Point = wall.representative_point()
-    return ThinWall(mean_width_mm(wall), point.x, point.y)
+    return mean_width_mm(wall), point.x, point.y
 
 
 def narrow_bead(wall_mm: float, thickness_mm: float, config: Config) -> NarrowBead:
-    """Bead as wide as a wall.
-
-    Examples
-    --------
-    >>> bead = narrow_bead(4.0, Config().layer_height_mm, Config())
-    >>> round(bead.wire_mm_s, 1), round(bead.power_w)
-    (33.3, 3200)
-    """
+    """Bead as wide as a wall."""
     process = config.process
     bead_mm = process.bead_width_mm
     per_mm = wire_speed_mm_s(config, 1.0, thickness_mm)

@@ -1,10 +1,7 @@
 """Whether the part that is built is the one in its file: of that size, that way up, at its place, and no other.
 
-Unit, slicing direction, turn and place are applied once, before anything else looks at the part: slicers, gates and `verify` all get
-it as it comes from there. So an STL file is read again here, by other code, and held against the part: how long it is along the
-slicing direction, its surface, and how high the middle of its surface lies. Then every corner of every facet is turned and placed
-anew, as settings or plate say, and held against where it stands; of other formats that alone is told.
-"""
+An STL file is read again by other code than that of parts, and held against the part: how long it is along the slicing direction, its
+surface, and how high the middle of that lies. Then every corner of every facet is turned and placed anew, as settings or plate say."""
 
 from __future__ import annotations
 
@@ -33,8 +30,7 @@ from ebamcheck.settings.config import Config
 UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "um": 1e-3, "in": 25.4, "ft": 12.0 * 25.4}
 # Bytes before the first facet of a binary STL file, and a facet.
 HEAD, FACET = 84, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-# What is wrong with a part of which a corner of a facet is elsewhere.
-STANDS = "does not stand where direction, turn and place say for the one"
+STANDS = "does not stand where direction, turn and place say for the one"  # What is wrong with a part of which a corner is elsewhere
 AT_ONCE = 500_000  # Facets that are held at once
 # Corners of a facet in an ASCII STL file. A word by itself may be part of the name of the solid.
 FACET_TEXT = re.compile(rb"\bloop" + 3 * (rb"\s+vertex" + 3 * rb"\s+(\S+)"), re.IGNORECASE)
@@ -71,11 +67,8 @@ class _MeshFile:
 
 @dataclass(frozen=True)
 class _Body:
-    """A part in its file, and how it is to stand.
-
-    What points up, in the coordinates of the file; the turn about the vertical, counter-clockwise seen from above; X and Y of the middle
-    of its box, and Z of its lowest point, if that is told (None: it stays where it is).
-    """
+    """A part in its file: what points up there, the turn about the vertical (counter-clockwise seen from above), and its place.
+    That is X and Y of the middle of its box, and Z of its lowest point, if that is told (None: it stays where it is)."""
 
     file: _MeshFile
     direction: tuple[float, ...]
@@ -165,15 +158,21 @@ def _standing(body: _Body) -> Iterator[Floats]:
     else:
         upright = np.diag([1.0, -1.0, -1.0])
     turn = cmath.exp(1j * math.radians(body.turn_deg))
-    still, turned = _Box(), _Box()
+    # Lowest and highest X and Y before the turn and after it, and Z.
+    low, high = np.full(5, np.inf), np.full(5, -np.inf)
     for facets in body.file.facets():
         flat, z = _flat(facets, upright)
-        still.add(flat, z)
-        turned.add(turn * flat, z)
-    shift, rise = still.middle - turn * still.middle, 0.0
+        turned = turn * flat
+        for k, values in enumerate((flat.real, flat.imag, turned.real, turned.imag, z)):
+            low[k], high[k] = (
+                min(low[k], values.min(initial=np.inf)),
+                max(high[k], values.max(initial=-np.inf)),
+            )
+    still, moved = (complex(*(0.5 * (low[k : k + 2] + high[k : k + 2]))) for k in (0, 2))
+    shift, rise = still - turn * still, 0.0
     if body.place_mm is not None:
-        shift = complex(*body.place_mm[:2]) - turned.middle
-        rise = body.place_mm[2] - still.low[2] if len(body.place_mm) > 2 else 0.0
+        shift = complex(*body.place_mm[:2]) - moved
+        rise = body.place_mm[2] - low[4] if len(body.place_mm) > 2 else 0.0
     for facets in body.file.facets():
         flat, z = _flat(facets, upright)
         at = turn * flat + shift
@@ -185,24 +184,6 @@ def _flat(facets: Floats, turn: Floats) -> tuple[NDArray[np.complex128], Floats]
     a, b, c = (facets[:, :, axis] for axis in range(3))
     x, y, z = (a * r[0] + b * r[1] + c * r[2] for r in turn.tolist())
     return x + 1j * y, z
-
-
-class _Box:
-    """Box around places."""
-
-    def __init__(self) -> None:
-        self.low, self.high = [np.inf] * 3, [-np.inf] * 3
-
-    def add(self, flat: NDArray[np.complex128], z: Floats) -> None:
-        """Let it hold further places."""
-        for axis, values in enumerate((flat.real, flat.imag, z)):
-            self.low[axis] = min(self.low[axis], float(values.min(initial=np.inf)))
-            self.high[axis] = max(self.high[axis], float(values.max(initial=-np.inf)))
-
-    @property
-    def middle(self) -> complex:
-        """Its middle in X and Y."""
-        return complex(*(0.5 * (self.low[axis] + self.high[axis]) for axis in (0, 1)))
 
 
 def _measured(facets: Iterable[Floats], direction: tuple[float, ...]) -> tuple[float, float, float]:

@@ -1,7 +1,4 @@
-"""Checks of the path that a program's text commands against what it was made from.
-
-The fitted curves are evaluated here by code of their own, as the writer and the reader do it each in theirs.
-"""
+"""Checks of the path that a program's text commands against what it was made from."""
 
 from __future__ import annotations
 
@@ -21,8 +18,7 @@ from ebamcheck.result import Check
 from ebamcheck.threads import run_blocks
 
 SAMPLES = 9  # Places on each span where programmed and fitted curve are compared at the same parameter
-# Where shapes are compared, the chords between samples of the fitted curve err by this share of the limit.
-CHORD_SHARE = 0.02
+CHORD_SHARE = 0.02  # Of the limit: the error of chords between samples where shapes are compared
 DEGREE = 3  # Of every spline piece
 FLAT_ARC = 1e-12  # Sine of half the turn of an arc that is straight for numbers of 16 digits
 
@@ -77,7 +73,17 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
     kind = np.asarray(curves.kind, np.int64)[piece]
     centre, sweep = np.zeros((piece.size, 2)), np.zeros(piece.size)
     arcs = np.flatnonzero(kind == ARC)
-    centre[arcs], sweep[arcs] = _turns(columns[arcs])
+    # Arcs go through three points each, the second half-way: the centre is where the bisectors of both halves meet; straight ones do not turn.
+    first, middle, last = (columns[arcs, n] for n in range(3))
+    one, other = middle - first, last - middle
+    across = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
+    turned = np.abs(across) > FLAT_ARC * (one * one).sum(axis=1)
+    a, b = 0.5 * ((middle + first) * one).sum(axis=1), 0.5 * ((last + middle) * other).sum(axis=1)
+    whole = np.where(turned, across, 1.0)[:, None]
+    centre[arcs] = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
+    spoke, side = first - centre[arcs], middle - centre[arcs]
+    half = np.arctan2(spoke[:, 0] * side[:, 1] - spoke[:, 1] * side[:, 0], (spoke * side).sum(axis=1))
+    sweep[arcs] = np.where(turned, 2.0 * half, 0.0)
     columns[arcs[sweep[arcs] != 0.0], 1:] = 0.0
     flat = arcs[sweep[arcs] == 0.0]
     columns[flat, 1], columns[flat, 2:] = columns[flat, 2] - columns[flat, 0], 0.0
@@ -86,9 +92,7 @@ def fitted_spans(curves: CurveColumns, decimals: int) -> FittedSpans:
 
 def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
     """Points (S, n, 2) of a clamped cubic B-spline; row s of parameters `at` (S, n) lies in the s-th span between two different knots.
-
-    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50.
-    """
+    C. de Boor, "On calculating with B-splines", J. Approx. Theory 6 (1972) 50."""
     span = np.flatnonzero(knots[1:] > knots[:-1])
     first = span - DEGREE
     place = [np.asarray(control)[first + k][:, None] for k in range(DEGREE + 1)]
@@ -98,21 +102,6 @@ def spline_points(knots: Floats, control: Floats, at: Floats) -> Floats:
             share = ((at - low) / (high - low))[..., None]
             place[k] = (1.0 - share) * place[k - 1] + share * place[k]
     return np.asarray(place[DEGREE], np.float64)
-
-
-def _turns(points: Floats) -> tuple[Floats, Floats]:
-    """Centre (n, 2) and turn (n,), rad, of arcs through three points each, the second half-way; no turn of one that is straight."""
-    # The centre is where the bisectors of both halves meet.
-    first, middle, last = points[:, 0], points[:, 1], points[:, 2]
-    one, other = middle - first, last - middle
-    across = one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]
-    turned = np.abs(across) > FLAT_ARC * (one * one).sum(axis=1)
-    a, b = 0.5 * ((middle + first) * one).sum(axis=1), 0.5 * ((last + middle) * other).sum(axis=1)
-    whole = np.where(turned, across, 1.0)[:, None]
-    centre = np.column_stack([a * other[:, 1] - b * one[:, 1], b * one[:, 0] - a * other[:, 0]]) / whole
-    spoke, side = first - centre, middle - centre
-    half = np.arctan2(spoke[:, 0] * side[:, 1] - spoke[:, 1] * side[:, 0], (spoke * side).sum(axis=1))
-    return centre, np.where(turned, 2.0 * half, 0.0)
 
 
 def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
@@ -131,10 +120,7 @@ def closure_check(nc: NCProgram, curves: CurveColumns | None) -> Check:
 
 def contour_checks(subject: Subject) -> list[Check]:
     """Compare the contour motions with the fitted curves, both ways.
-
-    Where the program has one block for each span, both are evaluated at the same parameters, which bounds
-    the distance of either from the other; other rings are compared as shapes.
-    """
+    Where the program has one block for each span, both are evaluated at the same parameters; other rings are compared as shapes."""
     nc, curves, config = subject.nc, subject.curves, subject.config
     assert curves is not None
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
@@ -148,7 +134,13 @@ def contour_checks(subject: Subject) -> list[Check]:
     sampled = spans.at(np.repeat(np.arange(spans.ring.size), SAMPLES), np.tile(t, spans.ring.size))
     sampled = sampled.reshape(-1, SAMPLES, 2)
     driven = nc.evaluate(rows, t[None])
-    faults += _turned_rings(nc, curves, rows, driven, spans.ring, sampled)
+    # Closed rings that are driven the other way than planned: as a shape they are the same.
+    once = ~nc.overlap[rows]
+    driven_mm2 = np.bincount(nc.ring[rows[once]], _left_mm2(driven[once]), minlength=count)
+    planned_mm2 = np.bincount(spans.ring, _left_mm2(sampled), minlength=count)
+    turned = np.flatnonzero(np.asarray(curves.closed) & (driven_mm2 * planned_mm2 < 0.0))
+    first = [int(rows[once][np.argmax(nc.ring[rows[once]] == k)]) for k in turned]
+    faults += [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
     distance, alike = _same_parameters(nc, rows, driven, spans, sampled, count)
     # Splines were written as lines or arcs by the settings, or because the control has nothing else.
     carried = np.isin(nc.kind[rows], (POLYNOMIAL, SPLINE_SPAN)).any()
@@ -193,18 +185,6 @@ def _grouped(ring: Ints, count: int) -> list[Ints]:
     return np.split(np.argsort(ring, kind="stable"), np.cumsum(np.bincount(ring, minlength=count))[:-1])
 
 
-def _turned_rings(
-    nc: NCProgram, curves: CurveColumns, rows: Ints, driven: Floats, ring: Ints, fitted: Floats
-) -> list[tuple[str, str]]:
-    """Closed rings that are driven the other way than planned: as a shape they are the same."""
-    count, once = len(curves.closed), ~nc.overlap[rows]
-    driven_mm2 = np.bincount(nc.ring[rows[once]], _left_mm2(driven[once]), minlength=count)
-    planned_mm2 = np.bincount(ring, _left_mm2(fitted), minlength=count)
-    turned = np.flatnonzero(np.asarray(curves.closed) & (driven_mm2 * planned_mm2 < 0.0))
-    first = [int(rows[once][np.argmax(nc.ring[rows[once]] == k)]) for k in turned]
-    return [(nc.where(row), f"contour ring {nc.ring[row]} is driven the other way") for row in first]
-
-
 def _left_mm2(points: Floats) -> Floats:
     """Twice the area (n,) between the origin and paths (n, m, 2), positive where it lies on their left."""
     x, y = points[..., 0], points[..., 1]
@@ -247,24 +227,19 @@ def _same_parameters(
     order = np.argsort(nc.ring[rows], kind="stable")
     row_count = np.bincount(nc.ring[rows], minlength=count)
     span_count = np.bincount(spans.ring, minlength=count)
-    alike = (row_count == span_count) & _same_starts(nc, rows, spans.ring, fitted[:, 0], count)
+    alike = row_count == span_count
+    # Rings start where the fitted ones do.
+    ring, row = np.unique(nc.ring[rows], return_index=True)
+    wanted, span = np.unique(spans.ring, return_index=True)
+    both, i, j = np.intersect1d(ring, wanted, assume_unique=True, return_indices=True)
+    apart = np.abs(nc.start[rows[row[i]], :2] - fitted[span[j], 0])
+    alike &= np.isin(np.arange(count), both[apart.max(axis=1, initial=0.0) <= PLACE_MM])
     pick, span_pick = order[alike[nc.ring[rows[order]]]], np.flatnonzero(alike[spans.ring])
     same_kind = kind[pick] == spans.kind[span_pick]
     alike[spans.ring[span_pick][~same_kind]] = False
     distance = np.full(rows.size, np.nan)
     distance[pick] = np.linalg.norm(driven[pick] - fitted[span_pick], axis=2).max(axis=1, initial=0.0)
     return distance, alike
-
-
-def _same_starts(nc: NCProgram, rows: Ints, span_ring: Ints, start: Floats, count: int) -> Bools:
-    """Rings (R,) that start where the fitted ones do; those of which either is missing do not."""
-    same = np.zeros(count, np.bool_)
-    ring, row = np.unique(nc.ring[rows], return_index=True)
-    fitted, span = np.unique(span_ring, return_index=True)
-    both, i, j = np.intersect1d(ring, fitted, assume_unique=True, return_indices=True)
-    apart = nc.start[rows[row[i]], :2] - start[span[j]]
-    same[both] = np.abs(apart).max(axis=1, initial=0.0) <= PLACE_MM
-    return same
 
 
 def hatch_checks(subject: Subject) -> list[Check]:
@@ -276,9 +251,8 @@ def hatch_checks(subject: Subject) -> list[Check]:
     driven = vectors[["x0", "y0", "x1", "y1"]].to_numpy()
     # The plan's own columns: what the writer takes of them is on trial.
     island = np.asarray(plan.vectors.island, np.int64)
-    ends = np.stack(
-        [np.asarray(getattr(plan.vectors, name), np.float64) for name in ("x0", "y0", "x1", "y1")], axis=1
-    )
+    columns = [getattr(plan.vectors, name) for name in ("x0", "y0", "x1", "y1")]
+    ends = np.stack([np.asarray(column, np.float64) for column in columns], axis=1)
     rounded = np.round(ends, config.machine.printed_decimals)
     kept = (rounded[:, :2] != rounded[:, 2:]).any(axis=1)
     island, ends = island[kept], ends[kept]
@@ -338,10 +312,13 @@ def layer_checks(nc: NCProgram, z_of: Floats, filled: Bools) -> list[Check]:
         f"{laid.size} layers in the program, {wanted.size} expected",
     )  # fmt: skip
     heights = [(_where_called(nc, int(begins[i])), what) for i, what in faults]
+    z = nc.layer_heights[nc.layer[rows]]
+    rows = rows[(nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)]
+    tilted = row_faults(nc, rows, "deposit at Z {:g} in a layer at another Z", nc.end[rows, 2])
     return [
         count,
         count_check("layer heights", heights, "steps of Z are those of the layers"),
-        count_check("flat layers", _not_flat(nc), "every deposit of a layer at its Z"),
+        count_check("flat layers", tilted, "every deposit of a layer at its Z"),
     ]
 
 
@@ -350,10 +327,3 @@ def _where_called(nc: NCProgram, row: int) -> str:
     events = nc.events
     before = np.flatnonzero((events.kind == Kind.CALL) & (events.file == 0) & (events.row <= row))
     return nc.where_event(int(before[-1])) if before.size and nc.file[row] != 0 else nc.where(row)
-
-
-def _not_flat(nc: NCProgram) -> list[tuple[str, str]]:
-    rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
-    z = nc.layer_heights[nc.layer[rows]]
-    off = (nc.end[rows, 2] != z) | (nc.start[rows, 2] != z)
-    return row_faults(nc, rows[off], "deposit at Z {:g} in a layer at another Z", nc.end[rows[off], 2])

@@ -1,9 +1,7 @@
 """Checks of preheating: where the beam goes, out of focus and without wire, how often, and how warm and even the surface is by its text.
 
-Region, lines and passes are worked out by code of their own (:func:`ebamcheck.checks.text_heat.scanned`, :func:`pass_way`): plan and
-writer take them from one place, and a mistake there would be in the program and in what it is held against. The heat goes by the model
-of the plan; on the plate a second balance is held against it.
-"""
+Region, lines and passes are worked out by code of their own: plan and writer take them from one place, and a mistake there would be in
+the program and in what it is held against. The heat goes by the model of the plan; on the plate a second balance is held against it."""
 
 from __future__ import annotations
 
@@ -16,6 +14,7 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.checks import (
     LIMIT_ROUNDING_MM,
+    VALUE_SHARE,
     Faults,
     count_check,
     event_faults,
@@ -23,8 +22,7 @@ from ebamcheck.checks.checks import (
     row_faults,
 )
 from ebamcheck.checks.heat_again import MODELS_SHARE, plate_k
-from ebamcheck.checks.state_checks import beyond_travel_mm, modes_of_scans
-from ebamcheck.checks.text_heat import (
+from ebamcheck.checks.interpass_checks import (
     Scanned,
     scanned,
     scanned_heat,
@@ -34,10 +32,11 @@ from ebamcheck.checks.text_heat import (
     text_bed_k,
     text_shapes,
 )
+from ebamcheck.checks.state_checks import beyond_travel_mm, modes_of_scans
 from ebamcheck.geometry.regions import eroded
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.heat.preheating import BeamWay, SurfaceK, spot_peak_k
-from ebamcheck.kernels import Bools, Floats
+from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.codes import BEAM_VALUES, FOCUS
 from ebamcheck.nc.conventions import increments_of, safe_end_mm
 from ebamcheck.nc.files import layer_of_preheat
@@ -47,11 +46,9 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.stages import AIM_K, JOINED_SPACINGS, LEAST_LINE_MM, LEAST_REST_S
 
-VALUE_SHARE = 1e-3  # Share by which a printed value may be off
 PLACE_MM = 0.01  # How far beside the region a line may end: the decimals of the program
 ROUND_SHARE = 2e-3  # Share of the spot by which a rounding of chords may lie beside its circle
-# Lines lie evenly between the ends of the region: at most so many spacings apart, where one more would lie nearer than one.
-WIDEST = 1.5
+WIDEST = 1.5  # Spacings between lines at most, from where on one more would lie nearer than one
 SLIVER_MM = 0.1  # Lines across a narrower place may be left out
 ALONG_MM = 1e-3  # A line along an axis leaves it by no more: the decimals of a program, at their coarsest
 # Share of a pass by which the way of a scan may be off that of whole passes; more of these are not counted.
@@ -59,51 +56,34 @@ LENGTH_SHARE, MOST_PASSES = 0.02, 20000
 AT_ONCE_S = 10.0  # Time that the second balance takes at once
 
 
-@dataclass(frozen=True, eq=False)
-class Known:
-    """What is known of the part: sections of the layers, and heat and section of what stands when the program begins."""
-
-    sections: list[BaseGeometry]
-    before: HeatColumn | None
-    under: BaseGeometry | None
-
-
 def preheat_checks(
     nc: NCProgram, config: Config, sections: Sequence[BaseGeometry] | None, before: HeatColumn | None = None,
     under: BaseGeometry | None = None,
 ) -> list[Check]:  # fmt: skip
     """Check the preheating scans of a program; nothing where the settings ask for none and it has none.
-
-    Without `sections` (L,) those count that the contours of the program enclose. Where heat `before` and section `under` a program that
-    begins on a part that is half built are not known, how often it is scanned, and how warm it is then, are not judged.
-    """
+    Without `sections` (L,) those count that its contours enclose. Where a program begins on a part that is half built, how often it is
+    scanned, and how warm it is then, are judged by heat `before` and section `under` it alone."""
     if config.preheat.when == "off":
         if nc.preheating is None:
             return []
         where = nc.preheating.beginning if len(nc.preheating) else f"{nc.files[0].name}:1"
         return [count_check("preheat calls", [(where, "preheats, and preheat.when is 'off'")], "")]
-    known = Known(sections_of_text(nc, config, sections), before, under)
+    sections = sections_of_text(nc, config, sections)
     state = "out of focus, no wire, values as set, focus taken back"
     checks = [
         count_check("preheat calls", list(_calls(nc, config)), "each right before its layer"),
         count_check("preheat state", list(_states(nc, config)), state),
-        count_check(
-            "preheat path", _paths(nc, config, known), "over the region, at its height, at its speed"
-        ),
-        _lines(nc, config, known),
+        *_paths(nc, config, sections, under),
     ]
     if config.base_mm > 0.0 and (before is None or under is None):
         return checks
-    found = found_scans(nc, config, known)
+    found = found_scans(nc, config, sections, before, under)
     return [
         *checks,
         count_of(found, config),
         *temperatures_of(found, config),
         *temperature_again(found, config),
     ]
-
-
-# -- calls and state ---------------------------------------------------------------------------------
 
 
 def _calls(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
@@ -158,7 +138,6 @@ def _within_layers(nc: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
 
 
 def _out_of_focus(nc: NCProgram) -> Bools:
-    """Events that set the beam out of focus."""
     return np.asarray(nc.events.named(FOCUS) & (nc.events.value != 0.0))
 
 
@@ -220,81 +199,64 @@ def _events(scans: NCProgram, config: Config) -> Iterator[tuple[str, str]]:
         yield where, "ends with the beam out of focus: beads would be laid with it"
 
 
-# -- the way -----------------------------------------------------------------------------------------
-
-
-def _paths(nc: NCProgram, config: Config, known: Known) -> Faults:
-    """Ways beside the region, at another height or speed, or beyond the travel."""
-    scans, sections = nc.preheating, known.sections
-    if scans is None or not len(scans):
-        return []
-    faults: Faults = []
-    bottoms = bottoms_of(nc, config)
-    beyond = beyond_travel_mm(scans, config).max(axis=1)
-    far = beyond > LIMIT_ROUNDING_MM
-    faults += row_faults(scans, far, "{:g} mm beyond the travel", beyond[far])
-    for k in np.unique(scans.layer).tolist():
-        rows = np.flatnonzero(scans.layer == k)
-        if not 0 <= k < len(sections) or sections[k].is_empty:
-            what = f"preheats before layer {k + 1}, which is none of the program"
-            faults.append((scans.where(int(rows[0])), what))
-            continue
-        z_mm = safe_end_mm(float(bottoms[k]), config)
-        if k == 0 and config.base_mm > 0.0 and known.under is None:
-            continue  # What stands there is not known.
-        region = scanned(sections, k, float(bottoms[k]), config, known.under, 1.0 - 2.0 * ROUND_SHARE).region
-        faults += _rows_off(scans, rows, region, z_mm, config)
-    return faults
-
-
-def _lines(nc: NCProgram, config: Config, known: Known) -> Check:
-    """Whether the lines of every scan leave nothing of what is to be preheated out: they lie evenly, about a spacing apart."""
-    scans, sections, bottoms = nc.preheating, known.sections, bottoms_of(nc, config)
-    worst, where, layer, limit_mm = 0.0, "", 0, WIDEST * config.preheat.spacing_mm + PLACE_MM
-    for k in np.unique(scans.layer).tolist() if scans is not None else ():
-        unknown = k == 0 and config.base_mm > 0.0 and known.under is None
-        if scans is None or unknown or not 0 <= k < len(sections) or sections[k].is_empty:
-            continue
-        rows = np.flatnonzero((scans.layer == k) & scans.beam)
-        start, end = (np.nan_to_num(at[rows, :2]) for at in (scans.start, scans.end))
-        region = scanned(sections, k, float(bottoms[k]), config, known.under, 1.0 - 2.0 * ROUND_SHARE).region
-        gap_mm = widest_gap_mm(region, start, end, config)
-        if gap_mm > worst:
-            worst, where, layer = gap_mm, scans.where(int(np.flatnonzero(scans.layer == k)[0])), k
-    text = f"lines of the scan before layer {layer + 1} are up to {worst:.4g} mm apart, preheat.spacing_mm is {config.preheat.spacing_mm:g} mm"
-    return limit_check("preheat lines", worst, limit_mm, "mm", text, where)
+def _paths(
+    nc: NCProgram, config: Config, sections: list[BaseGeometry], under: BaseGeometry | None
+) -> list[Check]:
+    """Ways beside the region, at another height or speed, or beyond the travel; and what the lines leave out of the region.
+    They lie evenly, about a spacing apart."""
+    scans, faults, worst = nc.preheating, Faults(), (0.0, "", 0)
+    if scans is not None and len(scans):
+        bottoms, beyond = bottoms_of(nc, config), beyond_travel_mm(scans, config).max(axis=1)
+        far = beyond > LIMIT_ROUNDING_MM
+        faults += row_faults(scans, far, "{:g} mm beyond the travel", beyond[far])
+        for k in np.unique(scans.layer).tolist():
+            rows, bottom_mm = np.flatnonzero(scans.layer == k), 0.0
+            where = scans.where(int(rows[0]))
+            if not 0 <= k < len(sections) or sections[k].is_empty:
+                faults.append((where, f"preheats before layer {k + 1}, which is none of the program"))
+                continue
+            if k == 0 and config.base_mm > 0.0 and under is None:
+                continue  # What stands there is not known.
+            bottom_mm = float(bottoms[k])
+            region = scanned(sections, k, bottom_mm, config, under, 1.0 - 2.0 * ROUND_SHARE).region
+            faults += _rows_off(scans, rows, region, safe_end_mm(bottom_mm, config), config)
+            start, end = (np.nan_to_num(at[rows[scans.beam[rows]], :2]) for at in (scans.start, scans.end))
+            gap_mm = widest_gap_mm(region, start, end, config)
+            worst = (gap_mm, where, k) if gap_mm > worst[0] else worst
+    (gap_mm, where, k), spacing_mm = worst, config.preheat.spacing_mm
+    text = f"lines of the scan before layer {k + 1} are up to {gap_mm:.4g} mm apart, preheat.spacing_mm is {spacing_mm:g} mm"
+    return [
+        count_check("preheat path", faults, "over the region, at its height, at its speed"),
+        limit_check("preheat lines", gap_mm, WIDEST * spacing_mm + PLACE_MM, "mm", text, where),
+    ]
 
 
 def _rows_off(
-    scans: NCProgram, rows: np.ndarray, region: BaseGeometry, z_mm: float, config: Config
+    scans: NCProgram, rows: Ints, region: BaseGeometry, z_mm: float, config: Config
 ) -> Iterator[tuple[str, str]]:
-    lit = rows[scans.beam[rows]]
-    z, feed = scans.end[:, 2], scans.feed_mm_min / 60.0
+    on, z, feed = scans.beam[rows], scans.end[rows, 2], scans.feed_mm_min[rows] / 60.0
     speed = config.preheat.speed_mm_s
     for wrong, what in (
-        (lit[scans.kind[lit] != STRAIGHT], "is no straight line"),
-        (rows[~scans.beam[rows] & (scans.kind[rows] != RAPID)], "a way with the beam off is driven at feed in place of a rapid"),
-        (rows[~(np.abs(z[rows] - z_mm) <= PLACE_MM)], "at Z {z:g} mm, it preheats at {wanted:g} mm, over all that stands"),
-        (lit[~(np.abs(feed[lit] - speed) <= VALUE_SHARE * speed)], "beam at {feed:g} mm/s, preheat.speed_mm_s is {speed:g}"),
+        (on & (scans.kind[rows] != STRAIGHT), "is no straight line"),
+        (~on & (scans.kind[rows] != RAPID), "a way with the beam off is driven at feed in place of a rapid"),
+        (~(np.abs(z - z_mm) <= PLACE_MM), "at Z {z:g} mm, it preheats at {wanted:g} mm, over all that stands"),
+        (on & ~(np.abs(feed - speed) <= VALUE_SHARE * speed), "beam at {feed:g} mm/s, preheat.speed_mm_s is {speed:g}"),
     ):  # fmt: skip
-        for row in wrong[:1].tolist():
-            yield scans.where(row), what.format(z=z[row], wanted=z_mm, feed=feed[row], speed=speed)
+        for i in np.flatnonzero(wrong)[:1].tolist():
+            yield scans.where(int(rows[i])), what.format(z=z[i], wanted=z_mm, feed=feed[i], speed=speed)
+    lit = rows[on]
     ends = np.stack([scans.start[lit, :2], scans.end[lit, :2]], axis=1)
     known: Bools = np.asarray(np.isfinite(ends).all(axis=(1, 2)))
     lines = shapely.linestrings(np.where(known[:, None, None], ends, 0.0))
-    near = shapely.buffer(region, PLACE_MM)
-    outside = lit[~known | ~shapely.covers(near, lines)]
-    if outside.size:
-        x, y = scans.end[outside[0], :2].tolist()
+    for row in lit[~known | ~shapely.covers(shapely.buffer(region, PLACE_MM), lines)][:1].tolist():
+        x, y = scans.end[row, :2].tolist()
         what = f"the beam leaves what is to be preheated on its way to ({x:g}, {y:g})"
-        yield scans.where(int(outside[0])), what
+        yield scans.where(row), what
 
 
 def widest_gap_mm(region: BaseGeometry, start: Floats, end: Floats, config: Config) -> float:
-    """Greatest distance between two lines of the beam, (n, 2) each, that run across the region side by side, and from its ends to the next.
-
-    A line counts where all of it within the region is driven. Lines along X are asked for, and along Y where there are any.
-    """
+    """Greatest distance between two lines of the beam, (n, 2) each, side by side across the region, and from its ends to the next.
+    A line counts where all of it within the region is driven. Lines along X are asked for, and along Y where there are any."""
     way = np.abs(end - start)
     along, across = (way[:, 1] <= ALONG_MM), (way[:, 0] <= ALONG_MM)
     gap_mm = _gap_mm(region, start[along], end[along])
@@ -325,9 +287,6 @@ def _gap_mm(region: BaseGeometry, start: Floats, end: Floats) -> float:
     return worst
 
 
-# -- how often, and how warm ---------------------------------------------------------------------------
-
-
 @dataclass
 class Found:
     """What is found of one scan."""
@@ -347,19 +306,21 @@ def bottoms_of(nc: NCProgram, config: Config) -> np.ndarray:
     return np.concatenate([[config.base_mm], tops])[: len(tops) + 1]
 
 
-def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
+def found_scans(
+    nc: NCProgram, config: Config, sections: list[BaseGeometry], before: HeatColumn | None, under: BaseGeometry | None
+) -> list[Found]:  # fmt: skip
     """Follow the heat of the program, and simulate every scan of its text; layers without a scan are told by their beginning."""
-    scans, beads, sections = scans_of(nc, config), text_beads(nc, config), known.sections
-    bottoms, found = bottoms_of(nc, config), list[Found]()
-    on_plate = config.base_mm == 0.0
+    scans, beads, bottoms = scans_of(nc, config), text_beads(nc, config), bottoms_of(nc, config)
+    found, on_plate = list[Found](), config.base_mm == 0.0
 
     def seen(k: int, column: HeatColumn | None) -> None:
         alone = config.preheat.when == "plate" and (k or not on_plate)
-        if k >= len(sections) or sections[k].is_empty or alone:
+        plate_again = column is not None and k == 0 and on_plate
+        if k >= len(sections) or sections[k].is_empty or alone or plate_again:
             return
         nothing = BeamWay(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
         way = scans.get(k, nothing)
-        reached = scanned_heat(way, sections, k, float(bottoms[k]), column, config, known.under)
+        reached = scanned_heat(way, sections, k, float(bottoms[k]), column, config, under)
         if reached is None:
             return
         surface, on = reached
@@ -370,39 +331,24 @@ def found_scans(nc: NCProgram, config: Config, known: Known) -> list[Found]:
             rested.advance(max(config.preheat.soak_s, LEAST_REST_S))
             cold = rested.surface_k < config.preheat.target_k
         wanted = _passes_wanted(on, column, config) if cold else 0
-        found.append(Found(k, on, way, surface.read(), _passes(way, on, config), wanted, _place_of(nc, k)))
+        places = [
+            text.where(int(rows[0]))
+            for text in (nc.preheating, nc)
+            if text is not None and (rows := np.flatnonzero(text.layer == k)).size
+        ]
+        where = places[0] if places else f"{nc.files[0].name}:1"
+        found.append(Found(k, on, way, surface.read(), _passes(way, on, config), wanted, where))
 
     if on_plate:
         seen(0, None)
-
-    def entered(k: int, column: HeatColumn) -> None:
-        if k or not on_plate:
-            seen(k, column)
-
-    shapes = text_shapes(nc, config, sections)
-    before = None if on_plate else known.before
-    text_bed_k(beads, config, shapes, before, sections[0] if sections else None, entered)
+    column, lowest = None if on_plate else before, sections[0] if sections else None
+    text_bed_k(beads, config, text_shapes(nc, config, sections), column, lowest, seen)
     return found
-
-
-def _place_of(nc: NCProgram, k: int) -> str:
-    scans = nc.preheating
-    if scans is not None and (scans.layer == k).any():
-        return scans.where(int(np.flatnonzero(scans.layer == k)[0]))
-    rows = np.flatnonzero(nc.layer == k)
-    return nc.where(int(rows[0])) if rows.size else f"{nc.files[0].name}:1"
 
 
 def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | None = None) -> BeamWay:
     """Way of the beam in a pass, counted from 0, from `here` on: rows to and fro, the ways that join them, and rapids between others.
-
-    Every second pass lies across (crossed), or half a spacing aside (lines).
-
-    Examples
-    --------
-    >>> pass_way(shapely.box(0, 0, 60, 20), Config(), 0).end.tolist()
-    [[60.0, 5.0], [60.0, 15.0], [0.0, 15.0]]
-    """
+    Every second pass lies across (crossed), or half a spacing aside (lines)."""
     settings, nothing = config.preheat, np.zeros((0, 2))
     if region.is_empty:
         return BeamWay(nothing, nothing, np.zeros(0), np.zeros(0))
@@ -439,7 +385,6 @@ def pass_way(region: BaseGeometry, config: Config, number: int, here: Floats | N
 
 
 def _way_mm(way: BeamWay) -> float:
-    """Length of the way under the beam."""
     return float(np.hypot(*(way.end - way.start).T)[way.power_w > 0.0].sum())
 
 
@@ -492,35 +437,28 @@ def temperatures_of(found: list[Found], config: Config) -> list[Check]:
     """Temperature, evenness and peak of the scanned surfaces."""
     settings, solidus_k = config.preheat, config.material.solidus_k
     read = [(scan, scan.after) for scan in found if scan.after is not None]
-    low = min(read, key=lambda pair: pair[1].mean_k, default=None)
-    high = max((p for p in read if p[0].passes), key=lambda pair: pair[1].mean_k, default=None)
-    uneven = max((p for p in read if p[0].passes), key=lambda pair: pair[1].spread_k, default=None)
-    most_w = max((float(p[0].way.power_w.max(initial=0.0)) for p in read), default=0.0)
-    checks = []
-
-    def judged(
-        name: str, passed: bool, figure: float, limit: float, where: str, text: str, unit: str = "K"
-    ) -> None:
-        checks.append(Check(f"preheat {name}", bool(passed), figure, limit, unit, where, text))
-
-    if low is not None:
-        mean_k, least_k = low[1].mean_k, settings.target_k
-        text = f"layer {low[0].layer + 1} begins on {mean_k:.0f} K, preheat.target_k is {least_k:g} K"
-        judged("temperature", mean_k >= least_k, mean_k, least_k, low[0].where, text, "K, at least")
-    if high is not None and uneven is not None:
-        (scan, at), limit = high, settings.target_k + settings.over_k
-        text = f"preheated to {at.mean_k:.0f} K at most, preheat.target_k + over_k is {limit:g} K"
-        judged("overheating", at.mean_k <= limit, at.mean_k, limit, scan.where, text)
-        peak_k = at.mean_k + spot_peak_k(most_w, settings.speed_mm_s, config)
-        where, (scan, at), limit = scan.where, uneven, settings.evenness_k
-        text = (
-            f"{at.least_k:.0f} K at {at.least_at_mm} to {at.most_k:.0f} K at {at.most_at_mm} before layer {scan.layer + 1}, "
-            f"preheat.evenness_k is {limit:g} K"
-        )
-        judged("evenness", at.spread_k <= limit, at.spread_k, limit, scan.where, text)
-        text = f"the surface comes to {peak_k:.0f} K under a beam of {most_w:g} W and {settings.spot_mm:g} mm, solidus is {solidus_k:g} K"
-        judged("melting", peak_k < solidus_k, peak_k, solidus_k, where, text)
-    return checks
+    driven = [pair for pair in read if pair[0].passes]
+    if not read:
+        return []
+    (scan, at), least_k = min(read, key=lambda pair: pair[1].mean_k), settings.target_k
+    text = f"layer {scan.layer + 1} begins on {at.mean_k:.0f} K, preheat.target_k is {least_k:g} K"
+    warm, unit = at.mean_k >= least_k, "K, at least"
+    checks = [Check("preheat temperature", bool(warm), at.mean_k, least_k, unit, scan.where, text)]
+    if not driven:
+        return checks
+    scan, at = max(driven, key=lambda pair: pair[1].mean_k)
+    limit_k, most_w = least_k + settings.over_k, max(float(p[0].way.power_w.max(initial=0.0)) for p in read)
+    text = f"preheated to {at.mean_k:.0f} K at most, preheat.target_k + over_k is {limit_k:g} K"
+    checks.append(limit_check("preheat overheating", at.mean_k, limit_k, "K", text, scan.where))
+    peak_k, where = at.mean_k + spot_peak_k(most_w, settings.speed_mm_s, config), scan.where
+    (scan, at), limit_k = max(driven, key=lambda pair: pair[1].spread_k), settings.evenness_k
+    text = (
+        f"{at.least_k:.0f} K at {at.least_at_mm} to {at.most_k:.0f} K at {at.most_at_mm} before layer {scan.layer + 1}, "
+        f"preheat.evenness_k is {limit_k:g} K"
+    )
+    checks.append(limit_check("preheat evenness", at.spread_k, limit_k, "K", text, scan.where))
+    text = f"the surface comes to {peak_k:.0f} K under a beam of {most_w:g} W and {settings.spot_mm:g} mm, solidus is {solidus_k:g} K"
+    return [*checks, Check("preheat melting", bool(peak_k < solidus_k), peak_k, solidus_k, "K", where, text)]
 
 
 def temperature_again(found: list[Found], config: Config) -> list[Check]:

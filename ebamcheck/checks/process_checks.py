@@ -19,14 +19,11 @@ from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 
-# Places along a curve at which its direction is looked at: ends of spans turn by far less than a quarter.
-DIRECTIONS = 17
+DIRECTIONS = 17  # Places along a curve at which its direction is looked at
 KEEP_OUT_STEP_MM = 0.2  # Chords of curves beside a keep-out zone: at a radius of 5 mm they err by 1 um
 OUTLINE_STEP_MM = 0.25  # Places along the contours at which an overhang is measured
-# The same along all other beads: of a roof over a hole they tell whether it reaches too far, not how far.
-INNER_STEP_MM = 1.0
-# Places of a layer that are asked first whether they reach out over the one below, those farthest from its beads.
-FIRST_ASKED = 16
+INNER_STEP_MM = 1.0  # The same along all other beads: they tell whether a roof reaches too far, not how far
+FIRST_ASKED = 16  # Places, farthest from the beads below, that are asked first whether they reach out
 QUARTER_ROUND = 32  # Chords of a quarter of a circle: a reach of 6 mm errs by 2 um
 
 
@@ -34,19 +31,36 @@ def process_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check what the settings of the process ask of the path; what they do not limit is measured all the same."""
     checks = [_seams(nc, config), overhang_check(nc, config)]
     if config.process.travel_sectors_deg:
-        checks.append(_sectors(nc, config))
+        rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
+        away, sectors_deg = np.zeros(rows.size), config.process.travel_sectors_deg
+        for t in np.linspace(0.0, 1.0, DIRECTIONS):
+            away = np.maximum(away, outside_sectors(directions(nc, rows, t), sectors_deg))
+        what = "degrees outside of the allowed directions of travel"
+        checks.append(worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what))
     if config.process.keep_out:
-        checks.append(_keep_out(nc, config))
+        # Depth to which the edge of a bead enters a zone, and length of a rapid within one. Where its axes may arrive one after the other,
+        # it may go anywhere in the box around its ends: what counts is the border of what that has in common with the zone.
+        rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
+        lines = motion_lines(nc, rows)
+        if control(nc.dialect).rapids_apart:
+            apart = (nc.kind[rows] == RAPID) & (nc.start[rows, :2] != nc.end[rows, :2]).all(axis=1)
+            ends = np.hstack([nc.start[rows[apart], :2], nc.end[rows[apart], :2]])
+            lines[apart] = shapely.box(*ends.T)
+        # Half a bead melts on either side of its line; a rapid has no width.
+        reach = np.where(nc.kind[rows] == RAPID, 0.0, 0.5 * config.process.bead_width_mm)
+        depth = np.zeros(rows.size)
+        for zone in config.process.keep_out:
+            low = np.minimum(nc.start[rows, 2], nc.end[rows, 2])
+            high = np.maximum(nc.start[rows, 2], nc.end[rows, 2])
+            crosses = np.flatnonzero((low < zone.z_mm[1]) & (high > zone.z_mm[0]))
+            outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
+            away = np.asarray(shapely.distance(lines[crosses], outline))
+            inside = np.asarray(shapely.length(shapely.intersection(lines[crosses], outline)))
+            into = np.where(reach[crosses] > 0.0, np.maximum(reach[crosses] - away, 0.0), inside)
+            depth[crosses] = np.maximum(depth[crosses], into)
+        names = ", ".join(zone.name for zone in config.process.keep_out)
+        checks.append(worst_check("keep-out zones", nc, rows, depth, 0.0, "mm", f"within {names}"))
     return checks
-
-
-def _sectors(nc: NCProgram, config: Config) -> Check:
-    rows = np.flatnonzero(nc.deposit & (nc.lengths > 0.0))
-    away = np.zeros(rows.size)
-    for t in np.linspace(0.0, 1.0, DIRECTIONS):
-        away = np.maximum(away, outside_sectors(directions(nc, rows, t), config.process.travel_sectors_deg))
-    what = "degrees outside of the allowed directions of travel"
-    return worst_check("travel sectors", nc, rows, away, DIRECTION_ROUNDING_DEG, "deg", what)
 
 
 def directions(nc: NCProgram, rows: Ints, t: float) -> Floats:
@@ -72,32 +86,6 @@ def outside_sectors(direction_deg: Floats, sectors_deg: tuple[tuple[float, float
         turn = (direction_deg - first) % 360.0
         least = np.minimum(least, np.where(turn <= width, 0.0, np.minimum(turn - width, 360.0 - turn)))
     return least
-
-
-def _keep_out(nc: NCProgram, config: Config) -> Check:
-    """Depth to which the edge of a bead enters a zone, and length of a rapid within one."""
-    # Where the axes of a rapid may arrive one after the other, it may go anywhere in the box around its ends: what counts is the border
-    # of what that has in common with the zone.
-    rows = np.flatnonzero(np.isfinite(nc.start).all(axis=1) & np.isfinite(nc.end).all(axis=1))
-    lines = motion_lines(nc, rows)
-    if control(nc.dialect).rapids_apart:
-        apart = (nc.kind[rows] == RAPID) & (nc.start[rows, :2] != nc.end[rows, :2]).all(axis=1)
-        ends = np.hstack([nc.start[rows[apart], :2], nc.end[rows[apart], :2]])
-        lines[apart] = shapely.box(*ends.T)
-    # Half a bead melts on either side of its line; a rapid has no width.
-    reach = np.where(nc.kind[rows] == RAPID, 0.0, 0.5 * config.process.bead_width_mm)
-    depth = np.zeros(rows.size)
-    for zone in config.process.keep_out:
-        low = np.minimum(nc.start[rows, 2], nc.end[rows, 2])
-        high = np.maximum(nc.start[rows, 2], nc.end[rows, 2])
-        crosses = np.flatnonzero((low < zone.z_mm[1]) & (high > zone.z_mm[0]))
-        outline = shapely.make_valid(shapely.Polygon(zone.outline_mm))
-        away = np.asarray(shapely.distance(lines[crosses], outline))
-        inside = np.asarray(shapely.length(shapely.intersection(lines[crosses], outline)))
-        into = np.where(reach[crosses] > 0.0, np.maximum(reach[crosses] - away, 0.0), inside)
-        depth[crosses] = np.maximum(depth[crosses], into)
-    names = ", ".join(zone.name for zone in config.process.keep_out)
-    return worst_check("keep-out zones", nc, rows, depth, 0.0, "mm", f"within {names}")
 
 
 def motion_lines(nc: NCProgram, rows: Ints) -> NDArray[np.object_]:
@@ -133,10 +121,7 @@ def _seams(nc: NCProgram, config: Config) -> Check:
 
 
 def seam_turns(nc: NCProgram) -> tuple[Ints, Floats]:
-    """First motion (n,) of each contour that comes back to its start, and the angle of its seam, from 0 to 180 degrees.
-
-    It is that between the directions in which the path arrives there and sets out.
-    """
+    """First motion (n,) of each contour that comes back to its start, and the angle of its seam, from 0 to 180 degrees."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0) & ~nc.overlap)
     beads = nc.beads.among(rows)
     first, last = beads.first, beads.last
@@ -162,11 +147,8 @@ class Laid:
 
 def overhang_check(nc: NCProgram, config: Config) -> Check:
     """Angle from the vertical by which the metal of a layer reaches out over that below, where it is most over its limit.
-
-    A layer may reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle
-    is set: an angle is for slopes, and none lets metal begin on nothing. What closes a hole, or joins two posts, reaches out
-    from all sides of them: by half of its span.
-    """
+    It may reach out by the width of a bead, since one farther out has nothing under it, and by less where an angle is set. What closes a
+    hole, or joins two posts, reaches out from all sides of them: by half of its span."""
     width_mm = config.process.bead_width_mm
     heights = nc.layer_heights
     worst, area, row, by_bead = 0.0, 0.0, -1, False
@@ -195,15 +177,7 @@ def overhang_check(nc: NCProgram, config: Config) -> Check:
 
 
 def allowed_reach_mm(rise_mm: float, config: Config) -> float:
-    """How far a layer may reach out over the one below: by the angle that is set, and never farther than a bead is wide.
-
-    Examples
-    --------
-    >>> round(allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 45.0})), 6)
-    2.0
-    >>> allowed_reach_mm(2.0, Config().changed(process={"largest_overhang_deg": 89.0}))
-    6.0
-    """
+    """How far a layer may reach out over the one below: by the angle that is set, and never farther than a bead is wide."""
     limit_deg, width_mm = config.process.largest_overhang_deg, config.process.bead_width_mm
     return width_mm if limit_deg is None else min(rise_mm * math.tan(math.radians(limit_deg)), width_mm)
 

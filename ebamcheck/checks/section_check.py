@@ -34,11 +34,9 @@ CORNER_RAD = math.radians(40.0)  # Chords that turn by more meet in a corner of 
 
 @dataclass(frozen=True)
 class Evidence:
-    """By how much the contour path may leave the chords of a section, and why.
-
-    Fit, rounding and the arcs of an inset leave `base_mm` anywhere, and nothing allows more than `most_mm`. The path may lie between the
-    chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their ends leaves them by.
-    """
+    """By how much the contour path may leave the chords of a section: `base_mm` anywhere, for fit, rounding and arcs of an inset, to `most_mm`.
+    The path may lie between the chords and the `smooth` sections that they stand for; without these, chords allow what a curve through their
+    ends leaves them by."""
 
     base_mm: float
     most_mm: float
@@ -81,15 +79,9 @@ def section_check(
     evidence: Evidence | None = None,
 ) -> Check:  # fmt: skip
     """Compare the centre lines of the contour beads with the sections, layer by layer and both ways.
-
-    A place on the path lies as deep in the section as the inset, within its limit: the depth moves no farther than
-    the outline does, where the inset itself, at a sharp corner or in a neck, moves farther. And the path passes every
-    place of the inset's border, so that no contour is missing: within `limit_mm`, or where outlines that near to
-    each other have insets that lie farther apart, within that.
-    A ring of the section narrower than `limit_mm` asks for no contour of its own: it is within the limit of
-    not being there. Nor does a slit narrower than :data:`SLIT_MM`, be it a hole, a notch or a gap: unions leave slits of no
-    width where shells touch, which an inset would widen. A path around either is not faulted.
-    """
+    A place on the path lies as deep in the section as the inset, within its limit; and the path passes every place of the inset's border, so
+    that no contour is missing: within `limit_mm`, or within what insets of outlines that near to each other lie apart. A ring narrower than
+    `limit_mm`, and a slit narrower than :data:`SLIT_MM`, which unions leave where shells touch, ask for no contour of their own."""
     rows = np.flatnonzero(nc.deposit & (nc.ring >= 0))
     index = nearest_layer(nc.end[rows, 2], z_of)
     known = evidence or Evidence(limit_mm, limit_mm)
@@ -137,8 +129,15 @@ def _compared(
         x, y = nc.end[rows[0], :2].tolist()
         return _Worst(int(rows[0]), length, limit_mm, k, x, y, "of contour path, and no section")
     owner, at = nc.samples(rows, STEP_MM)
-    path = _path(nc, rows, owner, at)
-    if path.is_empty:
+    # Segments (n, 4) of the sampled path, ring by ring, as far as its places are known.
+    ways = [np.zeros((0, 4))]
+    for ring in np.unique(nc.ring[rows]):
+        begin = rows[nc.ring[rows] == ring][0]
+        way = np.vstack([nc.start[begin, :2], at[nc.ring[owner] == ring]])
+        way = way[np.isfinite(way).all(axis=1)]
+        ways.append(np.hstack([way[:-1], way[1:]]))
+    path = np.concatenate(ways)
+    if not len(path):
         first = int(np.argmax(nc.layer == min(k, int(nc.layer.max(initial=0))))) if len(nc) else 0
         if not len(wanted):
             return _Worst(first, 0.0, limit_mm, k, math.nan, math.nan)
@@ -149,7 +148,7 @@ def _compared(
     off = np.stack([_depths(at, section) - offset_mm for section in sections])
     off = np.take_along_axis(off, np.abs(off).argmin(axis=0)[None], axis=0)[0]
     allowed = _allowed(at, off, sections[0], k, known)
-    missed = _distances(wanted, path)
+    missed = distances(np.ascontiguousarray(wanted), path)
     far = np.flatnonzero(missed > limit_mm)
     if far.size:
         missed[far] *= limit_mm / np.maximum(_reach(wanted[far], sections[0], offset_mm, limit_mm), limit_mm)
@@ -170,36 +169,33 @@ def _allowed(at: Floats, off: Floats, section: BaseGeometry, k: int, known: Evid
         return allowed
     smooth = None if known.smooth is None else known.smooth.section(k)
     if smooth is None or smooth.is_empty:
-        leaves = _sagitta(at[beyond], section)
+        # By how much a curve through the ends of the nearest chord may leave it, mm.
+        # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
+        # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
+        # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
+        rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
+        sides, bounds = [], []
+        for ring in rings:
+            points = shapely.get_coordinates(shapely.simplify(ring, COLLINEAR_MM))[:-1]
+            way = np.roll(points, -1, axis=0) - points
+            length = np.hypot(way[:, 0], way[:, 1])
+            before = np.roll(way, 1, axis=0)
+            across = before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]
+            turn = np.abs(np.arctan2(across, (before * way).sum(axis=1)))
+            turn[turn > CORNER_RAD] = 0.0
+            share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
+            bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
+            sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
+        lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
+        places = np.asarray(shapely.points(at[beyond]))
+        _, nearest = shapely.STRtree(lines).query_nearest(places, all_matches=False)
+        leaves = np.asarray(np.concatenate(bounds)[nearest], np.float64)
     else:
         # A curve that lies outside of its chords makes places less deep in them, and the other way round.
         lift = _depths(at[beyond], section) - _depths(at[beyond], smooth)
         leaves = np.maximum(lift * np.sign(off[beyond]), 0.0)
     allowed[beyond] = np.minimum(base + leaves, known.most_mm)
     return allowed
-
-
-def _sagitta(at: Floats, section: BaseGeometry) -> Floats:
-    """By how much a curve through the ends of the chord nearest to each place (n,) may leave it, mm."""
-    # A circle through three neighbouring points turns at the middle one by the angle between its chords, shared between them by their
-    # lengths; with angles a and b to it at its ends, a chord of length l lies under its circle by l (a + b) / 16 to l (a + b) / 8 (arc,
-    # tangents), and under any curve that stays between the tangents there by up to twice that. Corners turn no curve.
-    rings = [r for p in shapely.get_parts(section) for r in (p.exterior, *p.interiors)]
-    sides, bounds = [], []
-    for ring in rings:
-        points = shapely.get_coordinates(shapely.simplify(ring, COLLINEAR_MM))[:-1]
-        way = np.roll(points, -1, axis=0) - points
-        length = np.hypot(way[:, 0], way[:, 1])
-        before = np.roll(way, 1, axis=0)
-        across = before[:, 0] * way[:, 1] - before[:, 1] * way[:, 0]
-        turn = np.abs(np.arctan2(across, (before * way).sum(axis=1)))
-        turn[turn > CORNER_RAD] = 0.0
-        share = turn / np.maximum(length + np.roll(length, 1), np.finfo(float).tiny)
-        bounds.append(0.25 * length**2 * (share + np.roll(share, -1)))
-        sides.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
-    lines = np.atleast_1d(np.asarray(shapely.linestrings(np.concatenate(sides)), dtype=np.object_))
-    _, nearest = shapely.STRtree(lines).query_nearest(np.asarray(shapely.points(at)), all_matches=False)
-    return np.asarray(np.concatenate(bounds)[nearest], np.float64)
 
 
 def _sections(
@@ -224,7 +220,7 @@ def _sections(
 
 def _depths(at: Floats, region: BaseGeometry) -> Floats:
     """Distance of points (n, 2) from the border of a region, negative outside."""
-    away = _distances(at, region.boundary)
+    away = distances(np.ascontiguousarray(at), segments_of(region.boundary))
     return np.where(inside(region, at, away), away, -away)
 
 
@@ -241,23 +237,6 @@ def _reach(places: Floats, section: BaseGeometry, offset_mm: float, limit_mm: fl
 def _width_mm(ring: shapely.LinearRing) -> float:
     """Mean width of a long ring: twice its area over its perimeter."""
     return float(2.0 * shapely.Polygon(ring).area / ring.length) if ring.length > 0.0 else 0.0
-
-
-def _distances(at: Floats, lines: BaseGeometry) -> Floats:
-    """Distance of points (n, 2) from lines."""
-    return distances(np.ascontiguousarray(at), segments_of(lines))
-
-
-def _path(nc: NCProgram, rows: Ints, owner: Ints, at: Floats) -> BaseGeometry:
-    """Sampled path, one polyline for each ring, as far as its places are known."""
-    lines = []
-    for ring in np.unique(nc.ring[rows]):
-        first = rows[nc.ring[rows] == ring][0]
-        way = np.vstack([nc.start[first, :2], at[nc.ring[owner] == ring]])
-        way = way[np.isfinite(way).all(axis=1)]
-        if len(way) > 1:
-            lines.append(shapely.LineString(way))
-    return shapely.MultiLineString(lines)
 
 
 def outside_check(subject: Subject) -> Check:

@@ -35,8 +35,7 @@ from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
 from ebamcheck.settings.process_window import TURN_SPACINGS
 
-# Spline blocks that the control wants among any 10 (NC Programming manual, BSPLINE).
-LEAST_SPLINE_BLOCKS = 6
+LEAST_SPLINE_BLOCKS = 6  # Wanted among any 10 (NC Programming manual, BSPLINE)
 FLOW = "program flow"  # Group whose words have checks of their own: ends of programs, stops
 TRANSFORMATION_OFF = "TRAFOOF"  # Word of a SINUMERIK
 RELEASED = re.compile(r"_K\d{4,}R\d+$")  # End of the name of a layer that is made between layers
@@ -46,7 +45,14 @@ def state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check the state of the machine in every motion."""
     # Of a program whose table turns, what its axes do, and not what that is on the part.
     driven = nc if nc.machine is None else nc.machine
-    return [*machine_state_checks(driven, config), *_motions(nc, config), _travel(driven, config), *_switches(nc, config)]  # fmt: skip
+    over = beyond_travel_mm(driven, config)
+    worst = over.max(axis=1)
+    found = worst_check("travel", driven, np.arange(len(driven)), worst, LIMIT_ROUNDING_MM, "mm", "")
+    axis = "XYZ"[int(np.argmax(over[int(np.argmax(worst))]))] if len(driven) else ""
+    margin = -found.value if found.passed else found.value
+    text = f"{margin:g} mm of {axis} {'left' if found.passed else 'beyond the limits'}, on the true curve"
+    travel = replace(found, limit=0.0, text=text)
+    return [*machine_state_checks(driven, config), *_motions(nc, config), travel, *_switches(nc, config)]
 
 
 def _motions(nc: NCProgram, config: Config) -> Iterator[Check]:
@@ -100,10 +106,7 @@ def extremes(nc: NCProgram) -> tuple[Floats, Floats]:
 
 def far_away(nc: NCProgram, config: Config) -> Check | None:
     """Check ``travel`` of a program that goes farther beyond its limits than the machine is long; None for any other.
-
-    A number that lost its point leads kilometres away. Nothing else can be said of such a program, and what follows its path
-    would take hours and all memory.
-    """
+    A number that lost its point leads kilometres away: nothing else can be said of it, and what follows its path would take hours."""
     longest = float(np.subtract(config.machine.travel_max_mm, config.machine.travel_min_mm).max())
     for each in (nc if nc.machine is None else nc.machine, nc.preheating):
         if each is not None and len(each):
@@ -121,16 +124,6 @@ def beyond_travel_mm(nc: NCProgram, config: Config) -> Floats:
     least, most = np.array(config.machine.travel_min_mm), np.array(config.machine.travel_max_mm)
     over = np.fmax(least - low, high - most)
     return np.asarray(np.nan_to_num(over, nan=-np.inf, posinf=np.inf), np.float64)
-
-
-def _travel(nc: NCProgram, config: Config) -> Check:
-    over = beyond_travel_mm(nc, config)
-    worst = over.max(axis=1)
-    found = worst_check("travel", nc, np.arange(len(nc)), worst, LIMIT_ROUNDING_MM, "mm", "")
-    axis = "XYZ"[int(np.argmax(over[int(np.argmax(worst))]))] if len(nc) else ""
-    margin = -found.value if found.passed else found.value
-    text = f"{margin:g} mm of {axis} {'left' if found.passed else 'beyond the limits'}, on the true curve"
-    return replace(found, limit=0.0, text=text)
 
 
 def _switches(nc: NCProgram, config: Config) -> Iterator[Check]:
@@ -166,19 +159,23 @@ def _switched(nc: NCProgram, on: Kind, off: Kind, what: str) -> Faults:
     return faults
 
 
-# -- state of the machine ------------------------------------------------------------------------------
-
-
 def machine_state_checks(nc: NCProgram, config: Config) -> list[Check]:
     """Check modes and smoothing at every motion, start state, order of events, and safe end."""
     wanted = list(wanted_words(nc.dialect, config.machine).values())
     modes, paths = _broken_groups(nc, config)
     modes += _offset_lost(nc, config) + _uneven_entries(nc, wanted)
     words = [word for word in wanted if not _is_path(nc, word)]
+    # The first blocks have a start state that depends on nothing before it.
+    set_beam = " ".join(templates_of(config.machine, nc.dialect)["set_beam"])
+    needs = {"beam_off": "the beam is not switched off", "wire_stop": "the wire is not stopped"}
+    needs |= {name: f"{name} is not set" for name in BEAM_VALUES if f"{{{name}" in set_beam}
+    for name in nc.events.chosen(nc.events.row == 0).name:
+        needs.pop(name, None)
+    lacking = [(nc.beginning, f"{what} before the first motion") for what in needs.values()]
     return [
         count_check("modes", modes, f"{' '.join(words)} at every motion"),
         _smoothing(nc, config, wanted, paths),
-        count_check("start state", _start(nc, config), "modes, beam and wire off, values, before the first motion"),
+        count_check("start state", lacking, "modes, beam and wire off, values, before the first motion"),
         count_check("order of events", _order(nc, config), "values, then beam, then wire; off in turn"),
         count_check("safe end", _end(nc, config), "beam and wire off, values 0, retracted and parked"),
     ]  # fmt: skip
@@ -226,19 +223,14 @@ def _offset_lost(nc: NCProgram, config: Config) -> Faults:
 
 
 def modes_of_scans(scans: NCProgram, config: Config) -> Faults:
-    """Words in preheating scans that are other than those that hold at every motion of the program, and stops.
-
-    A scan may leave a word out, since the program around it has set it. In another work offset it would heat beside the part, and so
-    would be what comes after it.
-    """
+    """Words in preheating scans other than those that hold at every motion of the program, and stops; a scan may leave words out."""
     e, wanted = scans.events, wanted_words(scans.dialect, config.machine)
     said = {}
     for name in set(e.name):
         group = group_of(scans.dialect, name)
         if group is not None and group.name != FLOW and wanted.get(group.name) != name:
-            said[name] = (
-                f"{name}: {group.name} is to be {wanted.get(group.name, 'as the control has it')} at every motion"
-            )
+            held = wanted.get(group.name, "as the control has it")
+            said[name] = f"{name}: {group.name} is to be {held} at every motion"
     stops, (other, what) = e.kind == Kind.STOP, _other_tolerance(scans, config)
     words = e.named(*said) & ~stops & ~other, lambda i: said[e.name[i]]
     rules = (stops, "{name} stops while it preheats"), (other, what), words
@@ -254,19 +246,36 @@ def _other_tolerance(nc: NCProgram, config: Config) -> tuple[Bools, str]:
 
 def _smoothing(nc: NCProgram, config: Config, wanted: list[str], faults: Faults) -> Check:
     """How the control may leave the path: its words at every motion, and every tolerance within the one set."""
-    e, limit = nc.events, config.machine.smoothing_tolerance_mm
-    tolerance_word = control(nc.dialect).tolerance_word
-    if not tolerance_word:
+    e, limit, smoothing = nc.events, config.machine.smoothing_tolerance_mm, config.machine.smoothing
+    of = control(nc.dialect)
+    if not of.tolerance_word:
         # What tolerance words of the path leave is not known where the profile knows none.
         own = {name for name in set(e.name) if _is_path(nc, name) and name not in wanted}
         what = "{name}: the profile of this control sets no smoothing, and knows none of its tolerances"
         faults = faults + event_faults(nc, (e.named("CTOL", *own), what))
         return count_check("smoothing", faults, "no word for a tolerance: the control's own")
-    tolerances = e.kind == Kind.TOLERANCE
+    tolerances, (other, what) = e.kind == Kind.TOLERANCE, _other_tolerance(nc, config)
+    alone = (
+        e.named("ADIS") & ~other & ("G641" not in smoothing),
+        "ADIS belongs to G641, which the profile does not set",
+    )
+    faults = faults + event_faults(nc, (other, what), alone)
+    if not (e.row[tolerances][:1] == 0).any():
+        faults.append((nc.beginning, "no tolerance of the path is set before the first motion"))
+    if of.keeps_tolerance and not set(of.keeps_tolerance) & set(smoothing):
+        said, keeps = " ".join(smoothing) or "nothing", ", ".join(of.keeps_tolerance)
+        what = (
+            f"machine.smoothing is {said}, without {keeps}: no other word keeps the path within the tolerance"
+        )
+        faults.append((nc.beginning, what))
+    # A tolerance of its own stands in the same block.
+    block = np.cumsum(np.append(True, (np.diff(e.file) != 0) | (np.diff(e.line) != 0)))[: len(e)]
+    bare = e.named(of.smoothing_needs_tolerance) & ~np.isin(block, block[e.named("CTOL")])
+    what = f"{{name}} without {of.tolerance_word}: the path may leave its corners by any distance"
+    faults += event_faults(nc, (bare, what))
     value = max(e.value[tolerances].tolist(), default=math.inf)
-    words = [word for word in wanted if _is_path(nc, word)]
-    good = f"{' '.join(words)}{tolerance_word}{value:g} at every motion"
-    found = count_check("smoothing", faults + _tolerances(nc, config, tolerances), good)
+    words = " ".join(word for word in wanted if _is_path(nc, word))
+    found = count_check("smoothing", faults, f"{words}{of.tolerance_word}{value:g} at every motion")
     return replace(found, value=value, limit=limit, unit="mm")
 
 
@@ -275,78 +284,36 @@ def _is_path(nc: NCProgram, word: str) -> bool:
     return group is not None and group.path
 
 
-def _tolerances(nc: NCProgram, config: Config, tolerances: Bools) -> Faults:
-    e, smoothing, of = nc.events, config.machine.smoothing, control(nc.dialect)
-    other, what = _other_tolerance(nc, config)
-    alone = e.named("ADIS") & ~other & ("G641" not in smoothing)
-    faults = event_faults(nc, (other, what), (alone, "ADIS belongs to G641, which the profile does not set"))
-    if not (e.row[tolerances][:1] == 0).any():
-        faults.append((nc.beginning, "no tolerance of the path is set before the first motion"))
-    keeps = of.keeps_tolerance
-    if keeps and not set(keeps) & set(smoothing):
-        said = " ".join(smoothing) or "nothing"
-        what = f"machine.smoothing is {said}, without {', '.join(keeps)}: no other word keeps the path within the tolerance"
-        faults.append((nc.beginning, what))
-    # A tolerance of its own stands in the same block.
-    block = np.cumsum(np.append(True, (np.diff(e.file) != 0) | (np.diff(e.line) != 0)))[: len(e)]
-    bare = e.named(of.smoothing_needs_tolerance) & ~np.isin(block, block[e.named("CTOL")])
-    what = f"{{name}} without {of.tolerance_word}: the path may leave its corners by any distance"
-    return faults + event_faults(nc, (bare, what))
-
-
 def _uneven_entries(nc: NCProgram, wanted: list[str]) -> Faults:
     """Layers that lack a mode or value with which others begin: the control could not enter the program there."""
-    # Where layers begin there are rows of modes; single words that are said again later on, fewer than half of the fullest row of their
-    # layer (of their file, where each layer has one), are none.
-    runs = _rows_of_modes(nc, set(wanted))
-    called, last = bool((nc.events.kind == Kind.CALL).any()), len(nc) - 1
-    of_layer = [
-        file if called else int(nc.layer[min(row, last)]) if k and last >= 0 else -1
-        for k, (file, row, _) in enumerate(runs)
-    ]
+    # A row of blocks that set modes, where the program and its layers begin, ends with the next motion, and where a mode follows a switch
+    # or a value: in one file the first blocks of the program are followed by those of its first layer.
+    e, faults = nc.events, Faults()
+    mode, value = e.named(*wanted), e.named(*BEAM_VALUES)
+    before, switched = e.latest(mode)[:-1], e.latest(value | e.named(*SWITCHES))[:-1]
+    here = (before >= 0) & (e.file == e.file[before]) & (e.row == e.row[before])
+    begins = mode & ~(here & (switched < before))
+    called, last = bool((e.kind == Kind.CALL).any()), len(nc) - 1
+    runs: list[tuple[int, dict[str, str]]] = []  # Layer (or file), and place of each name
     fullest: Counter[int] = Counter()
-    for layer, (_, _, names) in zip(of_layer, runs, strict=True):
+    for i in np.flatnonzero(mode | (value & here)).tolist():
+        if begins[i]:
+            of_layer = int(nc.layer[min(e.row[i], last)]) if runs and last >= 0 else -1
+            runs.append((int(e.file[i]) if called else of_layer, {}))
+        layer, names = runs[-1]
+        names.setdefault(e.name[i], nc.where_event(i))
         fullest[layer] = max(fullest[layer], len(names))
-    begins = [
-        names for layer, (*_, names) in zip(of_layer, runs, strict=True) if 2 * len(names) >= fullest[layer]
-    ]
-    found = Counter(name for names in begins for name in names)
-    usual = [name for name in (*wanted, *BEAM_VALUES) if 2 * found[name] > len(begins)]
-    faults = []
-    for names in begins:
+    # Single words that are said again later on, fewer than half of the fullest row of their layer, are none.
+    rows = [names for layer, names in runs if 2 * len(names) >= fullest[layer]]
+    found = Counter(name for names in rows for name in names)
+    usual = [name for name in (*wanted, *BEAM_VALUES) if 2 * found[name] > len(rows)]
+    for names in rows:
         where = next(iter(names.values()))
         for name in usual:
             if name not in names:
                 faults.append((where, f"{name} is not set where the layer begins, as it is in the others"))
             where = names.get(name, where)
     return faults
-
-
-def _rows_of_modes(nc: NCProgram, wanted: set[str]) -> list[tuple[int, int, dict[str, str]]]:
-    """File, row of the next motion, and names and places of the modes and values with which the program and its layers begin."""
-    # A row of blocks that set modes ends with the next motion, and where a mode follows a switch or a value: in one file the first blocks
-    # of the program are followed by those of its first layer.
-    e = nc.events
-    mode, value = e.named(*wanted), e.named(*BEAM_VALUES)
-    before, switched = e.latest(mode)[:-1], e.latest(value | e.named(*SWITCHES))[:-1]
-    here = (before >= 0) & (e.file == e.file[before]) & (e.row == e.row[before])
-    begins = mode & ~(here & (switched < before))
-    runs: list[tuple[int, int, dict[str, str]]] = []
-    for i in np.flatnonzero(mode | (value & here)).tolist():
-        if begins[i]:
-            runs.append((int(e.file[i]), int(e.row[i]), {}))
-        runs[-1][2].setdefault(e.name[i], nc.where_event(i))
-    return runs
-
-
-def _start(nc: NCProgram, config: Config) -> Faults:
-    """What the first blocks of the program lack of a start state that depends on nothing before it."""
-    before = set(nc.events.chosen(nc.events.row == 0).name)
-    set_beam = " ".join(templates_of(config.machine, nc.dialect)["set_beam"])
-    wanted = {"beam_off": "the beam is not switched off", "wire_stop": "the wire is not stopped"}
-    wanted |= {name: f"{name} is not set" for name in BEAM_VALUES if f"{{{name}" in set_beam}
-    lacking = [what for name, what in wanted.items() if name not in before]
-    return [(nc.beginning, f"{what} before the first motion") for what in lacking]
 
 
 def _end(nc: NCProgram, config: Config) -> Faults:
@@ -371,9 +338,6 @@ def _end(nc: NCProgram, config: Config) -> Faults:
         place = "X {:g} Y {:g}".format(*config.machine.park_position_mm)
         faults.append((nc.where(len(nc) - 1), f"ends at X {x:g} Y {y:g}, to be parked at {place}"))
     return faults
-
-
-# -- order and waits -----------------------------------------------------------------------------------
 
 
 def _order(nc: NCProgram, config: Config) -> Faults:
@@ -405,10 +369,7 @@ def _order(nc: NCProgram, config: Config) -> Faults:
 
 
 def retract_check(nc: NCProgram, config: Config) -> Check:
-    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again, and by no other.
-
-    A wire that is drawn back twice, or where it did not run, begins the next bead without metal.
-    """
+    """Every stop of the wire is followed by its retract, before the beam or the wire is switched again, and by no other."""
     wanted, e = config.process.wire_retract_mm, nc.events
     stops, back = (e.kind == Kind.WIRE_STOP) & e.wire[:-1], e.named("wire_retract_mm")
     ends = back | (e.kind == Kind.WIRE_START) | (e.kind == Kind.BEAM_OFF)
@@ -426,11 +387,8 @@ def retract_check(nc: NCProgram, config: Config) -> Check:
 
 def wait_height_check(nc: NCProgram, config: Config) -> Check:
     """Check that the tip is clear of all that has been laid, by the clearance of the machine, wherever the program waits.
-
-    Where it stands at work height with beam off, the tip of the wire freezes into the pool that it has just left, and the head
-    takes the heat of the part for as long as the wait is. A rest that the profile's own templates hold beside a switch of beam or
-    wire is the user's: it may be where they stand.
-    """
+    At work height the tip of the wire freezes into the pool, and the head takes the heat of the part. A rest that the profile's own
+    templates hold beside a switch of beam or wire may be where they stand."""
     e, clear_mm = nc.events, config.machine.clearance_mm
     templates = checked_templates(config.machine, config.machine.control)
     actions = (action for name in SWITCHES for _, held in templates.get(name, ()) for action in held)
@@ -451,16 +409,10 @@ def wait_height_check(nc: NCProgram, config: Config) -> Check:
     return count_check("waits over the part", faults, text)
 
 
-# -- a layer by itself -----------------------------------------------------------------------------
-
-
 def released_checks(nc: NCProgram, config: Config) -> list[Check]:
-    """Check the files of a layer that is called by itself; nothing for a whole program.
-
-    Its file sets what it needs, comes from above, and leaves nothing on. A main program that waits between layers calls one file after
-    the other. What its own main program sets before the call, or does after it, does not happen then: values are those that the layer
-    below has left, and the tool stands where that one ended, for as long as it takes until the next layer is released.
-    """
+    """Check the files of a layer that is called by itself: each sets what it needs, comes from above, leaves nothing on; none of a whole program.
+    What its own main program sets before the call, or does after it, does not happen then: values, and the place of the tool, are those that
+    the layer below has left."""
     if not RELEASED.search(config.machine.program_name):
         return []
     # The table's ways are none of the part.

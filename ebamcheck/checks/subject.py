@@ -10,11 +10,10 @@ from threading import Lock
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.header_checks import Truth
-from ebamcheck.checks.interpass_checks import layer_shares, scheduled_shares, shares_of_text
+from ebamcheck.checks.interpass_checks import known_sections, layer_shares, scheduled_shares, shares_of_text
 from ebamcheck.checks.matching import Matching
 from ebamcheck.checks.metal import Deposit, deposit
-from ebamcheck.checks.text_heat import known_sections
+from ebamcheck.checks.text_checks import Truth
 from ebamcheck.heat.balance import HeatColumn
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.layers.stack import Layers
@@ -31,10 +30,8 @@ from ebamcheck.nc.motions import NCProgram
 from ebamcheck.nc.roles import by_height, by_section, nearest_layer
 from ebamcheck.settings.config import Config
 
-# Of the bead's width: a bead that runs this near to the inset of the section is a contour.
-CONTOUR_SHARE = 0.125
-# Chords of curved beads: at a radius of 5 mm they err by 6 um, which no bead's border shows.
-BEAD_STEP_MM = 0.5
+CONTOUR_SHARE = 0.125  # Of the bead's width: a bead this near to the inset of the section is a contour
+BEAD_STEP_MM = 0.5  # Chords of curved beads: at a radius of 5 mm they err by 6 um
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,15 +152,13 @@ class Subject:
         return self._chords[k]
 
     @property
-    def deposit(self) -> Deposit | None:
+    def deposit(self) -> Deposit:
         """Metal that the program lays over the `layers`: laid once, whichever rule asks for it first."""
         with self._laying:
             return self._deposit
 
     @cached_property
-    def _deposit(self) -> Deposit | None:
+    def _deposit(self) -> Deposit:
         if self.laid is not None:
             return self.laid()
-        if self.layers is None:
-            return None
-        return deposit(self.nc, self.layers, self.z_of, self.config, asked="beads" in self.asked)
+        return deposit(self.nc, self.witness, self.z_of, self.config, asked="beads" in self.asked)

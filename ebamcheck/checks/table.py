@@ -1,18 +1,13 @@
 """Checks of a tilt table and of a part that is turned between layers.
 
 From the text alone, with the rotary axes of the profile: where and when the table turns, what the frame makes of the program, and that
-both are taken back. What table and frame do to the path goes into every other check, since the motions are followed to the part
-(:mod:`ebamcheck.nc.table`).
-
-From the mesh: sections of a turned part are cut across the whole of it. What was laid along the direction before stands on one side of
-a plane: a section that reaches into it would lay metal into metal. Seen along the new direction, what stands, the base plate among it,
-may rise beside a layer or over it: neither beam and wire may meet it, nor the head, a cylinder over the tip.
-"""
+both are taken back. From the mesh: what was laid before, seen along the new direction, may rise beside a layer or over it: no layer may
+be laid into it, and neither beam and wire nor the head, a cylinder over the tip, may meet it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -32,12 +27,10 @@ from ebamcheck.settings.config import Config
 from ebamcheck.slicers.slicing import slice_part
 
 NAMES = ("table limits", "table turns", "table height", "frame", "frame taken back")
-# Steps in which a turn of the table is followed: at 500 mm from its line they lie 9 mm apart, and 0.02 mm over the chord.
-STEP_DEG = 1.0
+STEP_DEG = 1.0  # Steps of a turn: at 500 mm they lie 9 mm apart, and 0.02 mm over the chord
 PLACE_MM = 2e-3  # Heights are rounded to the decimals of a program, at their coarsest
 LIMIT_DEG = 1e-6  # Rounding of a position
-# Distance of the places by which what stands is known, at most; of larger ones as many as MOST_PLACES.
-STEP_MM = 1.0
+STEP_MM = 1.0  # Distance of the places of what stands; of larger ones as many as MOST_PLACES
 MOST_PLACES = 4_000_000
 LEAST_MM2 = 1.0  # Area of a section within what stands that is no more than its border
 FAR_MM = 1e6
@@ -52,64 +45,51 @@ def tilt_checks(nc: NCProgram, config: Config) -> list[Check]:
             return []
         what = "the part is to be turned (part.on_table), and the program turns no table and sets no frame"
         return [Check("frame", False, 1.0, 0.0, "faults", nc.beginning, what)]
-    table = full.table
+    table, axes = full.table, config.machine.rotary
     kept = np.flatnonzero(~table.apart)
+    low, high = np.array([a.min_deg for a in axes]), np.array([a.max_deg for a in axes])
+    over = np.maximum(low - table.positions_deg, table.positions_deg - high)[table.after]
+    worst = over.max(axis=1, initial=-np.inf)
+    limits = worst_check(NAMES[0], full, np.arange(len(full)), worst, LIMIT_DEG, "deg", "")
+    axis = axes[int(np.argmax(over[int(np.argmax(worst))]))].name if len(full) else ""
+    room = -limits.value if limits.passed else limits.value
     return [
-        _limits(full, table, config),
-        count_check(NAMES[1], [*_turns(full, table), *_left_as_they_were(full, table)], "one axis at a time, beam and wire commanded off"),
+        replace(limits, limit=0.0, text=f"{room:g} deg of {axis} {'left' if limits.passed else 'beyond its limits'}"),
+        count_check(NAMES[1], list(_turns(full, table)), "one axis at a time, beam and wire commanded off"),
         _height(full, table, config),
         worst_check(NAMES[3], full, kept, table.off_mm[kept], SAME_PLACE_MM, "mm", "table and frame put the path beside its place on the part"),
         count_check(NAMES[4], list(_taken_back(full, table)), "no frame and the table at 0 after each layer, and beside it"),
     ]  # fmt: skip
 
 
-def _limits(full: NCProgram, table: TableColumns, config: Config) -> Check:
-    """Positions of the rotary axes against their limits."""
-    axes = config.machine.rotary
-    low, high = np.array([a.min_deg for a in axes]), np.array([a.max_deg for a in axes])
-    over = np.maximum(low - table.positions_deg, table.positions_deg - high)[table.after]
-    worst = over.max(axis=1, initial=-np.inf)
-    found = worst_check(NAMES[0], full, np.arange(len(full)), worst, LIMIT_DEG, "deg", "beyond the limits")
-    axis = axes[int(np.argmax(over[int(np.argmax(worst))]))].name if len(full) else ""
-    room = -found.value if found.passed else found.value
-    text = f"{room:g} deg of {axis} {'left' if found.passed else 'beyond its limits'}"
-    return Check(found.name, found.passed, found.value, 0.0, "deg", found.where, text)
-
-
 def _turns(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
-    """Turns under beam or wire, at feed, of several axes at once, or while the tool moves."""
-    rows = np.flatnonzero(table.before != table.after)
-    for row in rows.tolist():
-        where = full.where(row)
+    """Turns under beam or wire, at feed, of several axes at once, or while the tool moves; axes that are not commanded before a frame."""
+    e = full.events
+    for row in np.flatnonzero(table.before != table.after).tolist():
+        where, now = full.where(row), table.positions_deg[table.after[row]]
+        was = table.positions_deg[table.before[row]]
         if full.beam[row] or full.wire[row]:
             yield where, f"the table turns with the {'beam' if full.beam[row] else 'wire'} on"
         if full.kind[row] != RAPID:
             yield where, "the table turns at feed in place of a rapid"
-        moved = table.positions_deg[table.after[row]] != table.positions_deg[table.before[row]]
-        if moved.sum() > 1:
-            names = " and ".join(np.array(table.axes)[moved])
+        if (now != was).sum() > 1:
+            names = " and ".join(np.array(table.axes)[now != was])
             yield where, f"{names} turn in one block: the way between is not known"
         if not np.array_equal(full.start[row], full.end[row], equal_nan=True):
             yield where, "X, Y or Z move while the table turns"
-        before = full.events.chosen((full.events.file == full.file[row]) & (full.events.row <= row))
+        before = e.chosen((e.file == full.file[row]) & (e.row <= row))
         switches = (Kind.BEAM_ON, Kind.BEAM_OFF, "beam"), (Kind.WIRE_START, Kind.WIRE_STOP, "wire")
         for on, off, what in switches:
             if not before.since(before.kind == off, before.kind == on)[-1]:
                 yield where, f"the table turns before the {what} is commanded off in the same subprogram"
-
-
-def _left_as_they_were(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
-    """Files with a frame in which an axis of the table is not commanded before it: it stands where the layer below left it, or a break."""
+    # An axis that is not commanded stands where the layer below left it, or a break.
     for file in np.unique(full.file[table.frame != 0]).tolist():
         row = int(np.flatnonzero((full.file == file) & (table.frame != 0))[0])
-        known = full.events.chosen((full.events.file == file) & (full.events.row <= row)).name
+        known = e.chosen((e.file == file) & (e.row <= row)).name
         for axis in table.axes:
             if AXIS_EVENT + axis not in known:
                 what = f"{axis} is not commanded before the frame: the table may stand otherwise there"
                 yield full.where(row), what
-
-
-# -- height ------------------------------------------------------------------------------------------
 
 
 def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
@@ -117,32 +97,33 @@ def _height(full: NCProgram, table: TableColumns, config: Config) -> Check:
     if config.part.on_table is None:
         return Check(NAMES[2], True, 0.0, 0.0, "mm", "", "no part is said to stand on the table")
     corners = carried_corners(config)
-    turns = sorted(set(zip(table.before.tolist(), table.after.tolist(), strict=True)))
+    turns = set(zip(table.before.tolist(), table.after.tolist(), strict=True))
     at = table.positions_deg
     highest = max((_swept(corners, at[a], at[b], config) for a, b in turns), default=0.0)
     least = highest + config.machine.clearance_mm
     # The first way of a program rises from a height that nobody knows; the first one in a frame crosses what the turned table carries.
     enters = np.append(False, (table.frame[1:] != table.frame[:-1]) & (table.frame[1:] != 0))[: len(full)]
     rows = np.flatnonzero(table.apart | (enters & (full.kind == RAPID)))
-    start, end = full.start[rows, 2], full.end[rows, 2]
-    level = (full.start[rows, :2] == full.end[rows, :2]).all(axis=1)
-    level |= np.isnan(full.end[rows, :2]).all(axis=1)
-    low = np.where(level & ~(table.before != table.after)[rows], end, np.fmin(start, end))
+    start, end = full.start[rows], full.end[rows]
+    turned = (table.before != table.after)[rows]
+    level = (start[:, :2] == end[:, :2]).all(axis=1) | np.isnan(end[:, :2]).all(axis=1)
+    low = np.where(level & ~turned, end[:, 2], np.fmin(start[:, 2], end[:, 2]))
     # One that moves aside on its way up from there may meet anything.
-    aside = np.isnan(start) & ~level
-    low = np.where(np.isnan(end) | aside, -np.inf, low)
-    short = least - low
+    aside = np.isnan(start[:, 2]) & ~level
+    short = least - np.where(np.isnan(end[:, 2]) | aside, -np.inf, low)
     found = worst_check(NAMES[2], full, rows, short, PLACE_MM, "mm", "")
     text = f"the table turns, and the tool is on its way, {-found.value:.4g} mm and more over the least height of Z {least:.6g} mm"
     if not found.passed:
         worst = int(np.argmax(np.nan_to_num(short, nan=np.inf)))
-        row = int(rows[worst])
-        what = "the tool is on its way"
-        what = "the tool moves aside from a height that is not known" if aside[worst] else what
-        what = "the table turns" if table.before[row] != table.after[row] else what
-        z = np.fmin(full.start[row, 2], full.end[row, 2])
+        what = (
+            "the tool moves aside from a height that is not known"
+            if aside[worst]
+            else "the tool is on its way"
+        )
+        what = "the table turns" if turned[worst] else what
+        z = np.fmin(start[worst, 2], end[worst, 2])
         text = f"{what} at Z {z:g} mm: all that the table carries comes to Z {highest:.6g} mm as it turns, {config.machine.clearance_mm:g} mm are to be kept"
-    return Check(NAMES[2], found.passed, found.value, 0.0, "mm", found.where, text)
+    return replace(found, limit=0.0, text=text)
 
 
 def _swept(corners: Floats, start: Floats, end: Floats, config: Config) -> float:
@@ -152,19 +133,14 @@ def _swept(corners: Floats, start: Floats, end: Floats, config: Config) -> float
     return max(float((corners @ up[:3] + up[3]).max()) for up in ups)
 
 
-# -- taken back --------------------------------------------------------------------------------------
-
-
 def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str]]:
     """Files that end with a frame in force or the table turned, and motions of the main program with either."""
-    turned = (table.positions_deg[table.after] != 0.0).any(axis=1)
-    framed = table.frame != 0
+    turned, framed = (table.positions_deg[table.after] != 0.0).any(axis=1), table.frame != 0
     for file in np.unique(full.file).tolist():
         row = int(np.flatnonzero(full.file == file)[-1])
-        if framed[row]:
-            yield full.where(row), "the subprogram ends with its frame in force"
-        if turned[row]:
-            yield full.where(row), "the subprogram ends with the table turned"
+        for ends, what in ((framed, "its frame in force"), (turned, "the table turned")):
+            if ends[row]:
+                yield full.where(row), f"the subprogram ends with {what}"
     what = "the main program moves with a frame or the table turned"
     yield from row_faults(full, (framed | turned) & (full.file == 0), what)
     what = "the first motion after a frame is to give X, Y and Z, and gives no {said}"
@@ -174,9 +150,6 @@ def _taken_back(full: NCProgram, table: TableColumns) -> Iterator[tuple[str, str
     changes = np.flatnonzero(np.diff(table.frame) != 0) + 1
     lit = changes[full.beam[changes] | full.beam[changes - 1]]
     yield from row_faults(full, lit, "the frame changes under the beam")
-
-
-# -- what stands of a turned part ---------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,14 +176,24 @@ def stands_of(before: Part, now: Part, built_mm: float, config: Config) -> Stand
     turn, shift = rigid_motion(before, now)
     corners = before.vertices[before.faces]
     level = float(before.bounds[0, 2])
-    plate = _plate(before, config)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area_mm2 = float(0.5 * np.linalg.norm(across, axis=1).sum())
     step_mm = max(STEP_MM, float(np.sqrt(area_mm2 / MOST_PLACES)))
-    surface = _places(corners, step_mm)
-    surface = surface[surface[:, 2] <= level + built_mm]
-    cap = _cap(before, level + built_mm, step_mm)
-    places = np.vstack([surface, cap, plate(step_mm)]) @ turn + shift
+    surface, z_mm = _places(corners, step_mm), level + built_mm
+    # On the top of what was built: within the shadow of the part, which holds its section there, as exact as the mesh.
+    (x0, y0, lowest), (x1, y1, highest) = before.bounds.tolist()
+    x, y = np.meshgrid(np.arange(x0, x1 + step_mm, step_mm), np.arange(y0, y1 + step_mm, step_mm))
+    flat = np.column_stack([x.reshape(-1), y.reshape(-1)])
+    inside = slice_part(before, [min(max(z_mm, lowest + 1e-6), highest - 1e-6)]).section(0)
+    flat = flat[shapely.contains_xy(inside, flat[:, 0], flat[:, 1])] if not inside.is_empty else flat[:0]
+    cap = np.column_stack([flat, np.full(len(flat), z_mm)])
+    # The base plate: that of the settings, else one as wide as the part.
+    px, py = zip(config.machine.base_plate_min_mm or (x0, y0), config.machine.base_plate_max_mm or (x1, y1), strict=True)  # fmt: skip
+    box = np.array([(x, y, z) for z in (level - config.process.base_plate_mm, level) for y in py for x in px])
+    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    sides = np.array([box[[q[0], *pair]] for q in quads for pair in ((q[1], q[2]), (q[2], q[3]))])
+    standing = np.vstack([surface[surface[:, 2] <= z_mm], cap, _places(sides, step_mm)])
+    places = standing @ turn + shift
     corner = places[:, :2].min(axis=0) - step_mm
     cell = np.floor((places[:, :2] - corner) / step_mm).astype(np.int64)
     tops = np.full(cell.max(axis=0)[::-1] + 2, -np.inf)
@@ -231,48 +214,28 @@ def _places(corners: Floats, step_mm: float) -> Floats:
     return np.concatenate(found) if found else np.zeros((0, 3))
 
 
-def _cap(part: Part, z_mm: float, step_mm: float) -> Floats:
-    """Places on the top of what was built: within the shadow of the part, which holds its section there."""
-    low, high = part.bounds[:, :2]
-    x, y = np.meshgrid(*(np.arange(a, b + step_mm, step_mm) for a, b in zip(low, high, strict=True)))
-    flat = np.column_stack([x.reshape(-1), y.reshape(-1)])
-    # The section is as exact as the mesh.
-    lowest, highest = part.bounds[:, 2].tolist()
-    inside = slice_part(part, [min(max(z_mm, lowest + 1e-6), highest - 1e-6)]).section(0)
-    kept = flat[shapely.contains_xy(inside, flat[:, 0], flat[:, 1])] if not inside.is_empty else flat[:0]
-    return np.column_stack([kept, np.full(len(kept), z_mm)])
-
-
-def _plate(part: Part, config: Config) -> Callable[[float], Floats]:
-    """Places on the base plate by a step: that of the settings, else one as wide as the part."""
-    low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
-    x0, y0 = low or part.bounds[0, :2].tolist()
-    x1, y1 = high or part.bounds[1, :2].tolist()
-    z, thick = float(part.bounds[0, 2]), config.process.base_plate_mm
-    a = np.array([[x, y, h] for h in (z - thick, z) for y in (y0, y1) for x in (x0, x1)], np.float64)
-    quads = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
-    corners = np.array([a[[q[0], *pair]] for q in quads for pair in ((q[1], q[2]), (q[2], q[3]))])
-    return lambda step_mm: _places(corners, step_mm)
-
-
 def turned_checks(
     nc: NCProgram, section: BaseGeometry, cut_mm: float, stands: Stands, config: Config
 ) -> list[Check]:
     """Checks of a layer of a turned part, its section at the absolute height `cut_mm`: nothing is laid into what stands, or meets it."""
+    n, d = stands.up
+    # Area of the section on the built side of the plane up to which the part was built.
+    inside = shapely.intersection(section, _half_plane(n[:2], float(stands.built_mm + d - n[2] * cut_mm)))
+    area, text, at = float(inside.area), "the layer lies beside what stands already", tuple[float, ...]()
+    if area > LEAST_MM2:
+        x, y = at = shapely.point_on_surface(inside).coords[0]
+        text = f"{area:.1f} mm2 of the section stand already, at ({x:.1f}, {y:.1f}): what was built reaches {stands.built_mm:g} mm along the direction before"
     return [
         *mounting_checks(*stands.parts, config, stands.built_mm),
         *_swings(nc, stands.parts[0], config),
-        _into(section, cut_mm, stands),
+        limit_check("standing metal", area, LEAST_MM2, "mm2", text, "", 0 if at else None, at),
         *_meets(nc, cut_mm, stands, config),
     ]
 
 
 def mounting_checks(before: Part, now: Part, config: Config, built_mm: float | None = None) -> list[Check]:
     """Whether the part stands on a tilt table as the settings say, corner by corner of its mesh; nothing where none turns it.
-
-    The motion that the settings hold takes each corner of the part as it was built to where it is now, both counted from the lowest one. The height
-    `built_mm` up to which it was built, where it is known, is that of the settings.
-    """
+    The height `built_mm` up to which it was built, where it is known, is that of the settings."""
     said = config.part.on_table
     if said is None:
         return []
@@ -294,7 +257,13 @@ def _swings(nc: NCProgram, before: Part, config: Config) -> list[Check]:
     full, machine = nc.machine, config.machine
     if full is None or full.table is None:
         return []
-    places, table = _carried(before, config), full.table
+    table, places = full.table, before.vertices - [0.0, 0.0, before.vertices[:, 2].min()]
+    low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
+    (x0, y0), (x1, y1) = low or places[:, :2].min(axis=0), high or places[:, :2].max(axis=0)
+    others = [(x, y, z) for x in (x0, x1) for y in (y0, y1) for z in (-config.process.base_plate_mm, 0.0)]
+    for zone in config.process.keep_out:
+        others += [(x, y, z) for x, y in zone.outline_mm for z in zone.z_mm if zone.z_mm != NO_HEIGHT]
+    places = np.vstack([places, np.array(others, np.float64)])
     least, worst = np.inf, 0
     for row in np.flatnonzero(table.before != table.after).tolist():
         start, end = table.positions_deg[table.before[row]], table.positions_deg[table.after[row]]
@@ -307,35 +276,6 @@ def _swings(nc: NCProgram, before: Part, config: Config) -> list[Check]:
         return [Check(name, True, short, 0.0, "mm", "", text)]
     text = f"the tip stands {least:.3f} mm over what the table carries as it turns, {machine.clearance_mm:g} mm are to be kept"
     return [Check(name, False, short, 0.0, "mm", full.where(worst), text)]
-
-
-def _carried(before: Part, config: Config) -> Floats:
-    """Corners (n, 3) of part, base plate and clamps of known height on the table, its axes at 0."""
-    part = before.vertices - [0.0, 0.0, before.vertices[:, 2].min()]
-    low, high = config.machine.base_plate_min_mm, config.machine.base_plate_max_mm
-    (x0, y0), (x1, y1) = low or part[:, :2].min(axis=0), high or part[:, :2].max(axis=0)
-    plate = [(x, y, -config.process.base_plate_mm) for x in (x0, x1) for y in (y0, y1)]
-    clamps = [
-        (x, y, z)
-        for zone in config.process.keep_out
-        if zone.z_mm != NO_HEIGHT
-        for x, y in zone.outline_mm
-        for z in zone.z_mm
-    ]
-    return np.vstack([part, np.array([*plate, *[(x, y, 0.0) for x, y, _ in plate], *clamps], np.float64)])
-
-
-def _into(section: BaseGeometry, cut_mm: float, stands: Stands) -> Check:
-    """Area of a section on the built side of the plane up to which the part was built."""
-    n, d = stands.up
-    name, room = "standing metal", stands.built_mm + d - n[2] * cut_mm
-    inside = shapely.intersection(section, _half_plane(n[:2], float(room)))
-    area = float(inside.area)
-    if area <= LEAST_MM2:
-        return Check(name, True, area, LEAST_MM2, "mm2", "", "the layer lies beside what stands already")
-    x, y = shapely.point_on_surface(inside).coords[0]
-    text = f"{area:.1f} mm2 of the section stand already, at ({x:.1f}, {y:.1f}): what was built reaches {stands.built_mm:g} mm along the direction before"
-    return Check(name, False, area, LEAST_MM2, "mm2", "", text, 0, float(x), float(y))
 
 
 def _half_plane(normal: Floats, most: float) -> BaseGeometry:

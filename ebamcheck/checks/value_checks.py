@@ -1,9 +1,10 @@
-"""Checks of values, wire, power and feed of every bead: its metal, whether the beam melts it, settings, and the window of the process."""
+"""Checks of values, wire, power and feed of every bead, by the settings and the window of the process; and which settings judge loosely."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from operator import attrgetter
 
 import numpy as np
 
@@ -25,29 +26,24 @@ from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.conventions import increments_of, power_slack_w
 from ebamcheck.nc.inputs import TrackColumns
 from ebamcheck.nc.motions import NCProgram
-from ebamcheck.nc.timeline import Kind
 from ebamcheck.result import Check
 from ebamcheck.settings.config import Config
+from ebamcheck.settings.materials import MaterialSettings, preset
 from ebamcheck.settings.process_window import along_window
 
 MELTING = "melting power"  # Name of the check
-# Metal over that of one spacing from which on a bead has its own power: widths and wire speeds are rounded in a program.
-WIDER = 1.0005
+WIDER = 1.0005  # Metal over that of one spacing from which on a bead has its own power: values are rounded
 
 At = tuple[int, str, str]  # Motions before it, where it is, and what is wrong
 
 
 def _by_row(faults: Iterable[At]) -> Faults:
-    """Faults in the order of the motions."""
     return [(where, what) for _, where, what in sorted(faults, key=lambda fault: fault[0])]
 
 
 def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Check:
     """Check the metal that each motion lays: wire speed times its section over the feed, against what it is to be.
-
-    With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool
-    hold, in layers whose height the program tells: those over a layer with beads, and the lowest.
-    """
+    With the path that was planned, every bead has its own width; without it, the limits of the wire feed and of the pool hold."""
     name, what = "mass balance", "metal of beads against the plan"
     rows = np.flatnonzero(nc.deposit & (nc.layer >= 0))
     bead_mm2 = bead_sections_mm2(nc, config)[rows]
@@ -56,11 +52,8 @@ def wire_check(nc: NCProgram, config: Config, path: TrackColumns | None) -> Chec
             what = "metal of beads beyond what wire feed and pool allow"
             thickness = layer_steps_mm(nc, config)[nc.layer[rows]]
             known = np.isfinite(thickness)
-            rows, width, thickness = (
-                rows[known],
-                (bead_mm2 / np.where(known, thickness, 1.0))[known],
-                thickness[known],
-            )
+            rows, thickness = rows[known], thickness[known]
+            width = bead_mm2[known] / thickness
             steps, step = np.unique(thickness, return_inverse=True)
             limits = np.array([width_limits_mm(config, float(h)) for h in steps]).reshape(-1, 2)[step]
             off = np.maximum(limits[:, 0] / width, width / limits[:, 1]) - 1.0
@@ -107,10 +100,7 @@ def spread_mm(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 
 def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
-    """Share of the full power, (n,), that motions need for themselves since they lay more than one spacing; 0 for others.
-
-    Written anew here: a fault of the writer would else confirm itself.
-    """
+    """Share of the full power, (n,), that motions need for themselves since they lay more than one spacing; 0 for others."""
     process, spread = config.process, np.nan_to_num(spread_mm(nc, rows, config), posinf=0.0)
     full_w = process.voltage_kv * process.current_ma
     metal_mm3_s = spread * process.bead_width_mm * process.bead_spacing * process.travel_speed_mm_s
@@ -121,10 +111,8 @@ def own_shares(nc: NCProgram, rows: Ints, config: Config) -> Floats:
 
 
 def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
-    """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts.
-
-    On a ramp (n,) of a bead the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`).
-    """
+    """Power of every motion that lays metal over the least at which its wire, and what it remelts, melts; ramps (n,) are left out.
+    There the pool is made, or ends, and the window of the process holds (`process.metal_energy_j_mm3`)."""
     rows, unit = np.flatnonzero(nc.deposit)[~on_ramp], "of the power needed"
     need_w = melting_power_w(config, spread_mm(nc, rows, config))
     rows, need_w = rows[need_w > 0.0], need_w[need_w > 0.0]
@@ -144,10 +132,7 @@ def melting_check(nc: NCProgram, config: Config, on_ramp: Bools) -> Check:
 
 def window_check(nc: NCProgram, config: Config) -> Check:
     """Each value of every motion that lays metal, their ratios, and the step of Z of every layer, within their limits.
-
-    Wire speed, feed, line energy, metal over length and energy over metal by motion; volts and milliamperes where they are set.
-    A ramp belongs to its bead; but the wire runs along it, too, and what does not melt there stays in the part.
-    """
+    A ramp belongs to its bead; but the wire runs along it, too, and what does not melt there stays in the part."""
     process = config.process
     rows = np.flatnonzero(nc.deposit)
     feed_mm_s = nc.feed_mm_min[rows] / 60.0
@@ -187,9 +172,8 @@ def window_check(nc: NCProgram, config: Config) -> Check:
     for i in np.flatnonzero(e.named(*windows) & (e.value != 0.0) & bool(len(nc))):
         window, unit = windows[e.name[i]]
         faults += _outside(nc, np.minimum(e.row[[i]], len(nc) - 1), e.value[[i]], window, unit)
-    faults += _outside(
-        nc, inside[first][known], over_bead[known], process.layer_over_bead, "of a bead's height a layer"
-    )
+    begins, what = inside[first][known], "of a bead's height a layer"
+    faults += _outside(nc, begins, over_bead[known], process.layer_over_bead, what)
     energies = "line energy {:g} .. {:g} J/mm".format(*process.line_energy_j_mm)
     heights = "layers {:g} .. {:g} of a bead".format(*process.layer_over_bead)
     good = f"wire {least:.4g} .. {greatest:.4g} mm/s, {energies}, {heights}"
@@ -213,8 +197,6 @@ def _outside(nc: NCProgram, rows: Ints, values: Floats, limits: tuple[float, flo
 def _apart(value: float, limits: tuple[float, float]) -> str:
     """Write a value with four digits, or as many as tell it from its limits.
 
-    Examples
-    --------
     >>> _apart(9.0, (16.6667, 100.0)), _apart(16.666479, (16.666667, 100.0))
     ('9', '16.666')
     """
@@ -227,12 +209,8 @@ def _apart(value: float, limits: tuple[float, float]) -> str:
 
 def value_check(nc: NCProgram, config: Config) -> Check:
     """Every value that is set, and the feed of every motion that lays metal, against the settings of the process.
-
-    Voltage, feed and length of wire drawn back are those of the settings, or 0 where beam or wire are off; current and power are at most
-    those of the settings, since ramps and the heat of the part take from them; the wire is within the feeder's limits. A product hides an
-    exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is half as fast
-    throughout: each value is held against the one of the settings.
-    """
+    A product hides an exchange of its factors (120 kV and 60 mA are the power of 60 kV and 120 mA), and wide limits hide a program that is
+    half as fast throughout: so each value is held against the one of the settings."""
     process = config.process
     speeds = f"up to {process.current_ma:g} mA, at {process.travel_speed_mm_s:g} mm/s"
     faults = _by_row([*_set_values(nc, config), *_feeds(nc, config)])
@@ -240,28 +218,22 @@ def value_check(nc: NCProgram, config: Config) -> Check:
 
 
 def _set_values(nc: NCProgram, config: Config) -> Iterator[At]:
-    process = config.process
-    fixed = {
-        "voltage_kv": (process.voltage_kv, "kV"),
-        "wire_retract_mm": (process.wire_retract_mm, "mm of wire drawn back"),
+    process, steps, e = config.process, increments_of(config.machine), nc.events
+    # What a value is to be, or 0; or what it is at most.
+    limits = {
+        "voltage_kv": (True, process.voltage_kv, "kV"),
+        "wire_retract_mm": (True, process.wire_retract_mm, "mm of wire drawn back"),
+        "current_ma": (False, process.current_ma, "mA"),
+        "power_w": (False, process.power_w, "W"),
+        "wire_mm_s": (False, process.wire_speed_max_mm_s, "mm/s of wire"),
     }
-    greatest = {
-        "current_ma": (process.current_ma, "mA"),
-        "power_w": (process.power_w, "W"),
-        "wire_mm_s": (process.wire_speed_max_mm_s, "mm/s of wire"),
-    }
-    steps, events = increments_of(config.machine), nc.events
-    for i in np.flatnonzero(events.kind == Kind.VALUE).tolist():
-        name, value, row = events.name[i], float(events.value[i]), int(events.row[i])
-        half = 0.5 * steps.get(name, 0.0)
-        if name in fixed:
-            wanted, unit = fixed[name]
-            if value != 0.0 and not abs(value - wanted) <= VALUE_SHARE * wanted + half:
-                yield row, nc.where_event(i), f"{value:g} {unit} in place of {wanted:g} {unit}"
-        elif name in greatest:
-            limit, unit = greatest[name]
-            if not 0.0 <= value <= limit * (1.0 + VALUE_SHARE) + half:
-                yield row, nc.where_event(i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
+    for i in np.flatnonzero(e.named(*limits)).tolist():
+        name, value, row = e.name[i], float(e.value[i]), int(e.row[i])
+        (fixed, limit, unit), half = limits[name], 0.5 * steps.get(name, 0.0)
+        if fixed and value != 0.0 and not abs(value - limit) <= VALUE_SHARE * limit + half:
+            yield row, nc.where_event(i), f"{value:g} {unit} in place of {limit:g} {unit}"
+        elif not fixed and not 0.0 <= value <= limit * (1.0 + VALUE_SHARE) + half:
+            yield row, nc.where_event(i), f"{value:g} {unit}, at most {limit:g} {unit} are set"
 
 
 def _feeds(nc: NCProgram, config: Config) -> Iterator[At]:
@@ -285,10 +257,7 @@ def _feeds(nc: NCProgram, config: Config) -> Iterator[At]:
 
 
 def increment_check(nc: NCProgram, config: Config) -> Check:
-    """Check values that are set, and feeds along beads, against the increments of the machine profile.
-
-    A control rounds what lies between, or refuses the block: then it drives other values than those that were proved.
-    """
+    """Check values that are set, and feeds along beads, against the increments of the machine profile."""
     steps, e, faults = increments_of(config.machine), nc.events, list[At]()
     for name, step in sorted(steps.items(), key=lambda one: one[0] == "feed_mm_min"):
         feed = name == "feed_mm_min"
@@ -302,3 +271,84 @@ def increment_check(nc: NCProgram, config: Config) -> Check:
     known = ", ".join(f"{name} {step:g}" for name, step in steps.items())
     good = f"values are multiples of {known}" if known else "the profile names none (machine.*_increment_*)"
     return count_check("increments", _by_row(faults), good)
+
+
+WIDER_IF_GREATER = (
+    "comparison.tolerance_mm", "comparison.evidence_share", "comparison.doubt_mm", "curves.largest_lift_mm",
+    "curves.largest_bulge_mm", "curves.section_tolerance_mm", "scan.gap_width", "process.mass_tolerance",
+    "process.inside_tolerance", "process.edge_tolerance", "process.outside_share", "process.outside_reach_mm",
+    "process.longest_wait_s", "process.wire_speed_max_mm_s", "process.melting_efficiency", "machine.smoothing_tolerance_mm",
+)  # fmt: skip
+WIDER_IF_LESS = (
+    "scan.least_coverage", "process.wire_speed_min_mm_s", "process.dilution", "machine.clearance_mm",
+)  # fmt: skip
+# Settings that are a least and a greatest value.
+WINDOWS = (
+    "process.layer_over_bead", "process.line_energy_j_mm", "process.voltage_window_kv", "process.current_window_ma",
+    "process.travel_window_mm_s", "process.bead_section_mm2", "process.metal_energy_j_mm3",
+)  # fmt: skip
+OF_PREHEATING = ("preheat.over_k", "preheat.evenness_k")  # Limits of a preheating, where there is one
+MOST_SLACK = 0.01  # Share of the power that increments may change unsaid: no check of the power sees less
+TOLD = 4  # Settings that are told by name
+
+
+def loose_limits(config: Config) -> Iterator[Check]:
+    """Tell which limits are wider than the default ones, each with both values, and which data of a known material are others."""
+    kept = (
+        "gates are judged by limits wider than the default ones",
+        "say why on the certificate, or go back to the default limits",
+    )
+    others = (
+        f"heat and melting are judged by data that are not those of {config.material.name}",
+        "say where they come from on the certificate, or leave them out",
+    )
+    for found, code, unit, (text, remedy) in (
+        (list(_other_material(config)), "material-data", "values", others),
+        (list(_wider(config)), "limit-widened", "limits", kept),
+    ):
+        if found:
+            more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
+            text = f"{text}: {', '.join(found[:TOLD])}{more}"
+            place, count = found[0].split()[0], float(len(found))
+            yield Check.finding("warning", code, text, place, count, 0.0, unit, remedy)
+
+
+def _wider(config: Config) -> Iterator[str]:
+    """Limits that are wider than by default, and windows that reach beyond the default ones on either side."""
+    default, process, hottest_k = Config(), config.process, config.material.interpass_limit_k
+    greater = WIDER_IF_GREATER + (OF_PREHEATING if config.preheat.when != "off" else ())
+    for names, sign in ((greater, 1.0), (WIDER_IF_LESS, -1.0)):
+        for name in names:
+            value, usual = (attrgetter(name)(one) for one in (config, default))
+            if sign * (value - usual) > 0.0:
+                yield f"{name} {value:g} (default {usual:g})"
+    for name in WINDOWS:
+        (low, high), (least, greatest) = (attrgetter(name)(one) for one in (config, default))
+        if low < least or high > greatest:
+            yield f"{name} {low:g} .. {high:g} (default {least:g} .. {greatest:g})"
+    # Limits whose default follows from other settings.
+    unevenness_mm, half_mm = process.largest_unevenness_mm, 0.5 * process.bead_width_mm
+    if unevenness_mm > half_mm:
+        yield f"process.surface_tolerance_mm {unevenness_mm:g} (default {half_mm:g})"
+    if process.interpass_limit_k is not None and process.interpass_limit_k > hottest_k:
+        yield f"process.interpass_limit_k {process.interpass_limit_k:g} (of the material {hottest_k:g})"
+    if process.interpass_at != "bead":
+        yield f"process.interpass_at {process.interpass_at} (default bead)"
+    slack = power_slack_w(config.machine, process.voltage_kv, process.current_ma) / process.power_w
+    if slack > MOST_SLACK:
+        names = ("power_increment_w", "current_increment_ma", "voltage_increment_kv")
+        name = next(n for n in names if getattr(config.machine, n))
+        yield f"machine.{name} {getattr(config.machine, name):g} (the power may be {100.0 * slack:.3g} % off for it)"
+
+
+def _other_material(config: Config) -> Iterator[str]:
+    """Data beside the name of a known material that are not those of that material."""
+    material = config.material
+    if preset(material.name) is None:
+        return
+    usual = MaterialSettings(name=material.name)
+    for name in MaterialSettings.model_fields:
+        value, known = getattr(material, name), getattr(usual, name)
+        if value != known:
+            both = isinstance(value, float) and isinstance(known, float)
+            yield f"material.{name}" + (f" {value:g} (usual {known:g})" if both else "")

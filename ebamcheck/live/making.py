@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from shapely.geometry.base import BaseGeometry
 
-from ebamcheck.checks.hatch_form import form_checks
-from ebamcheck.checks.header_checks import marked_validated
+from ebamcheck.checks.bead_checks import form_checks
+from ebamcheck.checks.interpass_checks import scans_of
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.mesh_checks import layer_check, sections_check
 from ebamcheck.checks.part_file import file_check
 from ebamcheck.checks.table import Stands, turned_checks
-from ebamcheck.checks.text_heat import scans_of
+from ebamcheck.checks.text_checks import marked_validated
 from ebamcheck.errors import BackendMissing, EbamcheckError, SettingsError
 from ebamcheck.heat.medium import entry_limit_k
 from ebamcheck.heat.preheating import asked_for, preheated

@@ -18,9 +18,8 @@ from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.consumables import FRESH, Spent, lasting
 from ebamcheck.checks.heat_again import BeadHeat, FollowedHeat, highest_entry_k, may_differ_k
-from ebamcheck.checks.interpass_checks import within_range
+from ebamcheck.checks.interpass_checks import sections_of_text, text_beads, within_range
 from ebamcheck.checks.mesh_checks import layer_check
-from ebamcheck.checks.text_heat import sections_of_text, text_beads
 from ebamcheck.errors import EbamcheckError, InputError
 from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.kernels import Floats

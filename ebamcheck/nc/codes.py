@@ -1,8 +1,7 @@
 """What the codes of beam, wire and auxiliaries mean, and the blocks of templates taken apart into them.
 
-No control maker publishes codes of beam and wire: what a code means stands in the machine profile. A block of a template
-is a row of such codes; any other word in it is refused, since it would change the machine's state unseen.
-"""
+No control maker publishes codes of beam and wire: what a code means stands in the machine profile. A block of a template is a row of
+such codes; any other word in it is refused, since it would change the machine's state unseen."""
 
 from __future__ import annotations
 
@@ -16,7 +15,6 @@ from ebamcheck.nc.control import control
 from ebamcheck.nc.words import NUMBER, group_of
 from ebamcheck.settings.machine import MachineSettings
 
-# Templates of the machine profile.
 TEMPLATES = (
     "beam_on", "beam_off", "wire_start", "wire_stop", "wire_retract",
     "set_beam", "set_power", "set_wire", "set_focus", "layer_begin", "layer_end", "layer_pause",
@@ -31,10 +29,8 @@ DWELL = "dwell_s"  # Event of a wait that a template holds beside `layer_pause`
 BEAM_TEMPLATES = ("beam_on", "beam_off", "set_beam", "set_power")
 WIRE_TEMPLATES = ("wire_start", "wire_stop", "set_wire", "wire_retract")
 FOCUS_TEMPLATES = ("set_focus",)
-# Letters that no code of a profile has behind it: axes and arc centres, modes and motions, feed, block number, tool.
-NO_PARAMETERS = "XYZUVWGFMNTDIJK"
-# Groups whose words mean what they say on every machine; those of a spindle or a coolant may be a maker's.
-FLOWS = ("program flow", "tool", "override", "path override")
+NO_PARAMETERS = "XYZUVWGFMNTDIJK"  # Axes, centres, modes, motions, feed, number, tool: behind no code
+FLOWS = ("program flow", "tool", "override", "path override")  # Groups that mean the same on every machine
 _TOKEN = re.compile(
     rf"""(?:(?P<name>[A-Z][A-Z0-9_]*)\s*=\s*|(?P<letter>[A-Z])\s*)
     (?:(?P<number>{NUMBER})|\{{(?P<placeholder>[a-z_]+)(?::\.\d+f)?\}})(?![\d.{{])\s*""",
@@ -47,8 +43,7 @@ _AUX = re.compile(r"[MH]\d+(?:=\d+|(?: [A-Z]\d*)*)")
 
 def templates_of(machine: MachineSettings, name: str) -> dict[str, tuple[str, ...]]:
     """Blocks of every template for a control: those of the profile, or the stock ones where it sets none."""
-    stock = control(name).templates
-    result = {}
+    stock, result = control(name).templates, {}
     for template in TEMPLATES:
         given = getattr(machine, template)
         untouched = given == MachineSettings.model_fields[template].default
@@ -67,11 +62,9 @@ class Token:
 
     def names(self) -> tuple[str, ...]:
         """How a declaration may name this word: by its address alone, or with its number."""
-        with_number = f"{self.address}{'=' if self.assigned else ''}{self.number}"
-        return (self.address, with_number) if self.number else (self.address,)
+        return (self.address, str(self)) if self.number else (self.address,)
 
     def __str__(self) -> str:
-        """Return the word as it stands in a template."""
         return f"{self.address}{'=' if self.assigned else ''}{self.number or '{' + self.placeholder + '}'}"
 
 
@@ -124,31 +117,22 @@ class Codes:
         # A G code may call a macro, whose arguments are A, B, C; behind any other code they are axes.
         others = NO_PARAMETERS + ("" if key[0][0] == "G" else "ABC")
         for word in key[1:]:
-            if word.partition("=")[0] in rotary or (
-                re.fullmatch(r"[A-Z][-+.\d]*", word) and word[0] in others
-            ):
-                wrong = word
+            plain = re.fullmatch(r"[A-Z][-+.\d]*", word)
+            wrong = word if word.partition("=")[0] in rotary or (plain and word[0] in others) else wrong
         if wrong:
-            kind = {AUXILIARY: "aux_codes", FOCUS: "set_focus"}.get(
-                meaning, "wire_codes" if meaning.startswith("wire") else "beam_codes"
-            )
-            raise SettingsError(
-                f"machine.{kind}: {' '.join(key)!r} cannot mean {meaning}: to the control {wrong!r} is an axis, a motion, a mode, a feed, "
-                "a tool, or the flow of the program"
-            )
+            kind = "wire_codes" if meaning.startswith("wire") else "beam_codes"
+            kind = {AUXILIARY: "aux_codes", FOCUS: "set_focus"}.get(meaning, kind)
+            what = "is an axis, a motion, a mode, a feed, a tool, or the flow of the program"
+            said = f"{' '.join(key)!r} cannot mean {meaning}: to the control {wrong!r} {what}"
+            raise SettingsError(f"machine.{kind}: {said}")
 
     def _auxiliary(self, code: str) -> Key:
         """Words of an auxiliary code; refused where it is one of the control's own or of beam and wire."""
-        text = " ".join(code.upper().split())
-        key = _key(text)
+        key = _key(code)
         group = group_of(self._dialect, key[0]) if key else None
-        why = ""
-        if not _AUX.fullmatch(text):
-            why = "give M or H codes, such as 'M77' or 'H9'"
-        elif group:
-            why = f"it is a word of the control: {group.name}"
-        elif key in self._meaning:
-            why = f"it means {self._meaning[key]}"
+        why = "" if _AUX.fullmatch(" ".join(key)) else "give M or H codes, such as 'M77' or 'H9'"
+        why = why or (f"it is a word of the control: {group.name}" if group else "")
+        why = why or (f"it means {self._meaning[key]}" if key in self._meaning else "")
         if why:
             raise SettingsError(f"machine.aux_codes: {code!r} is no auxiliary code: {why}")
         return key
@@ -162,24 +146,24 @@ class Codes:
         while at < len(tokens):
             found = self._at(tokens, at)
             if found is None:
-                raise SettingsError(self._undeclared(where, block, tokens[at]))
+                token = tokens[at]
+                group = group_of(self._dialect, str(token)) or group_of(self._dialect, token.address)
+                what = f"is a word of the control ({group.name})" if group else "is declared nowhere"
+                what += ": a template holds codes of machine.beam_codes, wire_codes and aux_codes alone"
+                raise SettingsError(f"{where}: {block!r}: {str(token)!r} {what}")
             action, used = found
             result.append(action)
             at += used
         return result
 
-    def _undeclared(self, where: str, block: str, token: Token) -> str:
-        group = group_of(self._dialect, str(token)) or group_of(self._dialect, token.address)
-        what = f"is a word of the control ({group.name})" if group else "is declared nowhere"
-        return (
-            f"{where}: {block!r}: {str(token)!r} {what}: a template holds codes of machine.beam_codes, wire_codes and "
-            "aux_codes alone"
-        )
-
     def _at(self, tokens: Sequence[Token], at: int) -> tuple[Action, int] | None:
         """Action of the longest code that begins at a word, and how many words it has."""
         if tokens[at].address == "G" and tokens[at].number == "4" and at + 1 < len(tokens):
-            return self._dwell(tokens[at + 1])
+            token, address = tokens[at + 1], control(self._dialect).dwell_address
+            if token.address != address or token.placeholder not in ("", "layer_pause_s"):
+                return None
+            seconds = float(token.number) if token.number else None
+            return Action(DWELL, token.placeholder, seconds, f"G4 {token}"), 2
         for key in sorted(self._meaning, key=len, reverse=True):
             words = tokens[at : at + len(key)]
             if len(words) == len(key) and all(k in w.names() for k, w in zip(key, words, strict=True)):
@@ -189,15 +173,6 @@ class Codes:
                 number = float(last.number) if valued and last.number else None
                 return Action(self._meaning[key], last.placeholder if valued else "", number, text), len(key)
         return None
-
-    def _dwell(self, token: Token) -> tuple[Action, int] | None:
-        if token.address != control(self._dialect).dwell_address or token.placeholder not in (
-            "",
-            "layer_pause_s",
-        ):
-            return None
-        number = float(token.number) if token.number else None
-        return Action(DWELL, token.placeholder, number, f"G4 {token}"), 2
 
     def _derive(
         self, templates: Mapping[str, Sequence[str]], names: Sequence[str], values: Sequence[str]
@@ -209,9 +184,8 @@ class Codes:
                     if placeholder in values:
                         self._meaning.setdefault(key, placeholder)
         pair = [name for name in names if name in SWITCHES]
-        last = {
-            name: self._unknown_switch([_tokens(name, block) for block in templates[name]]) for name in pair
-        }
+        blocks = {name: [_tokens(name, block) for block in templates[name]] for name in pair}
+        last = {name: self._unknown_switch(blocks[name]) for name in pair}
         if all(last.values()):
             for name, switch in last.items():
                 assert switch is not None
@@ -233,7 +207,8 @@ class Codes:
 
     def _unknown_switch(self, blocks: Sequence[Sequence[Token]]) -> Key | None:
         """Code in the last block that may be the switch of a profile of its own; None where a stock one is there."""
-        if not blocks or any(self._switches(tokens) for tokens in blocks):
+        known = [self._at(tokens, at) for tokens in blocks for at in range(len(tokens))]
+        if not blocks or any(found is not None and found[0].meaning in SWITCHES for found in known):
             return None
         tokens = blocks[-1]
         for at, token in enumerate(tokens):
@@ -241,10 +216,6 @@ class Codes:
                 rest = itertools.takewhile(lambda t: _parameter(t) and not t.placeholder, tokens[at + 1 :])
                 return (token.names()[-1], *(t.names()[-1] for t in rest))
         return None
-
-    def _switches(self, tokens: Sequence[Token]) -> bool:
-        found = (self._at(tokens, at) for at in range(len(tokens)))
-        return any(action is not None and action[0].meaning in SWITCHES for action in found)
 
 
 def _tokens(name: str, block: str) -> list[Token]:
@@ -279,7 +250,6 @@ def _key(code: str) -> Key:
 
 
 def _declared(where: str, line: str, kind: str, values: Sequence[str]) -> tuple[str, str]:
-    """Code and meaning of a declaration ``CODE: MEANING``."""
     code, _, what = (part.strip() for part in line.partition(":"))
     meaning = {f"{word}": pair[kind == "wire"] for word, pair in _MEANINGS.items()}.get(what, what)
     if not code or (meaning not in values and meaning not in SWITCHES):
@@ -288,7 +258,6 @@ def _declared(where: str, line: str, kind: str, values: Sequence[str]) -> tuple[
 
 
 def _parameter(token: Token) -> bool:
-    """Whether a word belongs to the code before it."""
     return not token.assigned and token.address not in "GMH"
 
 

@@ -1,8 +1,7 @@
 """A control: how its programs are written, what their words mean, and how they are read back.
 
 A control is one plugin, an entry point of the group ``ebamcheck.controls`` that holds a :class:`Control`; the setting
-``machine.control`` names it. Writer and reader are named, not imported: neither can lean on the other.
-"""
+``machine.control`` names it. Writer and reader are named, not imported: neither can lean on the other."""
 
 from __future__ import annotations
 
@@ -36,79 +35,47 @@ def offsets(first: int, last: int) -> tuple[str, ...]:
     return tuple(f"G{number}" for number in range(first, last + 1))
 
 
-def _no_words(machine: MachineSettings) -> tuple[str, ...]:
-    return ()
-
-
-def _no_lines(machine: MachineSettings) -> dict[str, str]:
-    return {}
-
-
 @dataclass(frozen=True)
 class Control:
     """What the house knows of one control.
 
-    Examples
-    --------
-    >>> control("linuxcnc").suffixes
-    ('.NGC',)
-    >>> control("3dthesis").is_read
-    False
+    >>> control("linuxcnc").suffixes, control("3dthesis").is_read
+    (('.NGC',), False)
     """
 
-    name: str
-    """As ``machine.control`` and the entry point name it."""
-    writer: str
-    """``module:function`` that writes a program; it takes what :func:`ebamcheck.write_program` takes."""
+    name: str  # As ``machine.control`` and the entry point name it
+    writer: str  # ``module:function`` that writes a program, as :func:`ebamcheck.write_program` does
+    # ``module:function`` that reads one back: main file and settings in, :class:`~ebamcheck.nc.motions.NCProgram` out. Empty: what is
+    # written is the input of a simulator, and no reader proves it.
     reader: str = ""
-    """``module:function`` that reads one back: main file and settings in, :class:`~ebamcheck.nc.motions.NCProgram`
-    out. Empty: what is written is the input of a simulator, and no reader proves it."""
-    title: str = ""
-    """Name in the header of a program; that of the plugin where it is empty."""
-    suffixes: tuple[str, ...] = ()
-    """Endings of main files in capitals, the one that is written first."""
-    mark: bytes = b""
-    """First bytes of a file of this control, whatever its ending."""
-    subprogram_suffix: str = ""
-    """Ending of subprograms; empty for a program of one file."""
+    title: str = ""  # Name in the header of a program; that of the plugin where it is empty
+    suffixes: tuple[str, ...] = ()  # Endings of main files in capitals, the one that is written first
+    mark: bytes = b""  # First bytes of a file of this control, whatever its ending
+    subprogram_suffix: str = ""  # Ending of subprograms; empty for a program of one file
+    # Pattern of the names, in capitals, of files that the control takes for its own in a folder. Empty: it is given files one by one.
     loads: str = ""
-    """Pattern of the names, in capitals, of all files that the control takes for its own when it is given a folder. Empty: it is
-    given files one by one."""
+    # Beam and wire blocks in place of the defaults of the machine section, for a profile that sets none; and meanings of their codes.
     templates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Beam and wire blocks in place of the defaults of the machine section, for a profile that sets none."""
     codes: Mapping[str, str] = field(default_factory=dict)
-    """Meanings of the codes in these templates."""
-    dwell_address: str = "F"
-    """Address of G4 that carries seconds."""
-    groups: tuple[Group, ...] = ()
-    """Modal groups. Words that the control does not know may be among those of their group all the same."""
-    words: Callable[[MachineSettings], tuple[str, ...]] = _no_words
-    """Words that hold at every motion of a program, one of each group."""
-    form_lines: Callable[[MachineSettings], dict[str, str]] = _no_lines
-    """``KEY: VALUE`` lines of the header: how curves are given, and how far the control may leave the path."""
-    splines: Splines = "cubics"
-    """What becomes of splines where ``machine.curve_form`` asks for neither arcs nor lines."""
-    tolerance_word: str = ""
-    """How the tolerance of the path is given, as in ``CTOL=``; empty: the control knows no word for it."""
-    smoothing_needs_tolerance: str = ""
-    """Word that lets the path leave its corners by any distance unless a tolerance stands beside it."""
+    dwell_address: str = "F"  # Address of G4 that carries seconds
+    groups: tuple[Group, ...] = ()  # Modal groups; words that the control does not know may be among them
+    # Words that hold at every motion of a program, one of each group.
+    words: Callable[[MachineSettings], tuple[str, ...]] = field(default=lambda machine: ())
+    # ``KEY: VALUE`` lines of the header: how curves are given, and how far the control may leave the path.
+    form_lines: Callable[[MachineSettings], dict[str, str]] = field(default=lambda machine: {})
+    splines: Splines = "cubics"  # What becomes of them where ``machine.curve_form`` asks for no arcs or lines
+    tolerance_word: str = ""  # How the tolerance of the path is given, as in ``CTOL=``; empty: by no word
+    smoothing_needs_tolerance: str = ""  # Word by which the path leaves corners by any distance without one
+    # Words of smoothing under which the path stays within that tolerance, of which the profile needs one. Empty: there are no others.
     keeps_tolerance: tuple[str, ...] = ()
-    """Words of smoothing under which the path stays within that tolerance, of which the profile needs one. Empty: the control has no
-    others, or knows no tolerance."""
-    parentheses: bool = False
-    """Whether a comment stands in parentheses, and not behind a semicolon."""
+    parentheses: bool = False  # Whether a comment stands in parentheses, and not behind a semicolon
+    # ``module:function`` that writes the main program that waits between layers: (settings, Z of the part's top, header) in, name and text
+    # out; and one that judges its text: (text, name of the file, settings, Z) in, :class:`~ebamcheck.result.Check` out. Empty: none.
     waiting: str = ""
-    """``module:function`` that writes the main program that waits between layers: (settings, Z of the part's top, header) in, name
-    and text of the file out. Empty: there is none for this control."""
     handshake: str = ""
-    """``module:function`` that judges its text: (text, name of the file, settings, Z of the part's top) in,
-    :class:`~ebamcheck.result.Check` out."""
-    rapids_apart: bool = False
-    """Whether the axes of a rapid may arrive one after the other: its way may lead anywhere within the box around both of its ends."""
-    frames: bool = False
-    """Whether its programs turn a tilt table (``machine.rotary``) for a layer, and set the frame of the turned part."""
-    file_faults: str = ""
-    """``module:function`` that checks names and first lines of the files: (program, settings) in, (place, text) out."""
+    rapids_apart: bool = False  # Whether a rapid may go anywhere in the box around its ends, axis by axis
+    frames: bool = False  # Whether its programs turn a tilt table (``machine.rotary``), and set frames
+    file_faults: str = ""  # ``module:function`` that checks names and heads: (program, settings) to faults
 
     @property
     def is_read(self) -> bool:
@@ -132,25 +99,17 @@ class Control:
         try:
             return pkgutil.resolve_name(place)
         except (ImportError, AttributeError, ValueError) as error:
-            raise SettingsError(
-                f"control {self.name!r}: {what} {place!r} cannot be loaded: {error}"
-            ) from None
+            said = f"control {self.name!r}: {what} {place!r} cannot be loaded: {error}"
+            raise SettingsError(said) from None
 
 
 @cache
 def control(name: str) -> Control:
-    """Return the control of that name.
-
-    Raises
-    ------
-    SettingsError
-        With the names that there are; or if its entry point holds no :class:`Control` of that name.
-    """
+    """Return the control of that name; SettingsError, with those that there are, for another, or where the plugin is no control."""
     found = registry.plugin(registry.CONTROLS, name)
     if not isinstance(found, Control) or found.name != name:
-        raise SettingsError(
-            f"plugin {name!r} of {registry.CONTROLS} is no Control of that name: {found!r:.80}"
-        )
+        what = f"plugin {name!r} of {registry.CONTROLS} is no Control of that name: {found!r:.80}"
+        raise SettingsError(what)
     return found
 
 

@@ -16,8 +16,6 @@ LONGEST_COMMENT = 199  # Characters of a comment line; a SINUMERIK takes blocks 
 def comment(text: str) -> str:
     """Return one comment line: ASCII, without the reserved characters ! and ?, cut to the length of a block.
 
-    Examples
-    --------
     >>> comment("PART: ready?")
     '; PART: ready_'
     """
@@ -47,8 +45,6 @@ DECIMALS = 6  # Decimals of a process value, trailing zeros left out
 def plain(value: float) -> str:
     """Print a process value: no exponent, no trailing zeros, no negative zero.
 
-    Examples
-    --------
     >>> plain(33.50), plain(-1e-9)
     ('33.5', '0')
     """
@@ -67,36 +63,22 @@ def safe_end_mm(top_mm: float, config: Config) -> float:
 def increments_of(machine: MachineSettings) -> dict[str, float]:
     """Increment of each process value by the name of its placeholder, of those that have one."""
     every = {
-        "feed_mm_min": machine.feed_increment_mm_min,
-        "power_w": machine.power_increment_w,
-        "voltage_kv": machine.voltage_increment_kv,
-        "current_ma": machine.current_increment_ma,
+        "feed_mm_min": machine.feed_increment_mm_min, "power_w": machine.power_increment_w,
+        "voltage_kv": machine.voltage_increment_kv, "current_ma": machine.current_increment_ma,
         "wire_mm_s": machine.wire_increment_mm_s,
-    }
+    }  # fmt: skip
     return {name: increment for name, increment in every.items() if increment > 0.0}
 
 
 def to_increment(value: float, increment: float) -> float:
-    """Round a value to the nearest multiple of an increment; what is not 0 does not become 0. An increment of 0 leaves it.
-
-    Examples
-    --------
-    >>> to_increment(46.83, 0.5), to_increment(0.1, 0.5), to_increment(0.0, 0.5), to_increment(46.83, 0.0)
-    (47.0, 0.5, 0.0, 46.83)
-    """
+    """Round a value to the nearest multiple of an increment; what is not 0 does not become 0. An increment of 0 leaves it."""
     if increment <= 0.0 or value == 0.0:
         return value
     return max(round(value / increment), 1) * increment
 
 
 def power_slack_w(machine: MachineSettings, voltage_kv: float, current_ma: float) -> float:
-    """By how much the beam's power may differ for the increments of its values: half a step of each.
-
-    Examples
-    --------
-    >>> power_slack_w(MachineSettings(current_increment_ma=1.0), 60.0, 120.0)
-    30.0
-    """
+    """By how much the beam's power may differ for the increments of its values: half a step of each."""
     found: Mapping[str, float] = increments_of(machine)
     product = found.get("voltage_kv", 0.0) * current_ma + found.get("current_ma", 0.0) * voltage_kv
     return 0.5 * max(product, found.get("power_w", 0.0))

@@ -6,7 +6,7 @@ import hashlib
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ebamcheck.errors import InputError, SettingsError
@@ -16,13 +16,11 @@ from ebamcheck.showing import short_text
 NOT_VALIDATED = "; NOT VALIDATED"
 VALIDATED = "; VALIDATED"  # The status of every file, at the end of one of its first lines
 STATUS_LINES = 3  # Lines among which the status stands: a SINUMERIK wants a name and a path first
-# The words of the status, in a comment after a semicolon or in parentheses.
 STATUS = re.compile(rb"(?<=; )(?:NOT )?VALIDATED(?=\r?$)|(?<=\()(?:NOT )?VALIDATED(?=\)\r?$)", re.MULTILINE)
 LONGEST_NAME = 24
 RESERVED_NAME = re.compile(r"CON|PRN|AUX|NUL|COM\d|LPT\d")
 SUFFIXES = (".MPF", ".SPF")  # Files that are programs whatever they hold
-# Begins a file that can be run.
-SCRIPT = "#!"
+SCRIPT = "#!"  # Begins a file that can be run
 
 
 @dataclass(frozen=True)
@@ -69,24 +67,15 @@ def preheat_name(stem: str, layer: int, digits: int = 4) -> str:
 
 
 def layer_of_preheat(stem: str, name: str) -> int | None:
-    """Layer, from 0, before which a subprogram of the program `stem` preheats; None for another one.
-
-    Examples
-    --------
-    >>> layer_of_preheat("MAIN", "MAIN_P0003"), layer_of_preheat("MAIN", "MAIN_L0003")
-    (2, None)
-    """
+    """Layer, from 0, before which a subprogram of the program `stem` preheats, as MAIN_P0003 does before 2; None for another one."""
     begin, digits = f"{stem}_P", name.removeprefix(f"{stem}_P")
     known = name.startswith(begin) and len(digits) >= PREHEAT_DIGITS and digits.isascii() and digits.isdigit()
     return int(digits) - 1 if known else None
 
 
 def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> ProgramFiles:
-    """Write all files of a program, the main one first in `texts`, or none of them.
-
-    They are written to a folder beside `folder` that takes its place when whole. An earlier program in
-    `folder` is replaced; a folder that holds anything else is refused.
-    """
+    """Write all files of a program, the main one first in `texts`, or none of them; an earlier program in `folder` is replaced.
+    They are written beside `folder`, and take its place when whole; a folder that holds anything else is refused."""
     folder = Path(folder)
     _refuse_foreign_files(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -102,13 +91,9 @@ def write_files(texts: Mapping[str, str], folder: Path, *, validated: bool) -> P
         if folder.exists():
             folder.rename(scratch / "old")
         made.rename(folder)
-    return ProgramFiles(
-        folder=folder,
-        names=tuple(texts),
-        sha256={name: hashlib.sha256(text.encode("ascii")).hexdigest() for name, text in texts.items()},
-        blocks={name: block_count(text) for name, text in texts.items()},
-        validated=validated,
-    )
+    sha256 = {name: hashlib.sha256(text.encode("ascii")).hexdigest() for name, text in texts.items()}
+    blocks = {name: block_count(text) for name, text in texts.items()}
+    return ProgramFiles(folder, tuple(texts), sha256, blocks, validated)
 
 
 def block_count(text: str) -> int:
@@ -124,31 +109,19 @@ def _refuse_foreign_files(folder: Path) -> None:
     for path in sorted(folder.rglob("*")):
         if path.is_dir() and not path.is_symlink() and any(path.iterdir()):
             continue  # what is in it comes next
-        if path.suffix not in SUFFIXES and not (path.is_file() and _status(path.read_bytes())):
+        if path.suffix not in SUFFIXES and not (path.is_file() and status_of(path.read_bytes())):
             raise SettingsError(
                 f"{folder}: holds {path.relative_to(folder)}, which is no program; give a folder of its own, it is replaced whole"
             )
 
 
-def _status(data: bytes) -> re.Match[bytes] | None:
-    """Find the status of a file that was written here."""
-    end = -1
-    for _ in range(STATUS_LINES):
-        end = data.find(b"\n", end + 1)
-        if end < 0:
-            end = len(data)
-            break
-    return STATUS.search(data, 0, end)
+def status_of(data: bytes) -> re.Match[bytes] | None:
+    """Find the status of a file in its first lines."""
+    return STATUS.search(b"\n".join(data.split(b"\n", STATUS_LINES)[:STATUS_LINES]))
 
 
 def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
-    """Rewrite the status of every file, and no other byte; the main program comes last.
-
-    Raises
-    ------
-    InputError
-        If a file is not the one that was written: its hash differs, or it has no status.
-    """
+    """Rewrite the status of every file, and no other byte, the main program last; InputError for a file that is not the one written."""
     status = b"VALIDATED" if validated else b"NOT VALIDATED"
     stamped: dict[str, bytes] = {}
     for name in files.names:
@@ -156,7 +129,7 @@ def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
         data = path.read_bytes()
         if hashlib.sha256(data).hexdigest() != files.sha256[name]:
             raise InputError(f"{path}: has changed since it was written; write the program again")
-        found = _status(data)
+        found = status_of(data)
         if found is None:
             raise InputError(f"{path}:{STATUS_LINES}: no status so far, which a program written here has")
         stamped[name] = data[: found.start()] + status + data[found.end() :]
@@ -165,10 +138,5 @@ def mark_validated(files: ProgramFiles, validated: bool = True) -> ProgramFiles:
         temporary = path.with_name(f".{path.name}.new")
         temporary.write_bytes(stamped[name])
         os.replace(temporary, path)
-    return ProgramFiles(
-        folder=files.folder,
-        names=files.names,
-        sha256={name: hashlib.sha256(stamped[name]).hexdigest() for name in files.names},
-        blocks=files.blocks,
-        validated=validated,
-    )
+    sha256 = {name: hashlib.sha256(stamped[name]).hexdigest() for name in files.names}
+    return replace(files, sha256=sha256, validated=validated)

@@ -16,132 +16,78 @@ from ebamcheck.settings.config import Config
 # to its third control point through its second, which lies half-way.
 LINE, SPLINE, ARC = range(3)
 DEGREE = 3  # Degree of every spline piece
-# A cut nearer than this to the end of a block is made there: shorter blocks make a control stutter.
-SHORTEST_BLOCK_MM = 0.05
+SHORTEST_BLOCK_MM = 0.05  # A cut nearer to the end of a block is made there: short ones make controls stutter
 
 
 class CurveColumns(Protocol):
     """The fitted contours of a stack, as :class:`ebamcheck.curves.Curves` holds them."""
 
     @property
-    def heights(self) -> Floats:
-        """(L,) height at which each layer was cut, mm."""
-
+    def heights(self) -> Floats: ...  # (L,) height at which each layer was cut, mm
     @property
-    def layer_starts(self) -> Ints:
-        """(L + 1,) first ring of each layer."""
-
+    def layer_starts(self) -> Ints: ...  # (L + 1,) first ring of each layer
     @property
-    def ring_starts(self) -> Ints:
-        """(R + 1,) first piece of each ring."""
-
+    def ring_starts(self) -> Ints: ...  # (R + 1,) first piece of each ring
     @property
-    def closed(self) -> Bools:
-        """(R,) false for an open path."""
-
+    def closed(self) -> Bools: ...  # (R,) false for an open path
     @property
-    def kind(self) -> NDArray[np.uint8]:
-        """(P,) :data:`LINE`, :data:`SPLINE` or :data:`ARC`."""
-
+    def kind(self) -> NDArray[np.uint8]: ...  # (P,) :data:`LINE`, :data:`SPLINE` or :data:`ARC`
     @property
-    def control_starts(self) -> Ints:
-        """(P + 1,) first control point of each piece."""
-
+    def control_starts(self) -> Ints: ...  # (P + 1,) first control point of each piece
     @property
-    def control(self) -> Floats:
-        """(M, 2) control points, mm."""
-
+    def control(self) -> Floats: ...  # (M, 2) control points, mm
     @property
-    def knot_starts(self) -> Ints:
-        """(P + 1,) first knot of each piece; lines and arcs have none."""
-
+    def knot_starts(self) -> Ints: ...  # (P + 1,) first knot of each piece; lines and arcs have none
     @property
-    def knots(self) -> Floats:
-        """(K,) knots, about arc length, mm."""
+    def knots(self) -> Floats: ...  # (K,) knots, about arc length, mm
 
 
 class ScanColumns(Protocol):
     """The islands and hatch vectors of a stack, as :class:`ebamcheck.scan.ScanPlan` holds them."""
 
     @property
-    def heights(self) -> Floats:
-        """(L,) height at which each layer was cut, mm."""
-
+    def heights(self) -> Floats: ...  # (L,) height at which each layer was cut, mm
     @property
-    def island_layer(self) -> Ints:
-        """(I,) layer of each island."""
-
+    def island_layer(self) -> Ints: ...  # (I,) layer of each island
     @property
-    def order(self) -> Ints:
-        """(I,) islands in the order in which they are scanned, layer by layer."""
-
+    def order(self) -> Ints: ...  # (I,) islands in the order in which they are scanned, layer by layer
     @property
-    def island_kind(self) -> NDArray[np.str_]:
-        """(I,) kind of each island."""
-
+    def island_kind(self) -> NDArray[np.str_]: ...  # (I,) kind of each island
     @property
-    def sections(self) -> NDArray[np.object_] | None:
-        """(L,) shapely regions that are to be metal; None: not known."""
-
+    def sections(self) -> NDArray[np.object_] | None: ...  # (L,) regions to be metal; None: not known
     @property
-    def vectors(self) -> Any:
-        """Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in the order in which they are scanned."""
+    def vectors(self) -> Any: ...  # Columns `island`, `x0`, `y0`, `x1`, `y1` (V,) in scan order
 
 
 class TrackColumns(Protocol):
     """Tracks laid out of curves and plan, as :class:`ebamcheck.writing.tracks.Toolpath` holds them."""
 
     @property
-    def z(self) -> Floats:
-        """(L,) tops of the layers."""
-
+    def z(self) -> Floats: ...  # (L,) tops of the layers
     @property
-    def thickness(self) -> Floats:
-        """(L,) height of each layer, mm."""
-
+    def thickness(self) -> Floats: ...  # (L,) height of each layer, mm
     @property
-    def layer_starts(self) -> Ints:
-        """(L + 1,) first track of each layer."""
-
+    def layer_starts(self) -> Ints: ...  # (L + 1,) first track of each layer
     @property
-    def track_starts(self) -> Ints:
-        """(T + 1,) first segment of each track."""
-
+    def track_starts(self) -> Ints: ...  # (T + 1,) first segment of each track
     @property
-    def start(self) -> Floats:
-        """(T, 2) where each track starts."""
-
+    def start(self) -> Floats: ...  # (T, 2) where each track starts
     @property
-    def ring(self) -> Ints:
-        """(T,) number of the contour ring; -1 for hatch."""
-
+    def ring(self) -> Ints: ...  # (T,) number of the contour ring; -1 for hatch
     @property
-    def island(self) -> Ints:
-        """(T,) number of the island; -1 for a contour."""
-
+    def island(self) -> Ints: ...  # (T,) number of the island; -1 for a contour
     @property
-    def segment_start(self) -> Floats:
-        """(N, 2) start of each segment."""
-
+    def segment_start(self) -> Floats: ...  # (N, 2) start of each segment
     @property
-    def end(self) -> Floats:
-        """(N, 2) end of each segment."""
-
+    def end(self) -> Floats: ...  # (N, 2) end of each segment
     @property
-    def lengths(self) -> Floats:
-        """(N,) length of each segment, mm."""
-
+    def lengths(self) -> Floats: ...  # (N,) length of each segment, mm
     @property
-    def turn(self) -> Bools:
-        """(N,) a turn between two hatch lines."""
-
+    def turn(self) -> Bools: ...  # (N,) a turn between two hatch lines
     @property
-    def goes_on(self) -> Bools:
-        """(N,) a further part of the hatch line before."""
-
+    def goes_on(self) -> Bools: ...  # (N,) a further part of the hatch line before
     @property
-    def width(self) -> Floats:
-        """(N,) metal that is laid, in section over the height of the layer, mm."""
+    def width(self) -> Floats: ...  # (N,) metal that is laid, in section over the height of the layer, mm
 
 
 def hatch_columns(plan: ScanColumns) -> tuple[Ints, Floats]:
@@ -201,10 +147,8 @@ def check_same_stack(curves: CurveColumns, plan: ScanColumns) -> None:
 
 def deposition_heights(heights: Floats, first_layer_mm: float, base_mm: float = 0.0) -> Floats:
     """Z of each layer in the work offset, (L,) mm: the top of the layer, Z 0 under the part's lowest point.
-
-    `heights` are those of the cuts, in the middle of the layers, so that the steps of Z are theirs; the
-    first layer is as high as the step to the second, or `first_layer_mm` where there is no second. It lies on `base_mm`, which is 0 for the base plate.
-    """
+    `heights` (L,) are those of the cuts, in the middle of the layers; the first layer, on `base_mm`, is as high as the step to the second,
+    or `first_layer_mm` where there is none."""
     if not len(heights):
         return np.zeros(0)
     first = float(heights[1] - heights[0]) if len(heights) > 1 else first_layer_mm

@@ -20,8 +20,8 @@ from ebamcheck.showing import short_text
 from ebamcheck.showing.columns import Columns, index_of
 
 RAPID, STRAIGHT, POLYNOMIAL, SPLINE_SPAN, ARC = range(5)
-# Kinds of motions; a BSPLINE gives one row for each knot span.
-KIND_NAMES = ("rapid", "line", "poly", "bspline span", "arc")
+# Of motions; a BSPLINE gives one row for each knot span.
+KIND_NAMES = "rapid", "line", "poly", "bspline span", "arc"
 Place = tuple[float, float, float]
 DRAWN_STEP_MM = 0.25  # Curved motions are drawn as straight parts of at most this length
 
@@ -100,64 +100,30 @@ class Motion:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NCProgram(Columns[Motion]):
-    """A program as its text says it, one row for each motion (B,), in the order of execution.
+    """A program as its text says it, one row for each motion (B,), in the order of execution."""
 
-    Parameters
-    ----------
-    files
-        Files in the order in which they were first opened; `file` indexes them.
-    header
-        ``KEY: VALUE`` comments of the main program.
-    file, line
-        (B,) where the block stands; lines count from 1.
-    layer
-        (B,) index of the subprogram's call, or of the level of Z in a program without calls; -1 outside.
-    kind
-        (B,) :data:`RAPID` ... :data:`ARC`.
-    start, end
-        (B, 3) mm; NaN where an axis has not been given yet.
-    coefficients
-        (B, 2, 4) powers of t in X and Y over 0 <= t <= 1, mm; an arc has none (NaN).
-    arc
-        (B, 3) centre X, Y and signed sweep in radians; NaN but for arcs.
-    feed_mm_min
-        (B,) feed in force; NaN before the first F.
-    beam, wire
-        (B,) state during the motion.
-    power_w, wire_mm_s
-        (B,) values in force; NaN where none was set.
-    ring, island
-        (B,) numbers from the comments ``RING: n`` / ``RING n`` and ``ISLAND n``; -1 for none.
-    turn
-        (B,) motion marked as a turn between two hatch lines.
-    goes_on
-        (B,) motion marked as a further part of the hatch line before it.
-    events, numbers
-        State changes; and (N, 3) file, line, value of every block number.
-    """
-
-    files: tuple[SourceFile, ...]
-    header: Mapping[str, str]
+    files: tuple[SourceFile, ...]  # in the order in which they were first opened
+    header: Mapping[str, str]  # ``KEY: VALUE`` comments of the main program
     folder: Path
-    file: Ints
+    file: Ints  # (B,) where the block stands: index of its file, and line from 1
     line: Ints
-    layer: Ints
-    kind: Ints
-    start: Floats
+    layer: Ints  # (B,) of the subprogram's call, or of the level of Z without calls; -1 outside
+    kind: Ints  # (B,) :data:`RAPID` ... :data:`ARC`
+    start: Floats  # (B, 3) mm; NaN where an axis has not been given yet
     end: Floats
-    coefficients: Floats
-    arc: Floats
-    feed_mm_min: Floats
-    beam: Bools
+    coefficients: Floats  # (B, 2, 4) powers of t in X and Y over 0 <= t <= 1, mm; an arc has none (NaN)
+    arc: Floats  # (B, 3) centre X, Y and signed sweep in radians; NaN but for arcs
+    feed_mm_min: Floats  # (B,) feed in force; NaN before the first F
+    beam: Bools  # (B,) state during the motion
     wire: Bools
-    power_w: Floats
+    power_w: Floats  # (B,) values in force; NaN where none was set
     wire_mm_s: Floats
-    ring: Ints
+    ring: Ints  # (B,) number of contour or island, by the roles that beads have; -1 for none
     island: Ints
-    turn: Bools
-    goes_on: Bools
-    events: Events
-    numbers: Ints
+    turn: Bools  # (B,) a turn between two hatch lines
+    goes_on: Bools  # (B,) a further part of the hatch line before it
+    events: Events  # State changes
+    numbers: Ints  # (N, 3) file, line, value of every block number
     layer_files: tuple[str, ...]  # (L,) file of each layer
     # Motions and events of the preheating subprograms, which are none of the others; `layer` is the one before which each comes. None:
     # there are none.
@@ -172,7 +138,6 @@ class NCProgram(Columns[Motion]):
     _item_in = ("motion", "program")
 
     def __len__(self) -> int:
-        """Return the number of motions."""
         return int(self.kind.size)
 
     def _item(self, index: int) -> Motion:
@@ -228,11 +193,10 @@ class NCProgram(Columns[Motion]):
     def evaluate(self, rows: Ints, t: Floats) -> Floats:
         """Positions X, Y (n, 2) at parameters `t` (n,) of the motions `rows` (n,), or (n, m, 2) at the same `t` (1, m) of each."""
         each = t if t.ndim > 1 else t[:, None]
-        coefficients = self.coefficients[rows]
-        points = np.empty((rows.size, each.shape[1], 2))
-        for axis in (0, 1):
-            c = [coefficients[:, axis, power, None] for power in range(4)]
-            points[:, :, axis] = ((c[3] * each + c[2]) * each + c[1]) * each + c[0]
+        # (4, n, 2, 1) powers of the parameter.
+        c0, c1, c2, c3 = np.moveaxis(self.coefficients[rows], 2, 0)[..., None]
+        at = each[:, None]
+        points: Floats = np.moveaxis(((c3 * at + c2) * at + c1) * at + c0, 1, 2)
         round_ = np.flatnonzero(self.kind[rows] == ARC)
         if round_.size:
             r = rows[round_]
@@ -261,13 +225,7 @@ class NCProgram(Columns[Motion]):
         return np.asarray(result)
 
     def samples(self, rows: Ints, step_mm: float) -> tuple[Ints, Floats]:
-        """Points along motions at most `step_mm` apart, each motion's start left out.
-
-        Returns
-        -------
-        row, points
-            (n,) motion of each point and (n, 2) its position, mm.
-        """
+        """Points along motions at most `step_mm` apart, each motion's start left out: motion (n,) of each, and position (n, 2), mm."""
         if not step_mm > 0.0:
             raise SettingsError(f"step {step_mm} mm: give a positive number of millimetres")
         curved = self.kind[rows] != STRAIGHT
@@ -296,8 +254,6 @@ class NCProgram(Columns[Motion]):
         order = np.argsort(owner, kind="stable")
         ends = np.hstack([self.start[rows[straight], :2], self.end[rows[straight], :2]])
         return owner[order], np.concatenate([ends, bent])[order]
-
-    # -- the path as layers ------------------------------------------------------------------------
 
     @cached_property
     def layer_heights(self) -> Floats:
@@ -354,51 +310,31 @@ class NCProgram(Columns[Motion]):
             }
         )  # fmt: skip
 
-    # -- drawn -------------------------------------------------------------------------------------
-
     def plot(self, layer: int | None = None, ax: Any = None) -> Any:
-        """Draw the path of a program, or of one of its layers, as its text commands it, on matplotlib axes.
-
-        Raises
-        ------
-        SettingsError
-            If the program has no such layer.
-        """
+        """Draw the path of a program, or of a layer (SettingsError if there is none), as its text commands it, on matplotlib axes."""
         from ebamcheck.showing.plotting import Lines, plot_lines
 
-        count = len(self.layer_files)
-        if layer is not None:
-            layer = index_of(layer, count)
         chosen = np.isfinite(self.start[:, :2]).all(axis=1) & np.isfinite(self.end[:, :2]).all(axis=1)
         if layer is not None:
+            layer = index_of(layer, len(self.layer_files))
             chosen &= self.layer == layer
-        kinds = (
+        groups = []
+        for name, which, colour, width, dashes in (
             ("beam off", ~self.deposit, "#999999", 0.6, ":"),
             ("hatch, beam on", self.deposit & (self.island >= 0), "#0072b2", 0.8, "-"),
             ("contour, beam on", self.deposit & (self.island < 0), "#d55e00", 1.5, "-"),
-        )
-        groups = [
-            Lines(self._polylines(np.flatnonzero(which & chosen)), colour, width, dashes, name)
-            for name, which, colour, width, dashes in kinds
-        ]
+        ):
+            index, points = self.lines(np.flatnonzero(which & chosen), DRAWN_STEP_MM)
+            lines = np.split(points, np.flatnonzero(np.diff(index)) + 1) if index.size else []
+            groups.append(Lines(lines, colour, width, dashes, name))
         title = "whole program" if layer is None else f"layer {layer + 1}: {self.layer_files[layer]}"
         return plot_lines(groups, title, ax)
-
-    def _polylines(self, rows: Ints) -> list[Floats]:
-        """Points (n, 2) along each motion."""
-        if not rows.size:
-            return []
-        row, points = self.samples(rows, DRAWN_STEP_MM)
-        parts = np.split(points, np.searchsorted(row, rows)[1:])
-        return [np.vstack([start, part]) for start, part in zip(self.start[rows, :2], parts, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)
 class Beads:
     """Beads of a program, or of some of its motions, in the order in which they are laid.
-
-    A bead ends where beam or wire are switched on, at a travel, and where the height or the layer changes.
-    """
+    One ends where beam or wire are switched on, at a travel, and where the height or the layer changes."""
 
     rows: Ints  # (n,) motions
     bead: Ints  # (n,) bead of each, from 0 without gaps
@@ -420,7 +356,6 @@ class Beads:
         return Beads.of(rows, self.group)
 
     def __len__(self) -> int:
-        """Return the number of beads."""
         return int(self.first.size)
 
     def total(self, values: Floats) -> Floats:

@@ -1,8 +1,4 @@
-"""Independent reader of programs: text in, motions out. It shares no code with the post-processors.
-
-One machine reads the programs of every control, by the table of its language (:class:`~ebamcheck.nc.words.Dialect`) and what is its
-own. It refuses every word that it does not know with its line and column: a word that is skipped is a path that is not checked.
-"""
+"""Independent reader of programs: text in, motions out. It shares no code with the post-processors."""
 
 from __future__ import annotations
 
@@ -22,11 +18,9 @@ from ebamcheck.nc.words import NUMBER, SKIP, SKIPPED, Block, Dialect, UnknownWor
 from ebamcheck.settings.config import Config
 
 AXES = ("X", "Y", "Z")
-# Words of motion that every control has.
 COMMON_MOTIONS: Mapping[str, int] = {"G0": RAPID, "G1": STRAIGHT, "G2": ARC, "G3": ARC}
 ARCS = ("G2", "G3")
-# Radii at start and end of an arc may differ by this; larger differences stop the control with an alarm.
-RADIUS_TOLERANCE_MM = 0.01
+RADIUS_TOLERANCE_MM = 0.01  # Of start and end of an arc; larger differences stop the control with an alarm
 CHORD_ROUNDING = 1e-9  # Share by which a chord may exceed the diameter, for the rounding of a half circle
 _N = rf"({NUMBER})"
 # The blocks of which a program mostly consists, in the spelling of most posts; all others are read word by word.
@@ -110,10 +104,7 @@ def _control_of(path: Path, config: Config, controls: Mapping[str, Control]) -> 
 
 
 class Reader:
-    """State of a control while it runs a program from top to bottom: lines, blocks, words and motions.
-
-    A dialect is a table; what is its own it overrides here.
-    """
+    """State of a control while it runs a program from top to bottom: lines, blocks, words and motions."""
 
     def __init__(self, folder: Path, config: Config, dialect: Dialect) -> None:
         known = control(dialect.name)
@@ -121,8 +112,7 @@ class Reader:
         self.rotary = tuple(axis.name for axis in config.machine.rotary) if known.frames else ()
         in_layers = bool(known.subprogram_suffix) and config.preheat.scan_in == "layer"
         self.out = Recorder(folder, dialect.name, self.rotary, in_layers)
-        self.mode = ""
-        """Word of motion in force."""
+        self.mode = ""  # Word of motion in force
         self._begun = False
         self._templates = Templates(checked_templates(config.machine, dialect.name))
         self._changes: dict[str, StateChange] = {}
@@ -134,10 +124,7 @@ class Reader:
         raise NotImplementedError
 
     def percent(self, code: str) -> str | None:
-        """What a line with a percent sign is: no block (None), the end of what is read ("%"), or a block like others ("").
-
-        A lone one begins a program before its first block; anywhere else the control stops reading there.
-        """
+        """What a line with a percent sign is: no block (None), the end of what is read ("%"), or a block like others ("")."""
         if code.strip() != "%":
             return ""
         return "%" if self._begun or self.out.started else None
@@ -264,7 +251,6 @@ class Reader:
             raise WordError(error.what, column + error.column) from None
 
     def _says_only(self, code: str) -> bool:
-        """Whether a block only says something to the operator."""
         return self.dialect.message is not None and self.dialect.message.fullmatch(code) is not None
 
     def _run_block(self, code: str) -> str:
@@ -342,7 +328,6 @@ class Reader:
 
     @property
     def _radius(self) -> str:
-        """Address of the radius of an arc."""
         return self.dialect.radius.rstrip("=")
 
 
@@ -350,11 +335,7 @@ def arc(
     start: tuple[float, float], end: tuple[float, float], i: float, j: float, radius: float | None = None, *,
     counter_clockwise: bool,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle.
-
-    I and J lead from the start to the centre and count where there is no radius, which is negative for an arc of more than half a
-    circle. Where no circle fits, it is a ValueError.
-    """
+    """Centre X, Y and signed sweep (radians) of an arc; by I and J, equal ends make a full circle."""
     sense = 1.0 if counter_clockwise else -1.0
     x, y = start
     dx, dy = end[0] - x, end[1] - y

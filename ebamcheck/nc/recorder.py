@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
@@ -22,14 +21,11 @@ from ebamcheck.nc.timeline import Events
 from ebamcheck.nc.words import NUMBER
 
 NAN = float("nan")
-# Coefficients of t^2 and t^3 in X, then in Y, and the length of the parameter: none.
-LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)
+LINE_OF_T = (0.0, 0.0, 0.0, 0.0, 1.0)  # Coefficients of t^2 and t^3 in X, then Y; length of t
 NO_CENTRE = (NAN, NAN, NAN)
 MOST_DIGITS = 8  # Digits of a block number: a SINUMERIK takes eight, and no control here takes more
-# No control here takes a number of more digits before the point: a Fanuc takes eight in all, a SINUMERIK five of an axis.
-LARGEST = 1e8
-# A feed that is less and not 0 is under the steps of any control, and a motion by it has no end.
-LEAST_FEED = 1e-6
+LARGEST = 1e8  # No control takes more: a Fanuc eight digits in all, a SINUMERIK five of an axis
+LEAST_FEED = 1e-6  # Lesser ones but 0 are under the steps of any control, and have no end
 _KEY = re.compile(r"\s*([^:]+):\s*(.*?)\s*")
 
 
@@ -202,40 +198,25 @@ class Recorder:
             start = starts_in_frames(start, table)
         nothing = np.full(len(end), -1, np.int64)
         layer, layer_files = self._layers(layer, end[:, 2], beam & (kind != RAPID))
-        events = self._events
+        # Powers of t in X and Y over 0 <= t <= 1, of the coefficients as LINE_OF_T has them.
+        length = rows[10]
+        second, third = (rows[[6, 8]] * length**2).T, (rows[[7, 9]] * length**3).T
+        first = end[:, :2] - start[:, :2] - second - third
+        coefficients = np.stack([start[:, :2], first, second, third], axis=2)
+        coefficients[kind == ARC] = np.nan
+        at = np.array([event[:3] for event in self._events], np.int64).reshape(-1, 3)
+        files, lines, before = np.ascontiguousarray(at.T)
+        names, values = tuple(event[3] for event in self._events), [event[4] for event in self._events]
         made = NCProgram(
-            files=tuple(self.files),
-            header=self.header,
-            folder=self.folder,
-            file=file,
-            line=line,
-            layer=layer,
-            kind=kind,
-            start=start,
-            end=end,
-            coefficients=_coefficients(kind, start, end, rows[6:11]),
-            arc=np.ascontiguousarray(rows[11:14].T),
-            feed_mm_min=states[2],
-            beam=beam,
-            wire=states[4] > 0,
+            files=tuple(self.files), header=self.header, folder=self.folder, file=file, line=line, layer=layer, kind=kind,
+            start=start, end=end, coefficients=coefficients, arc=np.ascontiguousarray(rows[11:14].T),
+            feed_mm_min=states[2], beam=beam, wire=states[4] > 0, wire_mm_s=states[7],
             power_w=np.where(np.isnan(states[6]), states[5], states[6]),
-            wire_mm_s=states[7],
-            ring=nothing,
-            island=nothing,
-            turn=nothing > 0,
-            goes_on=nothing > 0,
-            events=Events(
-                file=np.array([e[0] for e in events], dtype=np.int64),
-                line=np.array([e[1] for e in events], dtype=np.int64),
-                row=np.array([e[2] for e in events], dtype=np.int64),
-                name=tuple(e[3] for e in events),
-                value=np.array([e[4] for e in events], dtype=np.float64),
-            ),
+            ring=nothing, island=nothing, turn=nothing > 0, goes_on=nothing > 0,
+            events=Events(files, lines, before, names, np.array(values, np.float64)),
             numbers=np.array(self._numbers, dtype=np.int64).reshape(-1, 3),
-            layer_files=layer_files,
-            dialect=self.dialect,
-            table=table,
-        )
+            layer_files=layer_files, dialect=self.dialect, table=table,
+        )  # fmt: skip
         return by_shape(without_preheating(made, self._scans_in_layers))
 
     def _refuse_numbers(self, rows: Floats, states: Floats) -> None:
@@ -267,22 +248,8 @@ class Recorder:
         return with_travel(layer), (self.files[0].name,) * count
 
 
-def _coefficients(kind: Ints, start: Floats, end: Floats, curve: Floats) -> Floats:
-    """Powers of t in X and Y over 0 <= t <= 1, (B, 2, 4); `curve` (5, B) as :data:`LINE_OF_T`."""
-    length = curve[4]
-    second = (curve[[0, 2]] * length**2).T
-    third = (curve[[1, 3]] * length**3).T
-    first = end[:, :2] - start[:, :2] - second - third
-    coefficients = np.stack([start[:, :2], first, second, third], axis=2)
-    coefficients[kind == ARC] = np.nan
-    return coefficients
-
-
-# -- templates in the text ---------------------------------------------------------------------------
-
 RUNNING = ("set_power", "set_wire")  # Templates that set values along a bead
-# Templates that may set a value to 0 at the end of a bead, before they switch off.
-ENDING = ("beam_off", "wire_stop")
+ENDING = ("beam_off", "wire_stop")  # Templates that may set a value to 0 at the end of a bead
 _ZEROS = re.compile(r"\b([A-Z])0+(?=\d)")
 
 
@@ -315,14 +282,21 @@ class Templates:
         self._patterns.sort(key=lambda entry: not any(name in SWITCHES for name, _ in entry[1].actions))
 
     def _add(self, block: str, actions: tuple[Action, ...], before: tuple[str, ...], running: bool) -> None:
-        done = tuple((_event(action), action.number) for action in actions if action.meaning != AUXILIARY)
-        known = tuple((name, float("nan") if number is None else number) for name, number in done)
+        # What is filled in, else what the code means.
+        names = (a.placeholder if a.meaning == DWELL and a.placeholder else a.meaning for a in actions)
+        numbers = (NAN if a.number is None else a.number for a in actions)
+        each = zip(names, numbers, actions, strict=True)
+        known = tuple((name, number) for name, number, a in each if a.meaning != AUXILIARY)
         change = StateChange(block, known, before, running)
         plain = _without_zeros(block)
         if "{" not in plain:
             self._literal.setdefault(plain, change)
             return
-        self._patterns.append((re.compile("".join(_pattern_parts(plain)), re.IGNORECASE), change))
+        parts = [
+            re.escape(literal) + ("" if name is None else f"(?P<{name}__{count}>{NUMBER})")
+            for count, (literal, name, _spec, _conversion) in enumerate(Formatter().parse(plain))
+        ]
+        self._patterns.append((re.compile("".join(parts), re.IGNORECASE), change))
 
     def find(self, code: str) -> StateChange | None:
         """Return what the block does, if it is of a template; words set apart by any number of blanks, M60 written M060."""
@@ -343,17 +317,4 @@ class Templates:
 
 
 def _without_zeros(block: str) -> str:
-    """A block whose codes have no zeros before their numbers."""
     return _ZEROS.sub(r"\1", block)
-
-
-def _event(action: Action) -> str:
-    """Name of the event: what is filled in, else what the code means."""
-    return action.placeholder if action.meaning == DWELL and action.placeholder else action.meaning
-
-
-def _pattern_parts(block: str) -> Iterator[str]:
-    for count, (literal, name, _spec, _conversion) in enumerate(Formatter().parse(block)):
-        yield re.escape(literal)
-        if name is not None:
-            yield f"(?P<{name}__{count}>{NUMBER})"

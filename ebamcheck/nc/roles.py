@@ -1,9 +1,7 @@
 """Roles of motions by their geometry: contours, islands, turns, layers, preheating. What comments say of them counts for nothing.
 
-A motion with beam or wire on is metal. Metal that follows metal at one height is one bead; a bead that comes back to
-its start is a contour, any other is hatch. Who knows more of the part or of its plan gives better roles:
-:func:`by_section` and :func:`ebamcheck.checks.matching.matched`.
-"""
+A bead that comes back to its start is a contour, any other is hatch. Who knows more of the part or of its plan gives better roles:
+:func:`by_section` and :func:`ebamcheck.checks.matching.matched`."""
 
 from __future__ import annotations
 
@@ -22,17 +20,12 @@ from ebamcheck.nc.motions import RAPID, STRAIGHT, Beads, NCProgram
 from ebamcheck.nc.timeline import PAUSE
 from ebamcheck.threads import run_blocks
 
-# A bead that comes this near to its start has come back: the decimals of a program, at their coarsest.
-CLOSED_MM = 1e-3
+CLOSED_MM = 1e-3  # A bead this near to its start has come back: the decimals of a program, at their coarsest
 PARALLEL = 1e-3  # Sine of the angle between lines of one direction
-# Where the power changes along a line, the joint leaves it by the rounding of six decimals, and by nothing else.
-JOINT_MM = 2e-5
-# Distance of the places at which a bead's distance from the depth of contours is looked at, and of those tried along the sides.
-STEP_MM = 0.5
-# Stretches into which the shortest side is parted: of a side of a small circle only the middle has the depth.
-FEWEST = 4
-# Angle between the places that are tried around an inward corner: chords of beads keep the depth within OFF_MM.
-TURN_RAD = np.pi / 96.0
+JOINT_MM = 2e-5  # Where the power changes along a line, its joint is off by the rounding of six decimals
+STEP_MM = 0.5  # Of the places along beads, and along sides, where depths are looked at
+FEWEST = 4  # Stretches of the shortest side: of a side of a small circle only the middle has the depth
+TURN_RAD = np.pi / 96.0  # Between the places around an inward corner: chords keep the depth within OFF_MM
 OFF_MM = 1e-3  # By how much less deep a place may be
 HALVINGS = 8  # Halvings of the stretch in which a line ends
 MOST = 0.5  # Share of a bead's length at the depth of contours from which on it is a contour
@@ -44,11 +37,8 @@ def by_shape(nc: NCProgram) -> NCProgram:
 
 
 def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, near_mm: float) -> NCProgram:
-    """Give every bead its role by the sections of a part: contours run at a depth of the section.
-
-    The `layers` lie at `z_of` (L,) in the program; a contour runs within `near_mm` of the depth `offset_mm` for most of its length. In a
-    layer where no bead does, those that come back to their start are taken for contours.
-    """
+    """Give every bead its role by the sections of a part: contours run within `near_mm` of the depth `offset_mm` for most of their length.
+    The `layers` lie at `z_of` (L,) in the program. In a layer where no bead does, those that come back to their start are contours."""
     beads = nc.beads
     contour, back = np.zeros(len(beads), np.bool_), _comes_back(nc, beads)
     layer = nearest_layer(nc.end[beads.first, 2], z_of)
@@ -57,9 +47,7 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
     def work(start: int, stop: int) -> None:
         for k in range(start, stop):
             mine = np.flatnonzero(layer == k)
-            if not mine.size:
-                continue
-            border = depth_lines(layers.section(k), offset_mm)
+            border = depth_lines(layers.section(k), offset_mm) if mine.size else np.zeros((0, 4))
             if not len(border):
                 continue
             row, at = nc.samples(beads.rows[np.isin(beads.bead, mine)], STEP_MM)
@@ -82,11 +70,9 @@ def by_section(nc: NCProgram, layers: Layers, z_of: Floats, offset_mm: float, ne
 
 def with_contours(nc: NCProgram, beads: Beads, contour: Bools) -> NCProgram:
     """Return the program with roles, where some of the beads (P,) are contours and the others hatch."""
-    ring = np.where(contour, np.cumsum(contour) - 1, -1)
-    group = np.cumsum(_begins_island(nc, beads, contour)) - 1
-    island = np.where(contour, -1, group)
-    size = len(nc)
-    rings, islands = beads.spread(ring, size), beads.spread(island, size)
+    ring, island = np.cumsum(contour) - 1, np.cumsum(_begins_island(nc, beads, contour)) - 1
+    rings = beads.spread(np.where(contour, ring, -1), len(nc))
+    islands = beads.spread(np.where(contour, -1, island), len(nc))
     turn, goes_on = _turns(nc, beads, contour)
     return replace(nc, ring=rings, island=islands, turn=turn, goes_on=goes_on)
 
@@ -182,9 +168,7 @@ def by_height(nc: NCProgram, z_of: Floats) -> NCProgram:
 
 def with_travel(layer: Ints) -> Ints:
     """Layers of all motions (B,) from those of metal, -1 for travel: it is of the layer that it leads to.
-
-    Its first motion away from a layer is still of that layer, and what follows the last bead is of the last layer.
-    """
+    Its first motion away from a layer is still of that layer, and what follows the last bead is of the last layer."""
     metal = np.flatnonzero(layer >= 0)
     if not metal.size:
         return layer
@@ -197,7 +181,6 @@ def with_travel(layer: Ints) -> Ints:
 
 
 OFF = ("beam_off", "wire_stop")  # Commands that come before a scan
-# Columns with a row for each motion.
 OF_MOTIONS = (
     "file", "line", "layer", "kind", "start", "end", "coefficients", "arc", "feed_mm_min", "beam", "wire", "power_w",
     "wire_mm_s", "ring", "island", "turn", "goes_on",
@@ -206,38 +189,26 @@ OF_MOTIONS = (
 
 def without_preheating(nc: NCProgram, in_layers: bool = False) -> NCProgram:
     """Return a program with the motions and events of its preheating scans apart.
-
-    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus: from where it is set out to where
-    it is taken back. What runs there stays in the order in which it runs; positions of the rest begin where the scan before left
-    the tool.
-    """
-    if in_layers:
-        return _by_focus(nc)
-    stem = nc.files[0].name.rpartition(".")[0]
+    A scan is told by the file that it stands in, or, where scans stand `in_layers`, by the focus, with the commands right before it that
+    switch beam and wire off. Positions of the rest begin where the scan before left the tool."""
+    e, stem = nc.events, nc.files[0].name.rpartition(".")[0]
     of_file = [layer_of_preheat(stem, file.name.rpartition(".")[0]) for file in nc.files]
-    if all(layer is None for layer in of_file):
-        return nc
     layer = np.array([-1 if found is None else found for found in of_file], np.int64)
-    apart = layer[nc.file] >= 0
-    scans = rows_of(nc, apart, layer[nc.events.file] >= 0)
-    scans = replace(scans, layer=layer[scans.file], layer_files=())
-    return replace(rows_of(nc, ~apart, layer[nc.events.file] < 0), preheating=scans)
-
-
-def _by_focus(nc: NCProgram) -> NCProgram:
-    """Scans told by the focus, each with the commands right before it that switch beam and wire off."""
-    e, focus = nc.events, nc.events.named(FOCUS)
-    out = focus & (e.value != 0.0)
-    within = e.since(out, focus & ~out)
-    # What comes next, but for the commands that switch off.
-    others = np.flatnonzero(~e.named(*OFF))
-    ahead = np.append(others, len(e) - 1)[np.searchsorted(others, np.arange(len(e)))]
-    before = e.named(*OFF) & (out & ~within[:-1])[ahead] & (e.file == e.file[ahead])
-    events = before | out | within[:-1]
-    motions = within[np.searchsorted(e.row, np.arange(len(nc)), side="right")]
-    if not events.any():
+    motions, events = layer[nc.file] >= 0, layer[e.file] >= 0
+    if in_layers:
+        focus = e.named(FOCUS)
+        out = focus & (e.value != 0.0)
+        within = e.since(out, focus & ~out)
+        # What comes next, but for the commands that switch off.
+        others = np.flatnonzero(~e.named(*OFF))
+        ahead = np.append(others, len(e) - 1)[np.searchsorted(others, np.arange(len(e)))]
+        before = e.named(*OFF) & (out & ~within[:-1])[ahead] & (e.file == e.file[ahead])
+        events = before | out | within[:-1]
+        motions = within[np.searchsorted(e.row, np.arange(len(nc)), side="right")]
+    if not (events if in_layers else layer >= 0).any():
         return nc
     scans = replace(rows_of(nc, motions, events), layer_files=())
+    scans = scans if in_layers else replace(scans, layer=layer[scans.file])
     return replace(rows_of(nc, ~motions, ~events), preheating=scans)
 
 
@@ -252,27 +223,38 @@ def rows_of(nc: NCProgram, motions: Bools, events: Bools) -> NCProgram:
     return replace(nc, events=found, table=table, **kept)
 
 
-# -- depths ------------------------------------------------------------------------------------------
 # Who plans and writes contours takes them from an inset. Who reads and checks a program works out where they must lie in another way:
 # places straight in from every side, and around every inward corner, of which those count that no other side is nearer to.
 
 
 def depth_lines(section: BaseGeometry, depth_mm: float) -> Floats:
     """Sides (n, 4) of the lines along which a section is `depth_mm` deep: x0, y0, x1, y1, at most :data:`STEP_MM` apart along sides.
-
-    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`.
-
-    Examples
-    --------
-    >>> lines = depth_lines(shapely.box(0, 0, 10, 8), 3.0)
-    >>> np.round(np.hypot(*(lines[:, 2:] - lines[:, :2]).T).sum(), 2)
-    np.float64(12.0)
-    """
+    Lines of neighbouring sides may lie on one another for a stretch, within :data:`OFF_MM`."""
     if section.is_empty or depth_mm <= 0.0:
         return np.zeros((0, 4))
     sides = segments_of(shapely.boundary(section))
     clear_mm = depth_mm - OFF_MM
-    places, line = _tried(section, depth_mm)
+    # Places (n, 2) at a distance from each side and inward corner, in order, and the line that each belongs to.
+    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(section)))
+    points, ring = shapely.get_coordinates(rings, return_index=True)
+    side = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
+    foot, way, ring = points[side], points[side + 1] - points[side], ring[side]
+    length = np.hypot(way[:, 0], way[:, 1])
+    normal = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
+    row, share = _shares(np.maximum(np.ceil(length / STEP_MM).astype(np.int64), FEWEST))
+    along = foot[row] + share[:, None] * way[row] + depth_mm * normal[row]
+    # The side before each: of the first of a ring it is its last.
+    before = np.arange(side.size) - 1
+    first = np.flatnonzero(np.append(True, ring[1:] != ring[:-1]))
+    before[first] = np.append(first[1:], side.size) - 1
+    sine = normal[before, 0] * normal[:, 1] - normal[before, 1] * normal[:, 0]
+    turn = np.arctan2(sine, (normal[before] * normal).sum(axis=1))
+    inward = np.flatnonzero(turn < 0.0)
+    corner, share = _shares(np.ceil(-turn[inward] / TURN_RAD).astype(np.int64))
+    of = inward[corner]
+    angle = np.arctan2(normal[before[of], 1], normal[before[of], 0]) + share * turn[of]
+    around = foot[of] + depth_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    places, line = np.concatenate([along, around]), np.concatenate([row, side.size + corner])
     away = distances(places, sides)
     good = (away >= clear_mm) & inside(section, places, away)
     follows = line[1:] == line[:-1]
@@ -299,33 +281,8 @@ def inside(region: BaseGeometry, places: Floats, away: Floats) -> Bools:
     begins = np.append(True, ~(apart < 0.9 * (away[1:] + away[:-1])))[: len(places)]
     first = np.flatnonzero(begins)
     shapely.prepare(region)
-    return np.asarray(
-        shapely.intersects_xy(region, places[first, 0], places[first, 1])[np.cumsum(begins) - 1]
-    )
-
-
-def _tried(section: BaseGeometry, depth_mm: float) -> tuple[Floats, Ints]:
-    """Places (n, 2) at a distance from each side and inward corner, in order, and the line that each belongs to."""
-    rings = shapely.get_rings(shapely.get_parts(shapely.orient_polygons(section)))
-    points, ring = shapely.get_coordinates(rings, return_index=True)
-    side = np.flatnonzero((ring[1:] == ring[:-1]) & (points[1:] != points[:-1]).any(axis=1))
-    start, way, ring = points[side], points[side + 1] - points[side], ring[side]
-    length = np.hypot(way[:, 0], way[:, 1])
-    normal = np.column_stack([-way[:, 1], way[:, 0]]) / length[:, None]
-    row, share = _shares(np.maximum(np.ceil(length / STEP_MM).astype(np.int64), FEWEST))
-    along = start[row] + share[:, None] * way[row] + depth_mm * normal[row]
-    # The side before each: of the first of a ring it is its last.
-    before = np.arange(side.size) - 1
-    first = np.flatnonzero(np.append(True, ring[1:] != ring[:-1]))
-    before[first] = np.append(first[1:], side.size) - 1
-    sine = normal[before, 0] * normal[:, 1] - normal[before, 1] * normal[:, 0]
-    turn = np.arctan2(sine, (normal[before] * normal).sum(axis=1))
-    inward = np.flatnonzero(turn < 0.0)
-    corner, share = _shares(np.ceil(-turn[inward] / TURN_RAD).astype(np.int64))
-    of = inward[corner]
-    angle = np.arctan2(normal[before[of], 1], normal[before[of], 0]) + share * turn[of]
-    around = start[of] + depth_mm * np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.concatenate([along, around]), np.concatenate([row, side.size + corner])
+    within = shapely.intersects_xy(region, places[first, 0], places[first, 1])
+    return np.asarray(within[np.cumsum(begins) - 1])
 
 
 def _shares(count: Ints) -> tuple[Ints, Floats]:

@@ -1,13 +1,8 @@
 """Tilt table and programmable frame while a program is read: the frames of a text, what is in force, and the columns that it comes to.
 
-Frames are taken as a SINUMERIK takes them: TRANS and ROT begin anew, ATRANS and AROT go on from the frame in force. Source: Siemens NC
-Programming manual 12/2019, section 2.12. A turn about one axis, or by RPL in the plane G17, is counter-clockwise for one who looks
-against the axis. Turns about several axes in one block depend on a machine datum and are refused.
-
-The frames take the program to the work offset, the positions of the rotary axes tell how the table stands there, and what is undone
-of that is the place on the table: by the text alone. How the part lies on the table is told by the settings (``part.on_table``),
-which are held against the mesh elsewhere.
-"""
+TRANS and ROT begin anew, ATRANS and AROT go on from the frame in force (Siemens NC Programming manual 12/2019, section 2.12). A turn is
+counter-clockwise for one who looks against its axis; turns about several axes in one block depend on a machine datum and are refused.
+Frames lead to the work offset, positions of the rotary axes to the table: what is undone of that is the place on the table."""
 
 from __future__ import annotations
 
@@ -17,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats, Ints
 from ebamcheck.nc.motions import ARC, RAPID, STRAIGHT, NCProgram, TableColumns
 from ebamcheck.nc.roles import rows_of
 from ebamcheck.nc.words import NUMBER, WordError
@@ -25,8 +20,7 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import RotaryAxis
 
 NONE = np.eye(4)[:3]  # No frame: turn and shift (3, 4)
-# Motions that table and frame put within this of where they belong are taken as they are programmed: the decimals of a program.
-SAME_PLACE_MM = 1e-3
+SAME_PLACE_MM = 1e-3  # Motions off by less are taken as programmed: the decimals of a program
 FLAT = 1e-12  # How far the third row of a turn about the vertical may be from that of none
 _FRAME = re.compile(r"(A?TRANS|A?ROT)\s+(\S.*)")
 _PART = re.compile(rf"\s*(?:([XYZ])\s*=?|(RPL)\s*=)\s*({NUMBER})")
@@ -39,8 +33,7 @@ class TableState:
         self.axes = axes
         self.frame = NONE
         self.changed = False
-        self.fresh = False
-        """Whether no motion has come yet since the last frame."""
+        self.fresh = False  # Whether no motion has come yet since the last frame
         self._frames = [NONE]
         self._positions = [(0.0,) * len(axes)]
         self._at, self._in = 0, 0
@@ -49,7 +42,7 @@ class TableState:
         """Put a frame in force; return a place (3,) of the frame before as it is in the new one."""
         was = self.frame
         self.set_frame(frame)
-        return _seen(was, frame, place)
+        return np.asarray(_seen(was[None], frame[None], place[None])[0])
 
     def set_frame(self, frame: Floats) -> None:
         """Put a frame in force."""
@@ -63,9 +56,8 @@ class TableState:
 
     def turn(self, values: Mapping[str, float]) -> None:
         """Turn the axes that `values` name to their positions."""
-        now = tuple(
-            values.get(axis, was) for axis, was in zip(self.axes, self._positions[self._at], strict=True)
-        )
+        before = zip(self.axes, self._positions[self._at], strict=True)
+        now = tuple(values.get(axis, was) for axis, was in before)
         if now not in self._positions:
             self._positions.append(now)
         self.changed = self.changed or self._positions.index(now) != self._at
@@ -90,38 +82,20 @@ class TableState:
 
 def starts_in_frames(start: Floats, table: TableColumns) -> Floats:
     """Starts (B, 3) of motions, those of the first motions of a frame by where the motion before left the tool."""
-    result = start.copy()
-    for row in (np.flatnonzero(table.frame[1:] != table.frame[:-1]) + 1).tolist():
-        was, now = table.frames[table.frame[row - 1]], table.frames[table.frame[row]]
-        result[row] = _seen(was, now, start[row])
+    result, rows = start.copy(), np.flatnonzero(table.frame[1:] != table.frame[:-1]) + 1
+    was, now = table.frames[table.frame[rows - 1]], table.frames[table.frame[rows]]
+    result[rows] = _seen(was, now, start[rows])
     return result
 
 
-def _seen(was: Floats, now: Floats, place: Floats) -> Floats:
-    """A place (3,) of one frame as it is in another; an axis that is not known spoils only those that it goes into."""
-    driven = _times(was[:, :3], place) + was[:, 3]
-    return _times(now[:, :3].T, driven - now[:, 3])
-
-
-def _times(turn: Floats, place: Floats) -> Floats:
-    return np.asarray(np.where(turn == 0.0, 0.0, turn * place).sum(axis=1), np.float64)
+def _seen(was: Floats, now: Floats, places: Floats) -> Floats:
+    """Places (n, 3) of some frames (n, 3, 4) as they are in others."""
+    driven = _places(places, was[:, :, :3], was[:, :, 3])
+    return _places(driven - now[:, :, 3], now[:, :, :3].transpose(0, 2, 1), np.zeros(3))
 
 
 def frame_after(code: str, frame: Floats) -> Floats | None:
-    """Frame (3, 4) that is in force after a block; None where the block sets none.
-
-    Raises
-    ------
-    WordError
-        For a frame that is not read.
-
-    Examples
-    --------
-    >>> frame_after("TRANS X10 Z5", NONE)[:, 3].tolist()
-    [10.0, 0.0, 5.0]
-    >>> (frame_after("AROT Z90", NONE)[:, 0] + 0.0).round(6).tolist()
-    [0.0, 1.0, 0.0]
-    """
+    """Frame (3, 4) that is in force after a block; None where the block sets none, WordError for a frame that is not read."""
     found = _FRAME.fullmatch(code.strip())
     if found is None:
         return None
@@ -141,43 +115,28 @@ def frame_after(code: str, frame: Floats) -> Floats | None:
         own = np.hstack([np.eye(3), [[parts.get(axis, 0.0)] for axis in "XYZ"]])
     else:
         if len(parts) > 1:
-            raise WordError(
-                f"{word} about several axes: their order is a datum of the machine, turn one by one", 0
-            )
+            what = f"{word} about several axes: their order is a datum of the machine, turn one by one"
+            raise WordError(what, 0)
         (name, angle), *_ = parts.items()
-        own = np.hstack(
-            [_about("XYZ".index(name) if name != "RPL" else 2, np.radians(angle)), np.zeros((3, 1))]
-        )
+        axis = "XYZ".index(name) if name != "RPL" else 2
+        angle_rad = np.radians(angle)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[i, i] = turn[j, j] = np.cos(angle_rad)
+        turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
+        own = np.hstack([turn, np.zeros((3, 1))])
     return np.asarray(base @ np.vstack([own, [[0.0, 0.0, 0.0, 1.0]]]), np.float64)
-
-
-def _about(axis: int, angle_rad: float) -> Floats:
-    """Turn (3, 3) about X, Y or Z."""
-    i, j = (axis + 1) % 3, (axis + 2) % 3
-    turn = np.eye(3)
-    turn[i, i] = turn[j, j] = np.cos(angle_rad)
-    turn[i, j], turn[j, i] = -np.sin(angle_rad), np.sin(angle_rad)
-    return turn
 
 
 def on_part(nc: NCProgram, config: Config) -> NCProgram:
     """Return the motions of a program in the coordinates of its part; those of the machine itself apart, in ``machine``.
-
-    A program that neither turns a table nor sets a frame stays as it is.
-    """
+    A program that neither turns a table nor sets a frame stays as it is."""
     columns = nc.table
     if columns is None:
         return nc
-    driven = _moved(nc, columns.frames[columns.frame])
-    machine = replace(
-        nc,
-        start=driven.start,
-        end=driven.end,
-        kind=driven.kind,
-        coefficients=driven.coefficients,
-        arc=driven.arc,
-    )
-    apart = _apart(nc, columns)
+    # Ways of the machine itself: rapids without frame and beam, and turns of the table.
+    idle = (nc.kind == RAPID) & ~nc.beam & ~nc.wire & (columns.frame == 0)
+    apart = np.asarray(idle | (columns.before != columns.after))
     part = _moved(nc, part_motions(columns, config))
     off = np.linalg.norm(part.end - nc.end, axis=1)
     off = np.where(np.isnan(nc.end).all(axis=1) | apart, 0.0, np.nan_to_num(off, nan=np.inf))
@@ -185,13 +144,7 @@ def on_part(nc: NCProgram, config: Config) -> NCProgram:
     full = replace(columns, off_mm=off, apart=apart)
     seen = nc if (off <= SAME_PLACE_MM).all() else part
     laid = rows_of(replace(seen, table=full), ~apart, np.ones(len(nc.events), np.bool_))
-    return replace(laid, machine=replace(machine, table=full))
-
-
-def _apart(nc: NCProgram, columns: TableColumns) -> Bools:
-    """Ways of the machine itself: rapids without frame and beam, and turns of the table."""
-    idle = (nc.kind == RAPID) & ~nc.beam & ~nc.wire & (columns.frame == 0)
-    return np.asarray(idle | (columns.before != columns.after))
+    return replace(laid, machine=replace(_moved(nc, columns.frames[columns.frame]), table=full))
 
 
 def part_motions(columns: TableColumns, config: Config) -> Floats:

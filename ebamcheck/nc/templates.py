@@ -1,14 +1,12 @@
 """The beam and wire templates of a machine profile: what they may hold, and how they are filled.
 
-A template runs like any other text of the program, so that a word in it changes the machine's state as it would on the
-control. Each code in it is therefore one that the profile declares (:mod:`ebamcheck.nc.codes`), and these rules hold:
-a template switches what its name says, once, and no other; a value is filled with what its code means, without arithmetic;
-the beam does not stand waiting.
-"""
+A word in a template changes the machine's state as it would on the control. So each code in it is one that the profile declares
+(:mod:`ebamcheck.nc.codes`); a template switches what its name says, once, and no other; a value is filled with what its code means,
+without arithmetic; and the beam does not stand waiting."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import product
@@ -48,9 +46,7 @@ class _Value(float):
     """A number that a bare placeholder prints without exponent and trailing zeros."""
 
     def __format__(self, spec: str) -> str:
-        if spec:
-            return float(self).__format__(spec)
-        return plain(self)
+        return float(self).__format__(spec) if spec else plain(self)
 
 
 @dataclass(frozen=True)
@@ -75,9 +71,9 @@ class ProcessValues:
         return to_increment(getattr(self, name), self.increments.get(name, 0.0))
 
     @cached_property
-    def _placeholders(self) -> _Placeholders:
-        """What is put for each placeholder, of all templates of a moment."""
-        return _Placeholders(self)
+    def _placeholders(self) -> dict[str, object]:
+        values = {name: self.printed(name) for name in PLACEHOLDERS}
+        return {name: value if isinstance(value, int) else _Value(value) for name, value in values.items()}
 
     def at(self, power: float, wire: float) -> ProcessValues:
         """The same values at a share of the beam's power, by its current, and a share of the wire speed."""
@@ -89,38 +85,20 @@ class ProcessValues:
         return [_filled(f"machine.{name}", line, self._placeholders) for line in template]
 
 
-class _Placeholders(dict[str, object]):
-    """What stands for the placeholders of templates, each worked out when it is first asked for."""
-
-    def __init__(self, values: ProcessValues) -> None:
-        super().__init__()
-        self._values = values
-
-    def __missing__(self, name: str) -> object:
-        if name not in PLACEHOLDERS:
-            raise KeyError(name)
-        value = self._values.printed(name)
-        self[name] = found = value if isinstance(value, int) else _Value(value)
-        return found
-
-
-# Names that stand for values in a template.
 PLACEHOLDERS = tuple(one.name for one in fields(ProcessValues) if one.name != "increments")
 
 
 def _filled(where: str, line: str, values: Mapping[str, object]) -> str:
+    known = f"known are {', '.join(PLACEHOLDERS)}"
     try:
         text = line.format_map(values)
     except KeyError as error:
-        raise SettingsError(
-            f"{where}: {line!r}: unknown placeholder {error}; known are {', '.join(PLACEHOLDERS)}"
-        ) from None
+        raise SettingsError(f"{where}: {line!r}: unknown placeholder {error}; {known}") from None
     except (ValueError, IndexError, AttributeError) as error:
         raise SettingsError(f"{where}: {line!r} is not a template: {error}") from None
     if not text.isascii() or not text.isprintable() or len(text) >= LONGEST_BLOCK - 10:
-        raise SettingsError(
-            f"{where}: {line!r} is not one line of under {LONGEST_BLOCK - 10} ASCII characters"
-        )
+        what = f"is not one line of under {LONGEST_BLOCK - 10} ASCII characters"
+        raise SettingsError(f"{where}: {line!r} {what}")
     return text
 
 
@@ -150,8 +128,6 @@ def process_values(config: Config, layer: int, height_mm: float, thickness_mm: f
     )  # fmt: skip
 
 
-# -- what templates may hold --------------------------------------------------------------------------
-
 FREE = ("layer", "height_mm", "feed_mm_min")  # Placeholders that an auxiliary code may carry
 # Values of which a template sets one, if it is not empty.
 NEEDED: Mapping[str, tuple[str, ...]] = {
@@ -161,8 +137,7 @@ NEEDED: Mapping[str, tuple[str, ...]] = {
     "wire_retract": ("wire_retract_mm",),
     "set_focus": (FOCUS,),
 }
-# Templates that run while the beam is on.
-UNDER_BEAM = ("set_power", "set_wire", "wire_start", "wire_stop", "wire_retract")
+UNDER_BEAM = ("set_power", "set_wire", "wire_start", "wire_stop", "wire_retract")  # Run while the beam is on
 # Blocks of each template as text, and what the codes of each do.
 Programmed = Mapping[str, tuple[tuple[str, tuple[Action, ...]], ...]]
 
@@ -170,108 +145,73 @@ Programmed = Mapping[str, tuple[tuple[str, tuple[Action, ...]], ...]]
 def checked_templates(machine: MachineSettings, dialect: str) -> Programmed:
     """Take the templates of a profile apart and hold each to its name; a refusal names template, block and word."""
     templates = {name: blocks_of(lines) for name, lines in templates_of(machine, dialect).items()}
-    _tell_switches_apart(templates)
-    codes = Codes(machine, dialect)
-    result = {}
+    ends: dict[str, str] = {}
+    for name in SWITCHES:
+        if not (blocks := templates[name]):
+            raise SettingsError(f"machine.{name} has no block: its state could not be told from the text")
+        other = ends.setdefault(blocks[-1], name)
+        if other != name:
+            what = f"machine.{name} and machine.{other} end with the same block {blocks[-1]!r}"
+            raise SettingsError(what)
+    codes, result = Codes(machine, dialect), {}
     for name, blocks in templates.items():
         where = f"machine.{name}"
-        found = tuple((block, tuple(codes.actions(where, block))) for block in blocks)
-        _check_values_come_first(name, [actions for _, actions in found])
-        _check_switches(name, [action for _, actions in found for action in actions])
-        for block, actions in found:
-            for action in actions:
-                _check_value(name, block, action)
-        result[name] = found
-    _check_values(result)
+        result[name] = tuple((block, tuple(codes.actions(where, block))) for block in blocks)
+        for what in _wrong(name, result[name]):
+            raise SettingsError(f"{where}{what}")
+    for name, wanted in NEEDED.items():
+        filled = [action.placeholder for _, actions in result[name] for action in actions]
+        if result[name] and not any(value in filled for value in wanted):
+            raise SettingsError(f"machine.{name} sets none of {', '.join(wanted)}, which is what it is for")
+    blocks_of_power = (*result["set_beam"], *result["beam_on"])
+    filled = [action.placeholder for _, actions in blocks_of_power for action in actions]
+    if "power_w" not in filled and not {"voltage_kv", "current_ma"} <= set(filled):
+        what = "machine.set_beam and beam_on set no power: give {voltage_kv} and {current_ma}, or {power_w}"
+        raise SettingsError(what)
     return result
 
 
-def _tell_switches_apart(templates: Mapping[str, Sequence[str]]) -> None:
-    ends: dict[str, str] = {}
-    for name in SWITCHES:
-        blocks = templates[name]
-        if not blocks:
-            raise SettingsError(f"machine.{name} has no block: its state could not be told from the text")
-        if blocks[-1] in ends:
-            raise SettingsError(
-                f"machine.{name} and machine.{ends[blocks[-1]]} end with the same block {blocks[-1]!r}"
-            )
-        ends[blocks[-1]] = name
+NO_HEIGHT = KeepOut.model_fields["z_mm"].default  # Of a zone to stay out of, and no body
 
 
-def _check_switches(name: str, actions: Sequence[Action]) -> None:
-    """A template switches what its name says, once, and nothing else; and waits only with the beam off."""
-    switched = [action for action in actions if action.meaning in SWITCHES]
-    wrong = next((action for action in switched if action.meaning != name), None)
-    if wrong is not None:
-        raise SettingsError(
-            f"machine.{name}: {wrong.word!r} is declared as {wrong.meaning}: {name} must not hold it"
-        )
+def _wrong(name: str, blocks: Sequence[tuple[str, tuple[Action, ...]]]) -> Iterator[str]:
+    """What is wrong with a template, in words behind its name."""
+    # What is switched on has its value by then, at the latest in the same block.
+    on = False
+    for _, actions in blocks:
+        late = next((action for action in actions if action.meaning in VALUES), None)
+        if on and late is not None:
+            yield f": {late.word!r} comes after the switch: set values before it"
+        on = on or (name in ("beam_on", "wire_start") and any(a.meaning == name for a in actions))
+    # A template switches what its name says, once, and nothing else; and waits only with the beam off.
+    every = [action for _, actions in blocks for action in actions]
+    switched = [action for action in every if action.meaning in SWITCHES]
+    for action in switched:
+        if action.meaning != name:
+            yield f": {action.word!r} is declared as {action.meaning}: {name} must not hold it"
     if name in SWITCHES and len(switched) != 1:
         count = f"{len(switched)} times" if switched else "nowhere"
-        raise SettingsError(
-            f"machine.{name} switches {count}: it must hold the code declared as {name} once "
-            f"(machine.{name.split('_')[0]}_codes)"
-        )
+        codes = f"machine.{name.split('_')[0]}_codes"
+        yield f" switches {count}: it must hold the code declared as {name} once ({codes})"
     beam_on = name in UNDER_BEAM or name == "beam_off"
-    for action in actions:
+    for action in every:
         if action.meaning == DWELL and beam_on:
-            raise SettingsError(
-                f"machine.{name}: {action.word!r} lets the beam stand: wait with the beam off"
-            )
+            yield f": {action.word!r} lets the beam stand: wait with the beam off"
         beam_on = action.meaning == "beam_on" or (beam_on and action.meaning != "beam_off")
-
-
-def _check_values_come_first(name: str, blocks: Sequence[Sequence[Action]]) -> None:
-    """What is switched on has its value by then, at the latest in the same block."""
-    switched = False
-    for actions in blocks:
-        late = next((action for action in actions if action.meaning in VALUES), None)
-        if switched and late is not None:
-            raise SettingsError(f"machine.{name}: {late.word!r} comes after the switch: set values before it")
-        switched = switched or (name in ("beam_on", "wire_start") and any(a.meaning == name for a in actions))
-
-
-def _check_value(name: str, block: str, action: Action) -> None:
-    """A value is its own placeholder, or 0; the values of the beam stand in templates of the beam, those of the wire too."""
-    where = f"machine.{name}: {block!r}"
-    filled = action.placeholder
-    if action.meaning in VALUES:
-        other = name in BEAM_TEMPLATES and action.meaning in WIRE_VALUES
-        other = other or (name in WIRE_TEMPLATES and action.meaning in BEAM_VALUES)
-        other = other or (name in FOCUS_TEMPLATES) != (action.meaning == FOCUS)
-        if other:
-            raise SettingsError(f"{where}: {action.word!r} sets {action.meaning}, which {name} must not")
-        if filled and filled != action.meaning:
-            raise SettingsError(
-                f"{where}: {action.word!r} is declared as {action.meaning} and filled with {filled}"
-            )
-        if not filled and action.number != 0.0:
-            raise SettingsError(
-                f"{where}: {action.word!r} is declared as {action.meaning}: give {{{action.meaning}}} or 0 in place "
-                f"of {action.number:g}"
-            )
-    elif action.meaning == AUXILIARY and filled and filled not in FREE:
-        raise SettingsError(
-            f"{where}: {action.word!r} is auxiliary: of the placeholders it may carry {', '.join(FREE)}"
-        )
-
-
-def _check_values(templates: Programmed) -> None:
-    for name, wanted in NEEDED.items():
-        filled = [action.placeholder for _, actions in templates[name] for action in actions]
-        if templates[name] and not any(value in filled for value in wanted):
-            raise SettingsError(f"machine.{name} sets none of {', '.join(wanted)}, which is what it is for")
-    blocks = (*templates["set_beam"], *templates["beam_on"])
-    filled = [action.placeholder for _, actions in blocks for action in actions]
-    if "power_w" not in filled and not {"voltage_kv", "current_ma"} <= set(filled):
-        raise SettingsError(
-            "machine.set_beam and beam_on set no power: give {voltage_kv} and {current_ma}, or {power_w}"
-        )
-
-
-# Heights of a keep-out zone for which nobody gave any: a place to stay out of, and no body that turns with the table.
-NO_HEIGHT = KeepOut.model_fields["z_mm"].default
+    # A value is its own placeholder, or 0; the values of the beam stand in templates of the beam, those of the wire too.
+    for block, action in ((block, action) for block, actions in blocks for action in actions):
+        means, filled, said = action.meaning, action.placeholder, f": {block!r}: {action.word!r}"
+        if means in VALUES:
+            other = name in BEAM_TEMPLATES and means in WIRE_VALUES
+            other = other or (name in WIRE_TEMPLATES and means in BEAM_VALUES)
+            if other or (name in FOCUS_TEMPLATES) != (means == FOCUS):
+                yield f"{said} sets {means}, which {name} must not"
+            if filled and filled != means:
+                yield f"{said} is declared as {means} and filled with {filled}"
+            if not filled and action.number != 0.0:
+                yield f"{said} is declared as {means}: give {{{means}}} or 0 in place of {action.number:g}"
+        elif means == AUXILIARY and filled and filled not in FREE:
+            yield f"{said} is auxiliary: of the placeholders it may carry {', '.join(FREE)}"
 
 
 def checked_preheating(config: Config, name: str) -> None:
@@ -279,31 +219,35 @@ def checked_preheating(config: Config, name: str) -> None:
     settings, machine, process = config.preheat, config.machine, config.process
     if settings.when == "off":
         return
-    why = ""
-    if not control(name).subprogram_suffix:
-        why = f"control {name!r} has programs of one file: a scan is a subprogram of its own"
-    elif not machine.set_focus:
-        why = 'machine.set_focus is empty: give the block that sets the focus, such as "H5={defocus} ; focus"'
-    elif settings.defocus == 0.0:
-        why = "preheat.defocus is 0, the focus of the beads: give the value at which the beam is preheat.spot_mm wide"
-    elif settings.current_ma > process.current_max_ma:
-        why = f"preheat.current_ma {settings.current_ma:g} is over process.current_max_ma {process.current_max_ma:g}"
-    elif not machine.feed_min_mm_s <= settings.speed_mm_s <= machine.feed_max_mm_s:
-        why = (
-            f"preheat.speed_mm_s {settings.speed_mm_s:g} is not within machine.feed_min_mm_s and feed_max_mm_s, "
-            f"{machine.feed_min_mm_s:g} .. {machine.feed_max_mm_s:g}"
-        )
-    elif settings.when == "layers" and process.layer_pause_s > 0.0:
-        why = "process.layer_pause_s lets layers cool that preheat.when = 'layers' heats: use one of them"
-    elif settings.target_k + settings.over_k > entry_limit_k(config):
-        why = (
-            f"preheat.target_k + over_k is {settings.target_k + settings.over_k:g} K, over {entry_limit_k(config):g} K at which no bead "
-            "may be entered"
-        )
-    elif config.base_mm > 0.0 and settings.scan_in == "own":
-        why = "the program begins on what stands (layers.base_mm), and its main program preheats nothing: set preheat.scan_in = 'layer'"
-    if why:
-        raise SettingsError(f"preheat.when is {settings.when!r}: {why}")
+    hottest_k, entry_k = settings.target_k + settings.over_k, entry_limit_k(config)
+    slow, fast = machine.feed_min_mm_s, machine.feed_max_mm_s
+    for refused, why in (
+        (not control(name).subprogram_suffix, f"control {name!r} has programs of one file: a scan is a subprogram of its own"),
+        (not machine.set_focus, 'machine.set_focus is empty: give the block that sets the focus, such as "H5={defocus} ; focus"'),
+        (
+            settings.defocus == 0.0,
+            "preheat.defocus is 0, the focus of the beads: give the value at which the beam is preheat.spot_mm wide",
+        ),
+        (
+            settings.current_ma > process.current_max_ma,
+            f"preheat.current_ma {settings.current_ma:g} is over process.current_max_ma {process.current_max_ma:g}",
+        ),
+        (
+            not slow <= settings.speed_mm_s <= fast,
+            f"preheat.speed_mm_s {settings.speed_mm_s:g} is not within machine.feed_min_mm_s and feed_max_mm_s, {slow:g} .. {fast:g}",
+        ),
+        (
+            settings.when == "layers" and process.layer_pause_s > 0.0,
+            "process.layer_pause_s lets layers cool that preheat.when = 'layers' heats: use one of them",
+        ),
+        (hottest_k > entry_k, f"preheat.target_k + over_k is {hottest_k:g} K, over {entry_k:g} K at which no bead may be entered"),
+        (
+            config.base_mm > 0.0 and settings.scan_in == "own",
+            "the program begins on what stands (layers.base_mm), and its main program preheats nothing: set preheat.scan_in = 'layer'",
+        ),
+    ):  # fmt: skip
+        if refused:
+            raise SettingsError(f"preheat.when is {settings.when!r}: {why}")
 
 
 def checked_tilt(config: Config, name: str) -> None:
@@ -327,16 +271,12 @@ def checked_tilt(config: Config, name: str) -> None:
 
 def carried_corners(config: Config) -> Floats:
     """Corners (n, 3) of all that the table carries, its axes at 0: box of the part, base plate, and clamps of known height."""
-    stands = config.part.on_table
+    machine, process, stands = config.machine, config.process, config.part.on_table
     assert stands is not None
-    machine, process = config.machine, config.process
-    (x0, y0, z0), (x1, y1, z1) = stands.low_mm, stands.high_mm
-    px0, py0 = machine.base_plate_min_mm or (x0, y0)
-    px1, py1 = machine.base_plate_max_mm or (x1, y1)
-    corners = [
-        *product((x0, x1), (y0, y1), (z0, z1)),
-        *product((px0, px1), (py0, py1), (-process.base_plate_mm, 0.0)),
-    ]
+    box = list(zip(stands.low_mm, stands.high_mm, strict=True))
+    low = machine.base_plate_min_mm or stands.low_mm[:2]
+    high = machine.base_plate_max_mm or stands.high_mm[:2]
+    corners = [*product(*box), *product(*zip(low, high, strict=True), (-process.base_plate_mm, 0.0))]
     for zone in process.keep_out:
         if zone.z_mm != NO_HEIGHT:
             corners += [(x, y, z) for (x, y), z in product(zone.outline_mm, zone.z_mm)]

@@ -15,8 +15,7 @@ from ebamcheck.nc.words import SKIPPED
 from ebamcheck.showing import short_text
 
 PAUSE = "layer_pause_s"  # Event of a wait of the build, named by its placeholder; that of a template is DWELL
-# Begin of the event of a rotary axis that is commanded, behind which its name stands; its value is the position.
-AXIS_EVENT = "table axis "
+AXIS_EVENT = "table axis "  # Begin of the event of a commanded rotary axis; its value is the position
 
 
 class Kind(IntEnum):
@@ -72,7 +71,6 @@ class Events:
         return short_text.line("Events", short_text.counted(len(self.name), "event"))
 
     def __len__(self) -> int:
-        """Return the number of events."""
         return len(self.name)
 
     @cached_property

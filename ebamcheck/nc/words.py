@@ -1,9 +1,7 @@
 """Words of NC blocks: the table of a control's language, its blocks taken apart, and the modal groups that words belong to.
 
-Of a modal group one word is in force at any time. A program here establishes every group in its own first blocks, and may repeat a
-word, but changes none: a word of a group other than the one wanted is a fault wherever it stands. Words that would bend the path as
-it is read (another plane, other units, distances from the position before) are refused by the reader.
-"""
+Of a modal group one word is in force at any time. A program establishes every group in its own first blocks, and changes none: a word
+of a group other than the one wanted is a fault. Words that would bend the path as it is read are refused by the reader."""
 
 from __future__ import annotations
 
@@ -16,60 +14,34 @@ from ebamcheck.nc.control import Group, control
 from ebamcheck.settings.machine import MachineSettings
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)"
-# Before a block that is skipped where the operator has chosen so at the panel.
-SKIP = re.compile(r"\s*/\d?\s*")
+SKIP = re.compile(r"\s*/\d?\s*")  # Before a block that is skipped where the operator has chosen so
 SKIPPED = "may be skipped"  # Event of such a block, where it does anything
 MOST_OF_A_LIST = 3  # Numbers of a list: an end point, and coefficients of t^2 and t^3
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """The language of a control, as a table; see :class:`ebamcheck.nc.reader.Reader` for what its programs do.
+    """The language of a control, as a table; see :class:`ebamcheck.nc.reader.Reader` for what its programs do."""
 
-    Parameters
-    ----------
-    name
-        Of the control, whose modal groups its words belong to.
-    motions
-        Words of motion, and the kind of motion of each (:mod:`ebamcheck.nc.motions`).
-    codes, ends
-        Other words without a value; and those that end a program.
-    addresses
-        Words with a value, beside the rotary axes of a machine.
-    word
-        Pattern of one word in capitals. The last of its groups says what it is: ``number`` behind a ``letter``, ``value`` behind a
-        ``name``, ``list`` behind a ``list_address``, ``identifier``, or ``bad``.
-    code_letters, code_number
-        Letters whose numbers are no values, and how such a number is told; None: as it stands, without zeros before it.
-    block_number
-        Pattern of the number before a block; its group is the digits.
-    radius
-        How the radius of an arc is given.
-    curve
-        Pattern of the block that most curves of its programs are, in the spelling of most posts; its groups are numbers. It is run by
-        :meth:`~ebamcheck.nc.reader.Reader.run_curve`. Empty: none.
-    message
-        Pattern of a block that only says something to the operator.
-    alone
-        Words that stand by themselves in their block, and why.
-    unused
-        Addresses that a block without an axis has nothing to use for, as a refusal names them; empty: those that are there.
-    """
-
-    name: str
-    motions: Mapping[str, int]
-    codes: frozenset[str]
-    ends: frozenset[str]
-    addresses: frozenset[str]
+    name: str  # Of the control, whose modal groups its words belong to
+    motions: Mapping[str, int]  # Words of motion, and the kind of each (:mod:`ebamcheck.nc.motions`)
+    codes: frozenset[str]  # Other words without a value
+    ends: frozenset[str]  # Those that end a program
+    addresses: frozenset[str]  # Words with a value, beside the rotary axes of a machine
+    # One word in capitals. The last of its groups says what it is: ``number`` behind a ``letter``, ``value`` behind a ``name``, ``list``
+    # behind a ``list_address``, ``identifier``, or ``bad``.
     word: re.Pattern[str]
-    code_letters: str = "GM"
-    code_number: Callable[[str], str] | None = None
+    code_letters: str = "GM"  # Letters whose numbers are no values
+    code_number: Callable[[str], str] | None = None  # How such a number is told; None: without first zeros
+    # The number before a block; its group is the digits.
     block_number: re.Pattern[str] = re.compile(r"\s*N(\d+)(?![\d.])\s*", re.IGNORECASE)
-    radius: str = "R"
+    radius: str = "R"  # How the radius of an arc is given
+    # Pattern of the block that most curves of its programs are, in the spelling of most posts; its groups are numbers, for
+    # :meth:`~ebamcheck.nc.reader.Reader.run_curve`. Empty: none.
     curve: str = ""
-    message: re.Pattern[str] | None = None
-    alone: Mapping[str, str] = field(default_factory=dict)
-    unused: str = ""
+    message: re.Pattern[str] | None = None  # A block that only says something to the operator
+    alone: Mapping[str, str] = field(default_factory=dict)  # Words that stand alone in their block, and why
+    unused: str = ""  # Addresses that a block without an axis cannot use, in words; empty: those there
 
 
 @dataclass(slots=True)
@@ -96,20 +68,23 @@ class UnknownWord(WordError):
 
 def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Block:
     """Split the upper-case text of a block, without number and comment, into its words; `rotary` are axes of a table.
-
-    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or a list that is no list of
-    numbers is a :class:`WordError`.
-    """
+    :class:`UnknownWord` is one that is not of the language; a word given twice, two of one modal group, or no list is a :class:`WordError`."""
     block = Block({}, {}, [])
     for found in dialect.word.finditer(code):
         kind, text = found.lastgroup, found[0].lstrip()
-        column = found.end() - len(text)
+        column, word, address, value = found.end() - len(text), "", "", ""
         if kind == "bad":
             raise UnknownWord(f"unknown word {text.split()[0]!r}", column)
         if kind == "list":
-            _add_list(block, found, column)
+            try:
+                numbers = tuple(float(part) for part in found["list"].split(","))
+            except ValueError:
+                numbers = ()
+            if not 1 <= len(numbers) <= MOST_OF_A_LIST or found["list_address"] in block.lists:
+                what = f"{text.strip()!r} is no single list of an end point and at most two coefficients"
+                raise WordError(what, column)
+            block.lists[found["list_address"]] = numbers
             continue
-        word, address, value = "", "", ""
         if kind == "number":
             address, value = found.group("letter", "number")
             if address in dialect.code_letters:
@@ -130,35 +105,20 @@ def read_block(code: str, dialect: Dialect, rotary: Collection[str] = ()) -> Blo
         else:
             block.values[address] = float(value)
     if len(block.codes) > 1:
-        _refuse_two_of_a_group(dialect, block.codes)
+        # Of two words of one group a control takes either, or stops there with the beam as it is.
+        seen: dict[str, str] = {}
+        for one in block.codes:
+            group = group_of(dialect.name, one)
+            kind = "motion" if one in dialect.motions else group.name if group else one
+            if kind in seen:
+                what = f"{seen[kind]} and {one} in one block: it takes one word of a group ({kind})"
+                raise WordError(what, 0)
+            seen[kind] = one
     if len(block.codes) + len(block.values) + len(block.lists) > 1:
         for word in block.codes:
             if word in dialect.alone:
                 raise WordError(f"{word} with other words: {dialect.alone[word]}", 0)
     return block
-
-
-def _add_list(block: Block, found: re.Match[str], column: int) -> None:
-    address = found["list_address"]
-    try:
-        numbers = tuple(float(part) for part in found["list"].split(","))
-    except ValueError:
-        numbers = ()
-    if not 1 <= len(numbers) <= MOST_OF_A_LIST or address in block.lists:
-        what = f"{found[0].strip()!r} is no single list of an end point and at most two coefficients"
-        raise WordError(what, column)
-    block.lists[address] = numbers
-
-
-def _refuse_two_of_a_group(dialect: Dialect, words: Collection[str]) -> None:
-    """Refuse two words of one group in a block: a control stops there, with the beam as it is, or takes either."""
-    seen: dict[str, str] = {}
-    for word in words:
-        group = group_of(dialect.name, word)
-        kind = "motion" if word in dialect.motions else group.name if group else word
-        if kind in seen:
-            raise WordError(f"{seen[kind]} and {word} in one block: it takes one word of a group ({kind})", 0)
-        seen[kind] = word
 
 
 @cache

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from ebamcheck.checks.checks import PLACE_MM
-from ebamcheck.checks.entry_check import entry_check
-from ebamcheck.checks.header_checks import marked_validated
+from ebamcheck.checks.text_checks import entry_check, marked_validated
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.json_values import sha256_of_file
 from ebamcheck.kernels import Floats

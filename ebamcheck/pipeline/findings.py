@@ -13,10 +13,10 @@ import pandas as pd
 from ebamcheck.checks.checks import COARSE, FLAT, HATCH, HOLE, LEVELS, MISTAKE, NARROWER, OFF_MESH, TOO_THIN
 from ebamcheck.checks.consumables import consumed
 from ebamcheck.checks.interpass_checks import INTERPASS, within_range
-from ebamcheck.checks.loose_limits import loose_limits
 from ebamcheck.checks.metal_rules import NARROW
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.process_checks import seam_turns
+from ebamcheck.checks.value_checks import loose_limits
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.doubt import doubted_layers
 from ebamcheck.curves.gate import CAUSES

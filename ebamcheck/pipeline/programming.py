@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from ebamcheck.checks.consumables import plate_record
-from ebamcheck.checks.header_checks import marked_validated
+from ebamcheck.checks.interpass_checks import build_times_s, known_sections
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.mesh_checks import of_mesh, solid_check
 from ebamcheck.checks.metal import deposit
 from ebamcheck.checks.metal_rules import deposit_checks
 from ebamcheck.checks.rules import with_remedies
-from ebamcheck.checks.text_heat import build_times_s, known_sections
+from ebamcheck.checks.text_checks import marked_validated
 from ebamcheck.curves import Curves
 from ebamcheck.layers.stack import Layers
 from ebamcheck.mesh.part import Part

@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.interpass_checks import AGAIN, COLD
 from ebamcheck.checks.matching import matched
 from ebamcheck.checks.metal import FIELD_FILE, deposit
 from ebamcheck.checks.narrow_features import NarrowFeature
 from ebamcheck.checks.rules import RULES, of_gate
+from ebamcheck.checks.text_checks import Truth
 from ebamcheck.comparison import Comparison
 from ebamcheck.comparison.sources import LayerSource
 from ebamcheck.curves import Curves

@@ -11,8 +11,8 @@ from typing import Any
 from shapely.geometry.base import BaseGeometry
 
 from ebamcheck.checks.consumables import plate_checks
-from ebamcheck.checks.header_checks import Truth
 from ebamcheck.checks.table import mounting_checks, stands_of, turned_checks
+from ebamcheck.checks.text_checks import Truth
 from ebamcheck.curves import Curves, fit_for_program
 from ebamcheck.errors import EbamcheckError, InputError, SettingsError
 from ebamcheck.heat.preheating import asked_for
