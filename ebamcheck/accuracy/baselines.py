@@ -310,7 +310,7 @@ def _changes(new: Entry, old: Entry, tolerances: Tolerances) -> list[Change]:
 def _growth(new: Entry, old: Entry, column: str, tolerance: Tolerance) -> Growth | None:
     """Layers on which the absolute value of a column grew by more than its tolerance; None where there is none."""
     now, before = new.measured.columns, old.measured.columns
-    heights = now["z_mm"], before["z_mm"]
+    heights = now.get("z_mm", ()), before.get("z_mm", ())
     if column not in before or len(heights[0]) != len(heights[1]) or not np.allclose(*heights, 0.0, 1e-6):
         return None
     was, became = before[column], now[column]

@@ -41,18 +41,17 @@ ALL = "all"
 PartFile = Annotated[Path, Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
 
 
+@options.explained(
+    method=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.",
+    output="FILE.parquet for the curves of one method.",
+    reference="A finer mesh of the same part: errors are measured against it.",
+)
 def fit_command(
     part: PartFile,
-    method: Annotated[
-        str, Option(help=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.")
-    ] = "",
-    output: Annotated[
-        Path | None, Option("-o", "--output", help="FILE.parquet for the curves of one method.")
-    ] = None,
+    method: str = "",
+    output: Path | None = None,
     tolerance: Annotated[float | None, Option(help="Tolerance of `bounded`, mm.")] = None,
-    reference: Annotated[
-        Path | None, Option(help="A finer mesh of the same part: errors are measured against it.")
-    ] = None,
+    reference: Path | None = None,
     layer_height: options.LayerHeightOption = None,
     config_file: options.ConfigOption = None,
     units: options.UnitsOption = "",
@@ -104,17 +103,18 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
     return row
 
 
+@options.explained(
+    layer="Case of one layer, counted from 1, for a heat simulator.",
+    from_layer=Option(
+        min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."
+    ),
+)
 def post_command(
     source: Annotated[Path, Argument(help="A finished run folder, or a part to slice, fit and plan.")],
     output: Annotated[Path, Option("-o", "--output", help="Folder for the program; replaced whole.")],
     control: Annotated[str, Option(help="Post-processor; default: machine.control of the settings.")] = "",
-    layer: Annotated[
-        int | None, Option(help="Case of one layer, counted from 1, for a heat simulator.")
-    ] = None,
-    from_layer: Annotated[
-        int,
-        Option(min=1, help="Leave out the layers before this one, counted from 1: to go on after a break."),
-    ] = 1,
+    layer: int | None = None,
+    from_layer: int = 1,
     layer_height: options.LayerHeightOption = None,
     config_file: options.ConfigOption = None,
     units: options.UnitsOption = "",

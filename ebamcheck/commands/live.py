@@ -16,7 +16,7 @@ import typer
 from typer import Argument, Option
 
 from ebamcheck.checks.table import stands_of
-from ebamcheck.commands.options import JsonOption, numbers, print_json
+from ebamcheck.commands.options import JsonOption, explained, numbers, print_json
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.json_values import plain
 from ebamcheck.live.before import Before
@@ -43,36 +43,26 @@ AnnealingOption = Annotated[
 ]
 
 
+@explained(
+    output="Folder of the build; default: RUN.live. A build that was begun there goes on.",
+    replay="A journal: make its build again and compare every byte; nothing is waited for.",
+    opcua="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].",
+    url="With --opcua: address of the control, in place of that of the settings.",
+    config_file="With --opcua: file whose section [opcua] stands for that of the run.",
+)
 def live_command(
     run: FinishedRunArgument,
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            help="Folder of the build; default: RUN.live. A build that was begun there goes on.",
-        ),
-    ] = None,
+    output: Path | None = None,
     part: MovedPart = None,
     heights: Annotated[str, Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
     cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
     tops: Annotated[str, Option(help="Tops of listed heights over the base plate, mm, with commas.")] = "",
     annealing: AnnealingOption = 0,
     timeout: Annotated[float, Option(help="Time without a line after which it says so, s.")] = 3600.0,
-    replay: Annotated[
-        Path | None,
-        Option(help="A journal: make its build again and compare every byte; nothing is waited for."),
-    ] = None,
-    opcua: Annotated[
-        bool, Option("--opcua", help="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].")
-    ] = False,
-    url: Annotated[
-        str, Option(help="With --opcua: address of the control, in place of that of the settings.")
-    ] = "",
-    config_file: Annotated[
-        Path | None,
-        Option("-c", "--config", help="With --opcua: file whose section [opcua] stands for that of the run."),
-    ] = None,
+    replay: Path | None = None,
+    opcua: bool = False,
+    url: str = "",
+    config_file: Path | None = None,
 ) -> ExitCode:
     """Follow a build: for every measured height that comes in, publish the next layer, proved.
 
@@ -155,22 +145,19 @@ def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
     return ExitCode.PASS
 
 
+@explained(
+    measured_z="Height of what stands, over the base plate, mm: the layer is laid on it.",
+    height_map="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF.",
+    direction="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.",
+    output="Folder of the new layers; default: RUN.live.",
+)
 def relayer_command(
     run: FinishedRunArgument,
     layer: Annotated[int, Option(help="Layer that comes next, counted from 1.")],
-    measured_z: Annotated[
-        float | None, Option(help="Height of what stands, over the base plate, mm: the layer is laid on it.")
-    ] = None,
-    height_map: Annotated[
-        Path | None,
-        Option(help="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF."),
-    ] = None,
-    direction: Annotated[
-        str, Option(help="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.")
-    ] = "",
-    output: Annotated[
-        Path | None, Option("-o", "--output", help="Folder of the new layers; default: RUN.live.")
-    ] = None,
+    measured_z: float | None = None,
+    height_map: Path | None = None,
+    direction: str = "",
+    output: Path | None = None,
     part: MovedPart = None,
     annealing: AnnealingOption = 0,
     as_json: JsonOption = False,

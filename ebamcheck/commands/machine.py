@@ -20,6 +20,7 @@ from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
 from ebamcheck.commands.live import FinishedRunArgument, MovedPart, opcua_of
+from ebamcheck.commands.options import explained
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.heights import bead_limits
 from ebamcheck.live.opcua.link import installed
@@ -34,16 +35,14 @@ TABLE = "machine.csv"
 START = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
 
 
+@explained(
+    output="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
+    opcua="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal.",
+    fault=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.",
+)
 def machine_command(
     run: FinishedRunArgument,
-    output: Annotated[
-        Path | None,
-        Option(
-            "-o",
-            "--output",
-            help="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
-        ),
-    ] = None,
+    output: Path | None = None,
     part: MovedPart = None,
     drift: Annotated[float, Option(help="Share by which every layer comes out higher than planned.")] = 0.0,
     noise: Annotated[float, Option(help="Standard deviation of that share.")] = 0.0,
@@ -51,14 +50,9 @@ def machine_command(
     speed: Annotated[float, Option(help="How many times faster than planned layers are laid.")] = 100.0,
     heights: Annotated[str, Option(help="How heights are chosen: uniform, adaptive.")] = "uniform",
     cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
-    opcua: Annotated[
-        bool,
-        Option("--opcua", help="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal."),
-    ] = False,
+    opcua: bool = False,
     url: Annotated[str, Option(help="With --opcua: address to listen at.")] = "",
-    fault: Annotated[
-        list[str] | None, Option(help=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.")
-    ] = None,
+    fault: list[str] | None = None,
     sessions: Annotated[int, Option(min=1, help="Sessions that the OPC UA server has.")] = SESSIONS,
 ) -> ExitCode:
     """Play a control with an OPC UA server, start `ebamcheck live RUN` beside it, and build the part, whose layers grow by a stated law.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from typer import Argument, Option
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from ebamcheck.preflight.report import Ready
     from ebamcheck.scan import ScanPlan
     from ebamcheck.settings.config import Config
+
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 # Settings that are taken where none are named, if there are some in the working folder
 DEFAULT_CONFIG = Path("ebamcheck.toml")
@@ -73,6 +75,22 @@ ForceOption = Annotated[
         help="Run even where OUTPUT holds a finished run; that one is moved to a name with its date.",
     ),
 ]
+
+
+def explained(**given: Any) -> Callable[[Command], Command]:
+    """Make options of parameters of a command, each with its help, or as the option that is given; a bool is a flag."""
+    short = {"output": ("-o", "--output"), "config_file": ("-c", "--config")}
+
+    def made(function: Command) -> Command:
+        hints = get_type_hints(function, include_extras=True)
+        for name, said in given.items():
+            flag = ("--" + name.replace("_", "-"),) if hints[name] is bool else ()
+            option = Option(*short.get(name, flag), help=said) if isinstance(said, str) else said
+            hints[name] = Annotated[hints[name], option]
+        function.__annotations__ = hints
+        return function
+
+    return made
 
 
 def job_settings(

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from ebamcheck.slicers.isolation import WorkerPool
 
 
+@options.explained(
+    from_layer=Option(min=1, help="Write a program that begins at this layer, too: to go on after a break."),
+    live="Write a main program that waits between layers until each is released, too.",
+)
 def run(
     part: options.JobPart = None,
     plate: options.PlateOption = None,
@@ -37,13 +41,8 @@ def run(
     place: options.PlaceOption = "",
     rotate: options.RotateOption = None,
     fix_orientation: options.FixOption = False,
-    from_layer: Annotated[
-        int, Option(min=1, help="Write a program that begins at this layer, too: to go on after a break.")
-    ] = 1,
-    live: Annotated[
-        bool,
-        Option("--live", help="Write a main program that waits between layers until each is released, too."),
-    ] = False,
+    from_layer: int = 1,
+    live: bool = False,
     yes: options.YesOption = False,
     resume: options.ResumeOption = False,
     force: options.ForceOption = False,
@@ -68,6 +67,13 @@ def run(
     return _told(result, as_json)
 
 
+@options.explained(
+    slabs=Option(
+        min=1,
+        max=10_000,
+        help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
+    ),
+)
 def check(
     part: options.JobPart = None,
     plate: options.PlateOption = None,
@@ -81,14 +87,7 @@ def check(
     place: options.PlaceOption = "",
     rotate: options.RotateOption = None,
     fix_orientation: options.FixOption = False,
-    slabs: Annotated[
-        int | None,
-        Option(
-            min=1,
-            max=10_000,
-            help="Read, cut and compare a binary STL in so many slabs of z; default: 1, more where memory asks for it.",
-        ),
-    ] = None,
+    slabs: int | None = None,
     yes: options.YesOption = False,
     resume: options.ResumeOption = False,
     force: options.ForceOption = False,
@@ -138,27 +137,19 @@ def _told(result: RunResult, as_json: bool) -> ExitCode:
     return result.exit_code
 
 
+@options.explained(
+    target=Argument(help="A run folder; or, with --part, a program, or the folder of a live build."),
+    part="File of the part that the program should make; of a run: if it was moved since.",
+    whole="Of a program that begins at a layer (--from-layer): the run folder or program that it is the end of.",
+    quick="Of a run: believe its recorded layers and gates, slice nothing anew.",
+    trusted="Public key, or a folder of them; one must have signed. May be given again.",
+)
 def verify(
-    target: Annotated[
-        Path, Argument(help="A run folder; or, with --part, a program, or the folder of a live build.")
-    ],
-    part: Annotated[
-        Path | None,
-        Option(help="File of the part that the program should make; of a run: if it was moved since."),
-    ] = None,
-    whole: Annotated[
-        Path | None,
-        Option(
-            help="Of a program that begins at a layer (--from-layer): the run folder or program that it is the end of."
-        ),
-    ] = None,
-    quick: Annotated[
-        bool, Option("--quick", help="Of a run: believe its recorded layers and gates, slice nothing anew.")
-    ] = False,
-    trusted: Annotated[
-        list[Path] | None,
-        Option(help="Public key, or a folder of them; one must have signed. May be given again."),
-    ] = None,
+    target: Path,
+    part: Path | None = None,
+    whole: Path | None = None,
+    quick: bool = False,
+    trusted: list[Path] | None = None,
     config_file: options.ConfigOption = None,
     layer_height: options.LayerHeightOption = None,
     units: options.UnitsOption = "",

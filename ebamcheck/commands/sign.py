@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ebamcheck.commands.options import explained
 from ebamcheck.errors import ExitCode
 from ebamcheck.printable import printable
 from ebamcheck.record.certificate import CERTIFICATE, lots_of, read_certificate, released
@@ -30,6 +31,10 @@ def key_command(
     return ExitCode.PASS
 
 
+@explained(
+    lot="NAME=NUMBER of a lot, such as wire=W-1234. May be given again.",
+    deviation="A deviation that is accepted. May be given again.",
+)
 def sign_command(
     run: Annotated[Path, Argument(help="A finished run folder.")],
     key: Annotated[Path, Option(help="Private key (PEM), made by `ebamcheck key`.")],
@@ -38,15 +43,11 @@ def sign_command(
     part_number: Annotated[str, Option(help="Number of the part.")] = "",
     revision: Annotated[str, Option(help="Revision of the part.")] = "",
     machine_serial: Annotated[str, Option(help="Serial number of the machine.")] = "",
-    lot: Annotated[
-        list[str] | None, Option(help="NAME=NUMBER of a lot, such as wire=W-1234. May be given again.")
-    ] = None,
+    lot: list[str] | None = None,
     operator: Annotated[str, Option(help="Who runs the build.")] = "",
     approver: Annotated[str, Option(help="Who releases it; default: NAME, if the role is approver.")] = "",
     date: Annotated[str, Option(help="Date of the release, as your records write it.")] = "",
-    deviation: Annotated[
-        list[str] | None, Option(help="A deviation that is accepted. May be given again.")
-    ] = None,
+    deviation: list[str] | None = None,
 ) -> ExitCode:
     """Add part number, lots, approver and deviations to a run's certificate, and sign it.
 

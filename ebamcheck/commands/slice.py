@@ -22,26 +22,19 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 
 
+@options.explained(
+    output="FILE.parquet, .cli (Common Layer Interface), .svg, .dxf, .vtp, .3mf or .csv.",
+    backend="Backend; default: the available exact one of the highest priority.",
+    heights="Listed heights, mm, comma-separated, instead of uniform layers.",
+    setting=Option("--set", help="Backend setting NAME=VALUE; repeatable."),
+)
 def slice_command(
     part: options.PartArgument,
-    output: Annotated[
-        Path,
-        Option(
-            "-o",
-            "--output",
-            help="FILE.parquet, .cli (Common Layer Interface), .svg, .dxf, .vtp, .3mf or .csv.",
-        ),
-    ],
-    backend: Annotated[
-        str, Option(help="Backend; default: the available exact one of the highest priority.")
-    ] = "",
+    output: Path,
+    backend: str = "",
     layer_height: options.LayerHeightOption = None,
-    heights: Annotated[
-        str, Option(help="Listed heights, mm, comma-separated, instead of uniform layers.")
-    ] = "",
-    setting: Annotated[
-        list[str] | None, Option("--set", help="Backend setting NAME=VALUE; repeatable.")
-    ] = None,
+    heights: str = "",
+    setting: list[str] | None = None,
     config_file: options.ConfigOption = None,
     units: options.UnitsOption = "",
     direction: options.DirectionOption = "",
@@ -93,10 +86,11 @@ def slice_command(
 HEIGHT_ROUNDING_MM = 1e-4  # what formats with 32-bit numbers may round heights by, over a metre
 
 
+@options.explained(
+    a=Argument(help="Layers of one slicer (.parquet, .cli, .svg, .dxf, .vtp, .3mf or .csv)."),
+)
 def compare(
-    a: Annotated[
-        Path, Argument(help="Layers of one slicer (.parquet, .cli, .svg, .dxf, .vtp, .3mf or .csv).")
-    ],
+    a: Path,
     b: Annotated[Path, Argument(help="Layers of another, at the same heights.")],
     tolerance: Annotated[float, Option(help="Depth of the symmetric difference allowed, mm.")] = 0.001,
     output: Annotated[Path | None, Option("-o", "--output", help="Write the table as CSV.")] = None,
@@ -138,12 +132,13 @@ def compare(
     return ExitCode.PASS if table["agrees"].all() else ExitCode.OUT_OF_TOLERANCE
 
 
+@options.explained(
+    regions="List the surfaces that the curves see: planes, cylinders, freeform.",
+)
 def inspect(
     part: options.PartArgument,
     units: options.UnitsOption = "",
-    regions: Annotated[
-        bool, Option("--regions", help="List the surfaces that the curves see: planes, cylinders, freeform.")
-    ] = False,
+    regions: bool = False,
     picture: Annotated[Path | None, Option(help="Draw the surfaces into FILE.svg; with --regions.")] = None,
     config_file: options.ConfigOption = None,
     as_json: options.JsonOption = False,

@@ -1,13 +1,12 @@
 """One layer, end to end: cut by two exact methods, compared, fitted, filled, put in order, written, read back, judged.
 
-A layer is a program of its own, whose lowest layer lies on what stands (``layers.base_mm``): the whole text that the
-control gets is the text that was verified, and anybody can verify it again from part and settings.
+It is a program of its own, whose lowest layer lies on what stands: the text that the control gets is the one that was verified.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -56,16 +55,13 @@ MOST_K = 150.0  # more than this no plan is to aim lower
 
 @dataclass(frozen=True)
 class Wanted:
-    """A layer that is to be made: its index in the build, from 0; Z of what it lies on; its height; and its name.
+    """A layer that is to be made."""
 
-    Islands and hatch lie as on the layer of index `layer + shifted`.
-    """
-
-    layer: int
-    base_mm: float
+    layer: int  # its index in the build, from 0
+    base_mm: float  # Z of what it lies on
     thickness_mm: float
     name: str
-    shifted: int = 0
+    shifted: int = 0  # islands and hatch lie as on the layer so many higher
 
     @property
     def top_mm(self) -> float:
@@ -75,20 +71,18 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class MadeLayer:
-    """A layer that was made, whether it may be published or not: `after` is what stands when it is done, `wait_s` the least time between the last
-    bead below and its first one, `deposit_s` its time with the waits within it, and `seconds` the time that the making took, by stage.
-    """
+    """A layer that was made, whether it may be published or not."""
 
     wanted: Wanted
     config: Config
     files: ProgramFiles
     gates: tuple[Check, ...]
     checks: tuple[Check, ...]
-    after: Before
-    wait_s: float
+    after: Before  # what stands when it is done
+    wait_s: float  # least time between the last bead below and its first one
     islands: int
-    deposit_s: float
-    seconds: dict[str, float]
+    deposit_s: float  # its time with the waits within it
+    seconds: dict[str, float]  # that the making took, by stage
 
     @property
     def cut_mm(self) -> float:
@@ -107,15 +101,14 @@ class MadeLayer:
 
 
 class LayerMaker(AbstractContextManager["LayerMaker"]):
-    """A part as placed and two slicers, ready to make any layer of it.
-
-    The contours of `primary` become the program: empty, that of the settings, else the default one. An order of islands is improved by
-    `annealing_steps` moves; the greedy plans alone are a matter of a tenth of a second.
-    """
+    """A part as placed and two slicers, ready to make any layer of it; the contours of `primary`, or of the default one, become the program."""
 
     def __init__(self, part: Part, config: Config, primary: str = "", annealing_steps: int = 0) -> None:
         name = config.machine.control
-        config = preheated_in_layers(config)
+        if config.preheat.when != "off":
+            # Layers are released one by one: a scan that preheats is part of its layer's file.
+            preheat = config.preheat.model_copy(update={"scan_in": "layer"})
+            config = config.model_copy(update={"preheat": preheat})
         if not control(name).is_read:
             raise SettingsError(
                 f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
@@ -135,8 +128,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         self._of_part = config.part.model_copy(update=turned)
         self._of_scan = config.scan.model_copy(update={"annealing_steps": annealing_steps})
         self._of_file = file_check(part, config.model_copy(update={"part": self._of_part}))
-        self.stands: Stands | None = None
-        """What stands of a part that is turned between layers; None: it is not."""
+        self.stands: Stands | None = None  # of a part that is turned between layers
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
         given = config.slicing.settings
@@ -164,8 +156,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
 
     def section_at(self, height_mm: float, backend: str = "") -> BaseGeometry:
         """Section of the part at a height over its lowest point."""
-        cut = self._slicings[backend or self.primary].at(self.bottom_mm + height_mm)
-        return cut.section(0)
+        return self._slicings[backend or self.primary].at(self.bottom_mm + height_mm).section(0)
 
     def config_of(self, wanted: Wanted, mapped: bool = False, along: bool = True) -> Config:
         """Settings of the program of one layer: those of the run, with its height and name, and the feed for that height."""
@@ -185,25 +176,29 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
     def make(self, wanted: Wanted, before: Before, folder: Path) -> MadeLayer:
         """Make one layer on what stands; its program goes to `folder`, and is stamped as validated where every gate is open.
 
-        Where the feed follows along the path and a gate shuts, the plan aims cooler, and then the wire follows alone.
+        Where the feed follows along the path and a gate shuts, the plan aims cooler if the heat alone is over, and then the wire follows alone.
         """
-        mapped = before.mapped_surface
+        mapped = before.surface is not None and before.surface.mapped
         config = self.config_of(wanted, mapped)
         made = self._made(wanted, before, folder, config)
         if made.passed or not config.process.feed_along_path:
             return made
-        if (over_k := too_warm_k(made.gates)) > 0.0:
-            made = self._made(wanted, before, folder, config, over_k)
-        return (
-            made if made.passed else self._made(wanted, before, folder, self.config_of(wanted, mapped, False))
-        )
+        shut = [gate for gate in made.gates if not gate.passed]
+        if len(shut) == 1 and shut[0].name == "heat" and 0.0 < shut[0].value - shut[0].limit <= MOST_K:
+            made = self._made(wanted, before, folder, config, shut[0].value - shut[0].limit)
+        if made.passed:
+            return made
+        return self._made(wanted, before, folder, self.config_of(wanted, mapped, False))
 
     def _made(
         self, wanted: Wanted, before: Before, folder: Path, config: Config, cooler_k: float = 0.0
     ) -> MadeLayer:
         """Make one layer by its settings, on a plan that aims under the limit of the heat by some kelvins."""
         seconds: dict[str, float] = {}
-        stands = before.measured()
+        stands, aimed = before.measured(), config
+        if cooler_k > 0.0:
+            limit = {"interpass_limit_k": entry_limit_k(config) - cooler_k - ROOM_K}
+            aimed = config.model_copy(update={"process": config.process.model_copy(update=limit)})
         with timed(seconds, "slice"):
             cuts = self._cut(wanted, config)
         contours, witness = cuts[self.primary], cuts[self.witness]
@@ -213,7 +208,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             verdict, _ = fitted(contours, self.part, config, self._bounds[self.primary][0])
             smooth = stages.smooth_layers(verdict.curves)
         with timed(seconds, "plan"):
-            plan, after, wait_s = self._planned(smooth, wanted, stands, aimed_lower(config, cooler_k))
+            plan, after, wait_s = self._planned(smooth, wanted, stands, aimed)
         agreement = comparing.result()
         with timed(seconds, "write"):
             laid = stages.laid_out(smooth, plan, config, wanted.layer)
@@ -247,7 +242,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         scan_s = sum(float(way.time_s.sum()) for way in scans_of(program, config).values())
         return MadeLayer(
             wanted, config, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
-            after.layer_s + scan_s, seconds,
+            scan_s + (after.last.time_s if after.last else 0.0), seconds,
         )  # fmt: skip
 
     def _weighed(
@@ -304,25 +299,6 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         return plan, replace(before, part=part, last=last), wait_s
 
 
-def too_warm_k(gates: Sequence[Check]) -> float:
-    """How far a layer is over the limit of the heat, of which that is all that is wrong; else 0."""
-    shut = [gate for gate in gates if not gate.passed]
-    if len(shut) != 1 or shut[0].name != "heat":
-        return 0.0
-    over_k = shut[0].value - shut[0].limit
-    return over_k if 0.0 < over_k <= MOST_K else 0.0
-
-
-def aimed_lower(config: Config, by_k: float) -> Config:
-    """Settings of a plan that aims under the limit of the heat; the layer itself is judged by the limit."""
-    if by_k <= 0.0:
-        return config
-    limit_k = entry_limit_k(config) - by_k - ROOM_K
-    return config.model_copy(
-        update={"process": config.process.model_copy(update={"interpass_limit_k": limit_k})}
-    )
-
-
 def failure_of(error: Exception) -> str:
     """One line for what ended the making of a layer."""
     text = " ".join(str(error).split())
@@ -335,10 +311,3 @@ def timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     begin = time.perf_counter()
     yield
     seconds[stage] = time.perf_counter() - begin
-
-
-def preheated_in_layers(config: Config) -> Config:
-    """Settings of layers that are released one by one: a scan that preheats is part of its layer's file."""
-    if config.preheat.when == "off":
-        return config
-    return config.model_copy(update={"preheat": config.preheat.model_copy(update={"scan_in": "layer"})})
