@@ -26,7 +26,7 @@ from ebamcheck.json_values import json_text, sha256_of_file, sha256_of_json
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.live import publishing
 from ebamcheck.live.before import Before, metal_checks
-from ebamcheck.live.publishing import CERTIFICATE, CURRENT, JOURNAL, LAYERS, PROGRAM, SETTINGS
+from ebamcheck.live.publishing import CERTIFICATE, CURRENT, JOURNAL, LAYERS, PROGRAM, SETTINGS, ended_early
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import read_part
 from ebamcheck.nc.roles import by_height, by_shape
@@ -193,9 +193,7 @@ def _ended_early(folder: Path, name: str, file: Path) -> str:
     if not ends:
         return ""
     config = load_config(folder / LAYERS / name / SETTINGS)
-    why = publishing.ended_early(
-        float(read_part(file, config.part)[0].size[2]), float(ends[-1]["height_mm"]), config
-    )
+    why = ended_early(float(read_part(file, config.part)[0].size[2]), float(ends[-1]["height_mm"]), config)
     return f"{JOURNAL}: {why}" if why else ""
 
 

@@ -14,15 +14,12 @@ from ebamcheck.settings.config import Config
 from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.settings.process import ProcessSettings
 from ebamcheck.writing.bead_parts import ROUNDING_MM, Stretches, Tracks, cut, parts_of, snapped
-from ebamcheck.writing.segments import Form
+from ebamcheck.writing.segments import Form, bezier_places
 from ebamcheck.writing.tracks import Toolpath, toolpath
 from ebamcheck.writing.wire import with_wire
 
-STEP_MM = 1.0  # Places along a contour at which it may start
 # Places, each one shift further along, of which the first that lies apart is taken, or the farthest.
 TRIES = 8
-# Share of the shift by which a seam must miss every seam below: around a bend the way is longer than the distance.
-APART = 0.5
 NO_SEAMS: Floats = np.zeros((0, 2))  # Seams under the lowest layer of a part
 
 
@@ -35,10 +32,7 @@ def driven_path(
 
 
 def planned_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> Toolpath:
-    """Lay out the tracks of a stack in the form of curves that the control gets.
-
-    Lengths of curves differ by their form, if little, and with them where the wire of a bead changes.
-    """
+    """Lay out the tracks of a stack in the form of curves that the control gets, by which lengths, and places of wire, differ a little."""
     machine = config.machine
     form = written_form(machine)
     return driven_path(curves, plan, config, machine.printed_decimals, form, machine.line_tolerance_mm)
@@ -53,12 +47,11 @@ def written_form(machine: MachineSettings) -> Form:
 def with_bead_ends(
     path: Toolpath, process: ProcessSettings, decimals: int, below: Floats = NO_SEAMS
 ) -> Toolpath:
-    """Start, overlap and ramp the beads of a path as the process asks.
+    """Start, overlap and ramp the beads of a path as the process asks; `below` (n, 2) are the seams under the lowest layer.
 
-    A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start
-    for ``process.overlap_mm``, at most once around. Along the first ``process.ramp_up_mm`` of every bead the power
-    rises in steps, along the last ``process.crater_fill_mm`` it falls; where a bead is shorter than both, they
-    shrink alike. `below` (n, 2) are the seams under the lowest layer.
+    A closed contour starts ``process.seam_shift_mm`` along itself from the seam below, and runs on over its start for
+    ``process.overlap_mm``, at most once around. Power rises in steps along ``process.ramp_up_mm`` and falls along
+    ``process.crater_fill_mm``; where a bead is shorter than both, they shrink alike.
     """
     if not (process.shapes_bead_ends and path.kind.size):
         return path
@@ -116,10 +109,7 @@ def ramp_lengths(bead_mm: Floats, process: ProcessSettings) -> tuple[Floats, Flo
 def ramp_power(
     from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
 ) -> Floats:
-    """Share of the full power at places on beads, (n,), by the lengths along the bead from its start and to its end, mm.
-
-    It is that in the middle of each of ``process.ramp_steps``, over the ramps of :func:`ramp_lengths`.
-    """
+    """Share of the full power at places on beads, (n,), by mm from its start and to its end: the middle of each step of its ramps."""
     power = np.ones(from_start.size)
     for along, length in ((from_start, up_mm), (to_end, down_mm)):
         share = np.divide(along, length, out=np.ones_like(along), where=length > 0.0)
@@ -135,9 +125,8 @@ def seam_shifts(
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
 
-    A contour that is `closed` (T,) starts a shift further along itself than its place next to the seam below; others keep their start.
-    `points` (N, 4, 2) and `lengths` (N,) of segments are those of :mod:`ebamcheck.writing.cuts`, `below` (n, 2) the seams under the
-    lowest layer.
+    A contour that is `closed` (T,) starts a shift further along itself than its place next to the seam below. `points` (N, 4, 2) and
+    `lengths` (N,) of segments are those of :mod:`ebamcheck.writing.cuts`, `below` (n, 2) the seams under the lowest layer.
     """
     shifts = np.zeros(closed.size)
     for k in range(layer_starts.size - 1):
@@ -154,19 +143,12 @@ def seam_shifts(
 
 
 def _places(points: Floats, lengths: Floats) -> tuple[Floats, Floats]:
-    """Places (n, 2) along a track, and their lengths (n,) along it; within a curve as if it were even."""
-    count = np.maximum(np.ceil(lengths / STEP_MM).astype(np.int64), 1)
+    """Places (n, 2) along a track, one a millimetre, and their lengths (n,) along it; within a curve as if it were even."""
+    count = np.maximum(np.ceil(lengths).astype(np.int64), 1)
     segment = np.repeat(np.arange(lengths.size), count)
     t = (np.arange(segment.size) - np.repeat(np.cumsum(count) - count, count)) / count[segment]
     along = (np.cumsum(lengths) - lengths)[segment] + t * lengths[segment]
-    p, u = points[segment], t[:, None]
-    places = (
-        (1 - u) ** 3 * p[:, 0]
-        + 3 * (1 - u) ** 2 * u * p[:, 1]
-        + 3 * (1 - u) * u**2 * p[:, 2]
-        + u**3 * p[:, 3]
-    )
-    return along, places
+    return along, bezier_places(points[segment], t)
 
 
 def _chosen(along: Floats, places: Floats, whole_mm: float, below: Floats, shift_mm: float) -> int:
@@ -178,5 +160,6 @@ def _chosen(along: Floats, places: Floats, whole_mm: float, below: Floats, shift
     tried = (nearest + shift_mm * np.arange(1, TRIES + 1)) % whole_mm
     index = np.searchsorted(along, tried, side="right") - 1
     apart = away[index].min(axis=1)
-    first = np.flatnonzero(apart >= APART * shift_mm)
+    # Around a bend the way is longer than the distance.
+    first = np.flatnonzero(apart >= 0.5 * shift_mm)
     return int(index[first[0] if first.size else apart.argmax()])

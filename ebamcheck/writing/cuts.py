@@ -21,12 +21,11 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 def segment_lengths(kind: NDArray[np.uint8], points: Floats) -> Floats:
     """Length of each segment, (n,) mm; cubics by 16-point Gauss quadrature.
 
-    `points` (n, 4, 2), mm, are the Bezier points of a cubic; of a line its start and end alone count, of an arc those and its second
-    point, which lies half-way along it.
+    `points` (n, 4, 2), mm, are the Bezier points of a cubic, start and end of a line, and those and, second, the middle of an arc.
     """
     result: Floats = np.asarray(np.linalg.norm(points[:, 3] - points[:, 0], axis=1))
     cubic, arc = kind == CUBIC, kind == CIRCULAR
-    result[cubic] = _cubic_lengths(points[cubic], np.ones(int(cubic.sum())))
+    result[cubic] = _lengths_to(3.0 * np.diff(points[cubic], axis=1), np.ones(int(cubic.sum())))
     found = circles(points[arc, 0], points[arc, 1], points[arc, 3])
     result[arc] = found.sweep_rad * np.linalg.norm(points[arc, 0] - found.centre, axis=1)
     return result
@@ -35,10 +34,7 @@ def segment_lengths(kind: NDArray[np.uint8], points: Floats) -> Floats:
 def segment_parts(
     kind: NDArray[np.uint8], points: Floats, lengths: Floats, low_mm: Floats, high_mm: Floats
 ) -> Floats:
-    """Points (n, 4, 2) of the part of each segment from one length along it to another; the same curve.
-
-    A part from 0, or to the whole of its length of :func:`segment_lengths`, keeps that end bit for bit.
-    """
+    """Points (n, 4, 2) of the part of each segment from one length along it to another; an end of the segment stays bit for bit."""
     result = np.empty_like(points)
     for which, part in ((STRAIGHT, _lines), (CIRCULAR, _arcs), (CUBIC, _cubics)):
         rows = np.flatnonzero(kind == which)
@@ -51,11 +47,7 @@ def segment_parts(
 def segment_places(
     kind: NDArray[np.uint8], points: Floats, lengths: Floats, step_mm: float
 ) -> tuple[Ints, Floats, Floats, Floats]:
-    """Places along segments, each in the middle of a piece of at most a length.
-
-    Returns the segment of each place (m,), mm from its start (m,), the place (m, 2), and the length of its piece (m,): these add up
-    to the segments'.
-    """
+    """Places in the middle of pieces, of at most a length, of segments: the segment (m,), mm from its start, the place (m, 2), length of the piece."""
     count = np.maximum(np.ceil(lengths / step_mm), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(count.size), count)
     t = (np.arange(owner.size) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[owner]
@@ -120,11 +112,6 @@ def _cubic_parameters(points: Floats, length: Floats) -> Floats:
 
     blocks = run_blocks(some, math.ceil(len(points) / AT_ONCE)) if len(points) else [np.zeros(0)]
     return np.concatenate(blocks)
-
-
-def _cubic_lengths(points: Floats, t: Floats) -> Floats:
-    """Length of each cubic from 0 to t, (n,)."""
-    return _lengths_to(3.0 * np.diff(points, axis=1), t)
 
 
 def _lengths_to(derivative: Floats, t: Floats) -> Floats:

@@ -81,14 +81,9 @@ def check_entry(layer: int, config: Config) -> None:
 
 
 def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:
-    """Take the layers before `layer` (from 1) out of a program that was written; the rest stays as it is.
+    """Take the layers before `layer` (from 1) out of a program that was written, which says so; SettingsError where it has no such layer.
 
-    The main program says so in a comment. It is no proof of the part: checks of the whole miss the layers left out.
-
-    Raises
-    ------
-    SettingsError
-        If the program has no such layer.
+    It is no proof of the part: checks of the whole miss the layers left out.
     """
     lines = files.main.read_text(encoding="ascii").split("\n")
     calls = [i for i, line in enumerate(lines) if _CALL.fullmatch(line)]
