@@ -48,7 +48,7 @@ def regress(
     history: Path | None = None,
     output: Path = Path("regress"),
     config_file: Path | None = None,
-    as_json: options.JsonOption = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Measure the slicers on models with known sections; exit code 1 where one got worse than its baseline.
 
@@ -127,11 +127,11 @@ def select(
     part: Annotated[Path | None, Option(help="Mesh file of a part like yours.")] = None,
     model: str = "",
     tolerance_mm: float = TOLERANCE_MM,
-    layer_height: options.LayerHeightOption = None,
+    layer_height: float | None = None,
     repeats: Annotated[int, Option(min=1, help="Timed runs of each backend.")] = selection.REPEATS,
     write: Annotated[bool, Option("--write", help="Write the choice into the settings file.")] = False,
-    config_file: options.ConfigOption = None,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Try every slicer on this machine and choose by accuracy, then speed; exit code 1 where none is fit.
 
@@ -209,7 +209,7 @@ def conform_command(
     controls: bool = False,
     models: str | None = None,
     setting: list[str] | None = None,
-    as_json: options.JsonOption = False,
+    as_json: bool = False,
     markdown: bool = False,
 ) -> ExitCode:
     """Test backends against the protocol, the laws of sections and the reference models; or controls by what they write.
@@ -254,13 +254,13 @@ FIGURES = {
     body=f"What 3DThesis heats: {', '.join(BODIES)} around the section.",
 )
 def judge_command(
-    run: Annotated[Path, Argument(help="A finished run folder.")],
+    run: Path,
     layer: Annotated[int, Option(help="Layer, counted from 1.")],
     output: Path | None = None,
     beads: str = BEADS[0],
     body: str = BODIES[0],
-    config_file: options.ConfigOption = None,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Let 3DThesis say how warm the islands of a layer are when the beam enters them, beside our model.
 

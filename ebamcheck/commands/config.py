@@ -9,11 +9,12 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from ebamcheck.commands.options import ConfigOption, JsonOption, explained, print_json, settings_of
+from ebamcheck.commands.options import explained, print_json, settings_of
 from ebamcheck.errors import ExitCode, SettingsError
 
 
-def backends(as_json: JsonOption = False) -> ExitCode:
+@explained()
+def backends(as_json: bool = False) -> ExitCode:
     """List the slicers: availability, versions, device, rules and error bound; and what is wrong with a plugin."""
     from ebamcheck.commands.summaries import backend_record, backends_text
     from ebamcheck.plugins import registry
@@ -36,7 +37,7 @@ def backends(as_json: JsonOption = False) -> ExitCode:
     merge="Add the keys that FILE lacks, with their explanations; keep what is set in it.",
 )
 def config_command(
-    config_file: ConfigOption = None,
+    config_file: Path | None = None,
     output: Path | None = None,
     merge: Path | None = None,
     schema: Annotated[bool, Option("--schema", help="Print the JSON schema instead.")] = False,

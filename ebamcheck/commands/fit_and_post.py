@@ -38,26 +38,25 @@ from ebamcheck.writing.posts import begin_at_layer, check_entry
 
 ALL = "all"
 
-PartFile = Annotated[Path, Argument(help="Mesh file: .stl, .obj, .ply or .3mf.")]
-
 
 @options.explained(
     method=f"{', '.join(METHODS)}, or all; default: curves.method of the settings.",
     output="FILE.parquet for the curves of one method.",
     reference="A finer mesh of the same part: errors are measured against it.",
+    part=Argument(help="Mesh file: .stl, .obj, .ply or .3mf."),
 )
 def fit_command(
-    part: PartFile,
+    part: Path,
     method: str = "",
     output: Path | None = None,
     tolerance: Annotated[float | None, Option(help="Tolerance of `bounded`, mm.")] = None,
     reference: Path | None = None,
-    layer_height: options.LayerHeightOption = None,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
-    as_json: options.JsonOption = False,
+    layer_height: float | None = None,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Slice a part, fit curves to its contours and say how near they are and how many blocks they take.
 
@@ -115,11 +114,11 @@ def post_command(
     control: Annotated[str, Option(help="Post-processor; default: machine.control of the settings.")] = "",
     layer: int | None = None,
     from_layer: int = 1,
-    layer_height: options.LayerHeightOption = None,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
+    layer_height: float | None = None,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
 ) -> ExitCode:
     """Write a program for a control or a whole case for a heat simulator; `ebamcheck verify` checks it, `run` validates it.
 

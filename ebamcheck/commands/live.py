@@ -13,10 +13,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from typer import Argument, Option
+from typer import Option
 
 from ebamcheck.checks.table import stands_of
-from ebamcheck.commands.options import JsonOption, explained, numbers, print_json
+from ebamcheck.commands.options import explained, numbers, print_json
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.json_values import plain
 from ebamcheck.live.before import Before
@@ -36,11 +36,8 @@ from ebamcheck.settings.machine import OpcuaSettings
 
 MODES = ("uniform", "adaptive", "listed")
 
-FinishedRunArgument = Annotated[Path, Argument(help="A finished run folder.")]
-MovedPart = Annotated[Path | None, Option(help="File of the part, if it was moved since the run.")]
-AnnealingOption = Annotated[
-    int, Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
-]
+MOVED_PART = "File of the part, if it was moved since the run."
+ANNEALING = Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
 
 
 @explained(
@@ -49,15 +46,17 @@ AnnealingOption = Annotated[
     opcua="Lead the build on a control, by OPC UA; needs ebamcheck[opcua].",
     url="With --opcua: address of the control, in place of that of the settings.",
     config_file="With --opcua: file whose section [opcua] stands for that of the run.",
+    part=MOVED_PART,
+    annealing=ANNEALING,
 )
 def live_command(
-    run: FinishedRunArgument,
+    run: Path,
     output: Path | None = None,
-    part: MovedPart = None,
+    part: Path | None = None,
     heights: Annotated[str, Option(help=f"How heights are chosen: {', '.join(MODES)}.")] = MODES[0],
     cusp: Annotated[float, Option(help="Greatest cusp of adaptive heights, mm.")] = 0.5,
     tops: Annotated[str, Option(help="Tops of listed heights over the base plate, mm, with commas.")] = "",
-    annealing: AnnealingOption = 0,
+    annealing: int = 0,
     timeout: Annotated[float, Option(help="Time without a line after which it says so, s.")] = 3600.0,
     replay: Path | None = None,
     opcua: bool = False,
@@ -150,17 +149,19 @@ def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
     height_map="Measured surface of what stands, in place of --measured-z: CSV, NPY or TIFF.",
     direction="Slicing direction in the file's coordinates, as X,Y,Z; default: that of the run.",
     output="Folder of the new layers; default: RUN.live.",
+    part=MOVED_PART,
+    annealing=ANNEALING,
 )
 def relayer_command(
-    run: FinishedRunArgument,
+    run: Path,
     layer: Annotated[int, Option(help="Layer that comes next, counted from 1.")],
     measured_z: float | None = None,
     height_map: Path | None = None,
     direction: str = "",
     output: Path | None = None,
-    part: MovedPart = None,
-    annealing: AnnealingOption = 0,
-    as_json: JsonOption = False,
+    part: Path | None = None,
+    annealing: int = 0,
+    as_json: bool = False,
 ) -> ExitCode:
     """Slice a layer at its measured height, plan, write and verify it, and put it under a new name beside the old one.
 

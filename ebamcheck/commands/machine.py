@@ -19,7 +19,7 @@ import typer
 from typer import Option
 
 from ebamcheck.atomic_file import made_folder, replacing
-from ebamcheck.commands.live import FinishedRunArgument, MovedPart, opcua_of
+from ebamcheck.commands.live import MOVED_PART, opcua_of
 from ebamcheck.commands.options import explained
 from ebamcheck.errors import ExitCode, SettingsError
 from ebamcheck.live.heights import bead_limits
@@ -39,11 +39,12 @@ START = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'eb
     output="Folder of the build, or with --opcua of keys and table; default: RUN.live, RUN.opcua.",
     opcua="Start nothing: wait for `ebamcheck live RUN --opcua` in another terminal.",
     fault=f"NAME@LAYER, also several times; {', '.join(FAULTS)}.",
+    part=MOVED_PART,
 )
 def machine_command(
-    run: FinishedRunArgument,
+    run: Path,
     output: Path | None = None,
-    part: MovedPart = None,
+    part: Path | None = None,
     drift: Annotated[float, Option(help="Share by which every layer comes out higher than planned.")] = 0.0,
     noise: Annotated[float, Option(help="Standard deviation of that share.")] = 0.0,
     seed: Annotated[int, Option(min=0, help="Seed of the noise.")] = 0,

@@ -28,25 +28,25 @@ if TYPE_CHECKING:
     live="Write a main program that waits between layers until each is released, too.",
 )
 def run(
-    part: options.JobPart = None,
-    plate: options.PlateOption = None,
-    config_file: options.ConfigOption = None,
-    output: options.RunFolderOption = None,
-    layer_height: options.LayerHeightOption = None,
-    backends: options.BackendsOption = "",
-    witnesses: options.WitnessesOption = "",
+    part: Path | None = None,
+    plate: Path | None = None,
+    config_file: Path | None = None,
+    output: Path | None = None,
+    layer_height: float | None = None,
+    backends: str = "",
+    witnesses: str = "",
     reference: Annotated[Path | None, Option(help="A finer tessellation of the same part.")] = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    place: options.PlaceOption = "",
-    rotate: options.RotateOption = None,
-    fix_orientation: options.FixOption = False,
+    units: str = "",
+    direction: str = "",
+    place: str = "",
+    rotate: float | None = None,
+    fix_orientation: bool = False,
     from_layer: int = 1,
     live: bool = False,
-    yes: options.YesOption = False,
-    resume: options.ResumeOption = False,
-    force: options.ForceOption = False,
-    as_json: options.JsonOption = False,
+    yes: bool = False,
+    resume: bool = False,
+    force: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Look at the part, slice, cross-check, fit, partition, order, write the NC program, verify it and report."""
     config = options.job_settings(
@@ -75,23 +75,23 @@ def run(
     ),
 )
 def check(
-    part: options.JobPart = None,
-    plate: options.PlateOption = None,
-    config_file: options.ConfigOption = None,
-    output: options.RunFolderOption = None,
-    layer_height: options.LayerHeightOption = None,
-    backends: options.BackendsOption = "",
-    witnesses: options.WitnessesOption = "",
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    place: options.PlaceOption = "",
-    rotate: options.RotateOption = None,
-    fix_orientation: options.FixOption = False,
+    part: Path | None = None,
+    plate: Path | None = None,
+    config_file: Path | None = None,
+    output: Path | None = None,
+    layer_height: float | None = None,
+    backends: str = "",
+    witnesses: str = "",
+    units: str = "",
+    direction: str = "",
+    place: str = "",
+    rotate: float | None = None,
+    fix_orientation: bool = False,
     slabs: int | None = None,
-    yes: options.YesOption = False,
-    resume: options.ResumeOption = False,
-    force: options.ForceOption = False,
-    as_json: options.JsonOption = False,
+    yes: bool = False,
+    resume: bool = False,
+    force: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Slice with every backend and compare all pairs on every layer; as `run`, without a program."""
     config = options.job_settings(
@@ -150,10 +150,10 @@ def verify(
     whole: Path | None = None,
     quick: bool = False,
     trusted: list[Path] | None = None,
-    config_file: options.ConfigOption = None,
-    layer_height: options.LayerHeightOption = None,
-    units: options.UnitsOption = "",
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    layer_height: float | None = None,
+    units: str = "",
+    as_json: bool = False,
 ) -> ExitCode:
     """Work every gate of a finished run out again, or check a program against a part, from the program's text."""
     from ebamcheck.live.verifying import holds_layers
@@ -212,19 +212,20 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
 SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # levels as the table has them
 
 
+@options.explained()
 def preflight_command(
     part: Annotated[Path | None, Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml.")] = None,
-    plate: options.PlateOption = None,
+    plate: Path | None = None,
     job: Annotated[str, Option(help="Job that is meant: run, or check without a program.")] = "run",
-    config_file: options.ConfigOption = None,
-    layer_height: options.LayerHeightOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    place: options.PlaceOption = "",
-    rotate: options.RotateOption = None,
-    fix_orientation: options.FixOption = False,
-    yes: options.YesOption = False,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    layer_height: float | None = None,
+    units: str = "",
+    direction: str = "",
+    place: str = "",
+    rotate: float | None = None,
+    fix_orientation: bool = False,
+    yes: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Look at mesh, units, machine, settings and the work to come; exit code 1 where something cannot work.
 

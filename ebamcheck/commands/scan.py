@@ -66,20 +66,20 @@ HEADINGS = {
     export="Also write the path of each order for heat simulators, by the names of their controls, or for all.",
 )
 def scan_command(
-    part: options.PartArgument,
+    part: Path,
     height: Annotated[float | None, Option(help="Absolute height z of the layer, mm.")] = None,
     all_layers: bool = False,
     pause: float | None = None,
-    layer_height: options.LayerHeightOption = None,
+    layer_height: float | None = None,
     orders: str = "",
     output: Path | None = None,
     export: str = "",
     seeds: Annotated[int, Option(help=f"Seeds over which `{RANDOM}` is averaged.")] = SEEDS,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Plan one layer in one or several scan orders, or all layers in one; say how hot, how far and how long.
 

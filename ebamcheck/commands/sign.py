@@ -36,7 +36,7 @@ def key_command(
     deviation="A deviation that is accepted. May be given again.",
 )
 def sign_command(
-    run: Annotated[Path, Argument(help="A finished run folder.")],
+    run: Path,
     key: Annotated[Path, Option(help="Private key (PEM), made by `ebamcheck key`.")],
     name: Annotated[str, Option(help="Name of who signs.")],
     role: Annotated[str, Option(help="What he or she signs as.")] = "approver",

@@ -29,16 +29,16 @@ _log = logging.getLogger(__name__)
     setting=Option("--set", help="Backend setting NAME=VALUE; repeatable."),
 )
 def slice_command(
-    part: options.PartArgument,
+    part: Path,
     output: Path,
     backend: str = "",
-    layer_height: options.LayerHeightOption = None,
+    layer_height: float | None = None,
     heights: str = "",
     setting: list[str] | None = None,
-    config_file: options.ConfigOption = None,
-    units: options.UnitsOption = "",
-    direction: options.DirectionOption = "",
-    yes: options.YesOption = False,
+    config_file: Path | None = None,
+    units: str = "",
+    direction: str = "",
+    yes: bool = False,
 ) -> ExitCode:
     """Slice a part with one backend and write its layers."""
     from ebamcheck.layers.files import format_of
@@ -95,7 +95,7 @@ def compare(
     tolerance: Annotated[float, Option(help="Depth of the symmetric difference allowed, mm.")] = 0.001,
     output: Annotated[Path | None, Option("-o", "--output", help="Write the table as CSV.")] = None,
     any_part: Annotated[bool, Option("--any-part", help="Compare slices of different parts, too.")] = False,
-    as_json: options.JsonOption = False,
+    as_json: bool = False,
 ) -> ExitCode:
     """Compare two slice files layer by layer; exit code 1 where they differ by more than the tolerance."""
     import numpy as np
@@ -136,12 +136,12 @@ def compare(
     regions="List the surfaces that the curves see: planes, cylinders, freeform.",
 )
 def inspect(
-    part: options.PartArgument,
-    units: options.UnitsOption = "",
+    part: Path,
+    units: str = "",
     regions: bool = False,
     picture: Annotated[Path | None, Option(help="Draw the surfaces into FILE.svg; with --regions.")] = None,
-    config_file: options.ConfigOption = None,
-    as_json: options.JsonOption = False,
+    config_file: Path | None = None,
+    as_json: bool = False,
 ) -> ExitCode:
     """Count the defects of a part and judge whether it can be sliced; exit code 1 where it should not."""
     from ebamcheck.mesh.inspection import inspect as inspect_part
