@@ -1,9 +1,7 @@
-"""One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model.
+"""One layer judged: how warm its islands are when the beam enters them, by 3DThesis and by our own model, both linear and cold at first.
 
-Both are linear, begin cold, and take the same path at the same times. 3DThesis heats a half space without sides, base and
-radiation, so that ranks and ratios of two orders can be compared, and rises while heat has not come to the sides; a box with
-mirrors is the body of our model where the section is a rectangle on an insulated base. Our islands are heated evenly, those
-of 3DThesis line by line: where the beam enters beside what it has just laid, 3DThesis finds more.
+3DThesis heats a half space, so that ranks and ratios of orders compare, and rises until heat comes to the sides; with mirrors a box, the body
+of our model for a rectangle on an insulated base. It heats line by line: where the beam enters beside what it has just laid, it finds more.
 """
 
 from __future__ import annotations

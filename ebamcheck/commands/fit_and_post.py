@@ -9,17 +9,10 @@ from typing import Annotated, Any
 import typer
 from typer import Argument, Option
 
+from ebamcheck import curves as fits
 from ebamcheck.commands import options
 from ebamcheck.controls.thesis import SCRIPT, case_post
-from ebamcheck.curves import (
-    METHODS,
-    Curves,
-    contour_error,
-    error_reduction,
-    fit,
-    fit_deviation,
-    fit_for_program,
-)
+from ebamcheck.curves import METHODS, Curves, fit_for_program
 from ebamcheck.errors import ExitCode, InputError, SettingsError
 from ebamcheck.layers.heights import cut_heights
 from ebamcheck.layers.stack import Layers
@@ -35,8 +28,6 @@ from ebamcheck.settings.process_window import checked_window
 from ebamcheck.showing.short_text import counted, text_table
 from ebamcheck.slicers.slicing import slice_part
 from ebamcheck.writing.posts import begin_at_layer, check_entry
-
-ALL = "all"
 
 
 @options.explained(
@@ -65,7 +56,7 @@ def fit_command(
     config = options.settings_of(config_file, units, direction, layer_height)
     if tolerance is not None:
         config = config.changed(curves={"tolerance_mm": tolerance})
-    methods = tuple(METHODS) if method == ALL else (method or config.curves.method,)
+    methods = tuple(METHODS) if method == "all" else (method or config.curves.method,)
     if output is not None and (len(methods) > 1 or output.suffix.lower() != ".parquet"):
         raise SettingsError(f"{output}: give FILE.parquet and one method")
     placed = options.loaded(part, config)
@@ -73,7 +64,7 @@ def fit_command(
     truth = slice_part(read_reference(reference, part, config.part), layers.heights) if reference else None
     rows = []
     for name in methods:
-        curves = fit(layers, name, config.curves, part=placed)
+        curves = fits.fit(layers, name, config.curves, part=placed)
         if output is not None:
             curves.to_parquet(output)
         rows.append(_row(name, curves, layers, truth))
@@ -86,7 +77,7 @@ def fit_command(
 
 
 def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dict[str, Any]:
-    deviation = fit_deviation(curves, layers)
+    deviation = fits.fit_deviation(curves, layers)
     row: dict[str, Any] = {
         "method": name,
         "blocks": curves.block_count(),
@@ -94,7 +85,7 @@ def _row(name: str, curves: Curves, layers: Layers, truth: Layers | None) -> dic
         "from contour, mm": float(deviation[["points_mm", "bulge_mm"]].to_numpy().max(initial=0.0)),
     }
     if truth is not None:
-        gain = error_reduction(contour_error(layers, truth), contour_error(curves, truth))
+        gain = fits.error_reduction(fits.contour_error(layers, truth), fits.contour_error(curves, truth))
         for kind in ("polar", "normal"):
             for figure in ("rms", "max"):
                 less = float(gain[f"{kind}_{figure}"])
@@ -129,16 +120,16 @@ def post_command(
         control_named(control)
         if layer is not None:
             case_post(control)
-    if (source / MANIFEST).is_file():
+    of_run = (source / MANIFEST).is_file()
+    if of_run:
         config, beads, plan, sha256 = options.stack_of_run(source, config_file)
-        checked_window(config)
-        check_entry(from_layer, config)
     elif source.is_dir():
         raise InputError(f"{source}: is no finished run folder: it has no {MANIFEST}")
     else:
         config = options.settings_of(config_file, units, direction, layer_height)
-        checked_window(config)
-        check_entry(from_layer, config)
+    checked_window(config)
+    check_entry(from_layer, config)
+    if not of_run:
         placed = options.loaded(source, config)
         config = chosen_height(placed, inspect(placed).passed, config).config
         layers = slice_part(placed, options.within_work(placed, cut_heights(placed, config), config, yes))
@@ -159,26 +150,17 @@ def post_command(
         post = case_post(config.machine.control)
         files = post(beads, plan, config, output, header=header, layer=index_of_number(layer, len(plan)))
     blocks = sum(files.blocks.values())
-    typer.echo(
-        f"{files.main}: {counted(len(files.names), 'file')}, {counted(blocks, 'block')} for {config.machine.control}"
-    )
+    counts = f"{counted(len(files.names), 'file')}, {counted(blocks, 'block')}"
+    typer.echo(f"{files.main}: {counts} for {config.machine.control}")
+    said = "check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
     if not is_read:
-        typer.echo(f"NOT VALIDATED: a simulator's case is not read back; {files.folder / SCRIPT} runs it")
+        said = f"a simulator's case is not read back; {files.folder / SCRIPT} runs it"
+    elif from_layer > 1 and of_run and not control and not config_file:
+        said = f"`ebamcheck verify {output} --whole {source}` checks the run and that this program is its end"
     elif from_layer > 1:
-        same = (source / MANIFEST).is_file() and not control and not config_file
-        typer.echo(f"NOT VALIDATED: {_resumed(source if same else None, output)}")
-    else:
-        typer.echo(
-            "NOT VALIDATED: check it with `ebamcheck verify`, or let `ebamcheck run` make and validate one"
+        said = (
+            "write the whole program, too (without --from-layer), and check that and this one as its end with "
+            f"`ebamcheck verify {output} --whole WHOLE --part PART`"
         )
+    typer.echo(f"NOT VALIDATED: {said}")
     return ExitCode.PASS
-
-
-def _resumed(run: Path | None, output: Path) -> str:
-    """How a program that begins at a layer is verified: against the run that it comes from, or against a whole one."""
-    if run is not None:
-        return f"`ebamcheck verify {output} --whole {run}` checks the run and that this program is its end"
-    return (
-        "write the whole program, too (without --from-layer), and check that and this one as its end with "
-        f"`ebamcheck verify {output} --whole WHOLE --part PART`"
-    )

@@ -88,7 +88,9 @@ def live_command(
         if replay is not None:
             return _replayed(replay, maker, rule)
         folder = output or run.with_name(f"{run.resolve().name.removesuffix('.run')}.live")
-        _tell_of_journal(folder)
+        layers = _layers_of(folder / JOURNAL) if (folder / JOURNAL).is_file() else 0
+        if layers:
+            typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
         building = Building(maker, folder, rule)
         try:
             if link is not None:
@@ -122,11 +124,8 @@ def _follow_control(building: Building, opcua: OpcuaSettings) -> None:
     tell(asyncio.run(lead()))
 
 
-def _tell_of_journal(folder: Path) -> None:
-    journal = folder / JOURNAL
-    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal)) if journal.is_file() else 0
-    if layers:
-        typer.echo(f"{folder}: goes on; its {layers} layers are made again and compared first", err=True)
+def _layers_of(journal: Path) -> int:
+    return sum(entry["kind"] == "layer" for entry in read_journal(journal))
 
 
 def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
@@ -139,8 +138,7 @@ def _replayed(journal: Path, maker: LayerMaker, rule: HeightRule) -> ExitCode:
             typer.echo(f"ebamcheck: {error}", err=True)
             return ExitCode.OUT_OF_TOLERANCE
         building.close()
-    layers = sum(entry["kind"] == "layer" for entry in read_journal(journal))
-    typer.echo(f"{journal}: {layers} layers made again, every byte is the same")
+    typer.echo(f"{journal}: {_layers_of(journal)} layers made again, every byte is the same")
     return ExitCode.PASS
 
 
@@ -171,13 +169,11 @@ def relayer_command(
         raise SettingsError("give --measured-z or --height-map: the mean of a map is its height")
     if height_map is not None and direction:
         raise SettingsError("--height-map is of the layers that were laid: it does not go with --direction")
-    if measured_z is not None and (not math.isfinite(measured_z) or measured_z < 0.0):
+    if measured_z is not None and not 0.0 <= measured_z < math.inf:
         raise SettingsError(f"--measured-z {measured_z}: give a height over the base plate in mm")
-    turned = None
-    if direction:
-        turned = numbers(direction, "--direction")
-        if len(turned) != 3:
-            raise SettingsError(f"--direction {direction!r}: give three numbers")
+    turned = numbers(direction, "--direction") if direction else None
+    if turned is not None and len(turned) != 3:
+        raise SettingsError(f"--direction {direction!r}: give three numbers")
     found = finished_run(run, part, turned)
     if turned is not None and alike(turned, run):
         turned, found = None, finished_run(run, part)
@@ -216,9 +212,9 @@ def relayer_command(
 
 def alike(direction: tuple[float, ...], run: Path) -> bool:
     """Whether a direction is that of a run."""
-    was = np.array(RunFolder(run).manifest()["settings"]["part"]["direction"], np.float64)
-    now = np.array(direction, np.float64)
-    return bool(np.allclose(was / np.linalg.norm(was), now / np.linalg.norm(now), atol=1e-9))
+    both = np.array([RunFolder(run).manifest()["settings"]["part"]["direction"], direction], np.float64)
+    was, now = both / np.linalg.norm(both, axis=1)[:, None]
+    return bool(np.allclose(was, now, atol=1e-9))
 
 
 def mapped(

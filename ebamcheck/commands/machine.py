@@ -67,7 +67,11 @@ def machine_command(
     growth, faults = Growth(drift, noise, seed), faults_of(fault or [])
     installed()
     found = finished_run(run, part)
-    link = opcua_of(found.config, None, url if opcua else _free_url())
+    if not opcua:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            url = f"opc.tcp://127.0.0.1:{free.getsockname()[1]}"
+    link = opcua_of(found.config, None, url)
     name = run.resolve().name.removesuffix(".run")
     folder = output or run.with_name(f"{name}.{'opcua' if opcua else 'live'}")
     if not opcua and (folder / JOURNAL).is_file():
@@ -75,9 +79,8 @@ def machine_command(
     top_mm = float(found.part.size[2])
 
     def tell(row: PlayedLayer) -> None:
-        typer.echo(
-            f"{row.layer:5d} {row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f} {row.wait_s:7.2f}s  {row.name}"
-        )
+        heights = f"{row.base_mm:9.3f} {row.planned_mm:8.3f} {row.grown_mm:8.3f}"
+        typer.echo(f"{row.layer:5d} {heights} {row.wait_s:7.2f}s  {row.name}")
 
     def listens() -> None:
         if opcua:
@@ -100,21 +103,13 @@ def machine_command(
         writer.writeheader()
         writer.writerows(asdict(row) for row in program.laid)
     off_mm, tolerance_mm = program.bed_mm - top_mm, 0.5 * bead_limits(found.config).least_mm
+    layers = len(program.laid)
     if not program.ended:
-        typer.echo(
-            f"the main program stopped after {len(program.laid)} layers: no layer was released in time"
-        )
+        typer.echo(f"the main program stopped after {layers} layers: no layer was released in time")
         return ExitCode.OUT_OF_TOLERANCE
-    typer.echo(
-        f"{len(program.laid)} layers; the top came out {off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
-    )
+    off = f"{off_mm:+.3f} mm off, of {tolerance_mm:.3f} mm (half the least layer)"
+    typer.echo(f"{layers} layers; the top came out {off}")
     return ExitCode.PASS if abs(off_mm) <= tolerance_mm else ExitCode.OUT_OF_TOLERANCE
-
-
-def _free_url() -> str:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return f"opc.tcp://127.0.0.1:{found.getsockname()[1]}"
 
 
 def _started(words: Sequence[object], program: PlayedProgram) -> Callable[[], object]:

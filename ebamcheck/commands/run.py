@@ -3,7 +3,6 @@ and what can be said before a job."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,7 +17,6 @@ from ebamcheck.showing.short_text import counted, text_table
 if TYPE_CHECKING:
     from ebamcheck.pipeline import RunResult
     from ebamcheck.preflight.report import Preflight
-    from ebamcheck.result import Check
     from ebamcheck.settings.config import Config
     from ebamcheck.slicers.isolation import WorkerPool
 
@@ -54,12 +52,12 @@ def run(
     )
     config, source = options.placed_settings(config, place, rotate), options.part_or_plate(part, plate)
     part_ready = options.begun(source, config, "run", yes)
+    folder = output or Path(f"{source.stem}.run")
     with _first_slicers(config) as workers:
         from ebamcheck.commands.summaries import watched
         from ebamcheck.pipeline import run_job
 
         with watched() as observer:
-            folder = output or Path(f"{source.stem}.run")
             result = run_job(
                 source, folder, config, reference, resume, observer, part_ready,
                 force=force, from_layer=from_layer, live=live, workers=workers,
@@ -110,8 +108,8 @@ def check(
         from ebamcheck.commands.summaries import watched
         from ebamcheck.pipeline import check_job
 
+        folder = output or Path(f"{source.stem}.run")
         with watched() as observer:
-            folder = output or Path(f"{source.stem}.run")
             result = check_job(source, folder, config, resume, observer, part_ready, yes, force, workers)
     return _told(result, as_json)
 
@@ -160,7 +158,6 @@ def verify(
     from ebamcheck.record.certificate import find_record
     from ebamcheck.record.run_folder import MANIFEST
     from ebamcheck.result import check_record
-    from ebamcheck.showing.short_text import text_table
     from ebamcheck.verification import verify as verification
 
     if holds_layers(target):
@@ -176,10 +173,8 @@ def verify(
     if as_json:
         options.print_json([check_record(check) for check in checks])
     else:
-        rows = [
-            ["pass" if c.passed else "FAIL", c.name, c.value, c.limit, c.unit, c.where, c.text]
-            for c in checks
-        ]
+        verdicts = {True: "pass", False: "FAIL"}
+        rows = [[verdicts[c.passed], c.name, c.value, c.limit, c.unit, c.where, c.text] for c in checks]
         print(text_table(["", "check", "value", "limit", "unit", "where", ""], rows))
         failed = sum(not c.passed for c in checks)
         print(f"\n{len(checks) - failed} of {len(checks)} checks passed")
@@ -190,15 +185,13 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     from ebamcheck.live.verifying import VerifiedLayer, verify_build
 
     if part is None:
-        raise SettingsError(
-            f"{folder}: holds layers of a live build, or of `ebamcheck relayer`: name the part with --part"
-        )
+        what = "holds layers of a live build, or of `ebamcheck relayer`: name the part with --part"
+        raise SettingsError(f"{folder}: {what}")
 
     def tell(layer: VerifiedLayer) -> None:
+        verdict = "pass" if layer.passed else "FAIL"
         if not as_json:
-            print(
-                f"{'pass' if layer.passed else 'FAIL'}  {layer.name}  {layer.checks} checks  {layer.why}".rstrip()
-            )
+            print(f"{verdict}  {layer.name}  {layer.checks} checks  {layer.why}".rstrip())
 
     found = verify_build(folder, part, tell)
     good = sum(layer.passed for layer in found)
@@ -207,9 +200,6 @@ def _build(folder: Path, part: Path | None, as_json: bool) -> ExitCode:
     else:
         print(f"\n{good} of {len(found)} published layers verify from their text alone")
     return ExitCode.PASS if found and good == len(found) else ExitCode.OUT_OF_TOLERANCE
-
-
-SHOWN = {"pass": "pass", "warning": "warn", "fault": "FAULT"}  # levels as the table has them
 
 
 @options.explained()
@@ -236,9 +226,8 @@ def preflight_command(
 
     if job not in EVERY:
         raise SettingsError(f"--job {job!r}: give one of {', '.join(EVERY)}")
-    config = options.placed_settings(
-        options.settings_of(config_file, units, direction, layer_height), place, rotate
-    )
+    config = options.settings_of(config_file, units, direction, layer_height)
+    config = options.placed_settings(config, place, rotate)
     if fix_orientation:
         config = config.changed(part={"fix_orientation": True})
     found = ready(options.part_or_plate(part, plate), config, job, yes).preflight
@@ -251,21 +240,17 @@ def preflight_command(
 
 def preflight_text(found: Preflight) -> str:
     """Table of the checks, what to do about those that do not pass, and the verdict."""
+    from ebamcheck.result import known
+
+    levels, rows = {"pass": "pass", "warning": "warn", "fault": "FAULT"}, []
+    for check in found.checks:
+        figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
+        rows.append([levels[check.level], check.name, *figures, check.unit, check.text])
     remedies = [
         f"{check.name}: {check.remedy}" for check in found.checks if check.level != "pass" and check.remedy
     ]
-    faults = sum(check.level == "fault" for check in found.checks)
-    warned = sum(check.level == "warning" for check in found.checks)
-    blocks = [
-        text_table(["", "check", "figure", "limit", "unit", ""], [_row(check) for check in found.checks]),
-        "\n".join(remedies),
-        f"{len(found.checks)} checks: {counted(faults, 'fault')}, {counted(warned, 'warning')}",
-    ]
+    counts = {level: sum(check.level == level for check in found.checks) for level in ("fault", "warning")}
+    verdict = ", ".join(counted(count, level) for level, count in counts.items())
+    table = text_table(["", "check", "figure", "limit", "unit", ""], rows)
+    blocks = [table, "\n".join(remedies), f"{len(rows)} checks: {verdict}"]
     return "\n\n".join(block for block in blocks if block)
-
-
-def _row(check: Check) -> Sequence[str]:
-    from ebamcheck.result import known
-
-    figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
-    return [SHOWN[check.level], check.name, *figures, check.unit, check.text]

@@ -1,10 +1,7 @@
 """Fanuc-like controls: one file with a program number, arcs by I and J, look-ahead off, comments in parentheses.
 
-A number without a decimal point may be read in thousandths (parameter 3401; 1403 of a feed), so places, values of beam and wire,
-feeds and waits carry one, and a program in which one does not is refused. Beam and wire values are arguments of G codes that call
-custom macros (parameters 6050 to 6059); like all such codes they are the machine maker's. Each axis of a rapid goes at its own speed
-(non-linear positioning, parameter 1401, as a control is delivered), so that its way is a dog-leg. Source: Fanuc 30i operator's manual
-B-64484EN, preparatory functions, decimal point programming and custom macros.
+Places, values, feeds and waits carry a decimal point, without which they may be read in thousandths (parameters 3401, 1403). Beam and wire
+are G codes that call custom macros (6050 to 6059). Each axis of a rapid goes at its own speed (1401). Source: Fanuc 30i B-64484EN.
 """
 
 from __future__ import annotations

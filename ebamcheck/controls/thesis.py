@@ -1,8 +1,7 @@
 """Post-processor for the heat simulator 3DThesis: the analytic heat of a moving Gaussian beam on a half space of constant material data.
 
-A case is one table of spots and lines, and the files around it. Each row is a mode, a position in mm, a share of the beam's power, and a
-parameter: mode 1 stays for so many seconds, mode 0 moves there from the last position at so many m/s. Travel without beam is a spot of no
-power that lasts as long. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in millimetres.
+A row of its table is a mode, a position in mm, a share of the power, and a parameter: mode 1 stays for so many seconds, mode 0 moves there
+at so many m/s. Keywords as its ``Init.cpp`` reads them: groups in braces, lengths in metres; paths and points in millimetres.
 """
 
 from __future__ import annotations

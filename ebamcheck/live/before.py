@@ -1,7 +1,4 @@
-"""What stands under the next layer: heat, metal and what was used up, as worked out, as measured, and with one layer more.
-
-The balance of the heat goes over all layers; what differs in the uppermost one is known by modes.
-"""
+"""What stands under the next layer: heat, metal and what was used up, as worked out, as measured, and with one layer more."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """The state of a build between its layers, and its door of JSON lines: a reading comes in, is judged, the next layer is made and published.
 
-What was published last stays until something that passed every gate takes its place. Readings alone decide, neither the clock nor
-chance, so that the journal is enough to make every byte again.
+Readings alone decide, neither the clock nor chance, so that the journal is enough to make every byte again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""What is measured under the next layer: heights, temperatures and surfaces, from file or line to the cells of the part's metal, and what is wrong.
+"""What is measured under the next layer, from file or line to the cells of the part's metal, and what is wrong with it; nothing is guessed.
 
-Nothing is converted, clipped or guessed. Cells along the border hold the flank of a bead, which is low whatever lies there: they do not
-count, and get the height of the nearest cell within. Heights are kept to a micrometre, as the journal holds them, so that a replay plans alike.
+Cells along the border hold the low flank of a bead, and get the height of the nearest cell within. Heights are kept to a micrometre.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Heights of the layers that are still to come, from what stands to the part's top, and the feed at which one of a height is laid.
 
-A plan is made anew from every measured height. Level faces are borders of layers where the limits of the bead allow it. The cusp of a
-layer is its height times the cosine of the surface's slope (Dolenc and Makela 1994). Wire goes with feed times height, v_wire A = v b h:
-within the limits of the wire the feed stays; a layer that would take more wire than the feeder has or the beam melts is laid slower, one
-that would take less than the feeder's least faster. Feed and wire change by one factor, so that a bead by itself stays as high as it was.
+Level faces are borders of layers where the bead allows it; the cusp of a layer is its height times the cosine of the surface's slope (Dolenc
+and Makela 1994). Wire goes with feed times height, v_wire A = v b h: within the limits of the wire the feed stays, beyond them both change.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Publishing a layer, whole and on disk or not at all: its program under a new name, its settings and certificate; and the journal of a build.
 
-What is told beside a layer (the wait before it, the file that is called) no gate judges: server and `verify` look at it once more. Each
-line of the journal carries the hash of the one before, so that a line that was changed or lost shows.
+What is told beside a layer no gate judges: server and `verify` look at it once more. Each line of the journal carries the hash of the last.
 """
 
 from __future__ import annotations

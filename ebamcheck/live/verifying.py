@@ -1,7 +1,6 @@
 """A build checked after the fact: its journal, the files that it published, and each layer from its text, part and settings alone.
 
-Heat and metal of each layer are followed on those below it, as the server does before a release. What was measured, or put in by a scan,
-is not in the texts: above a layer that has such, nothing is said.
+Heat and metal are followed from the plate up; above a layer whose heat or surface was measured, or that a scan preheats, nothing is said.
 """
 
 from __future__ import annotations

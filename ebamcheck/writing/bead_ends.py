@@ -1,7 +1,4 @@
-"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps.
-
-Each track is cut into parts along itself, every cut exactly, so that the path stays the same curve.
-"""
+"""Starts and ends of beads: seams that move on, contours that overlap their start, and a beam that ramps, by cuts that keep the curve."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The events of a program before any control writes it: beads, turns, moves and waits, in the order of execution.
-
-They are made once, from the path that every control translates, and agree with those of its text to the rounding of that.
-"""
+"""The events of a program before any control writes it, from the path that all translate: beads, turns, moves and waits, in order."""
 
 from __future__ import annotations
 

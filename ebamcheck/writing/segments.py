@@ -1,7 +1,4 @@
-"""The pieces of fitted contours as segments that a machine can drive: straight, cubic or circular.
-
-Splines are cubic polynomials, one per knot span, exactly; chords of them; or pairs of arcs within a tolerance.
-"""
+"""The pieces of fitted contours as segments that a machine can drive: straight, cubic (exact), or circular within a tolerance."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Blocks that turn a tilt table for a layer and set its frame, and those that take both back.
 
-Positions of the rotary axes follow from the slicing direction in closed form (the second subproblem of Paden and Kahan). Beam and wire are
-off, the tip is over all that the table carries while it turns, and each axis turns by itself. Frames by Siemens NC Programming manual
-12/2019, section 2.12: TRANS takes every frame back and shifts, AROT turns counter-clockwise about the zero that is in force.
+Positions of the axes follow in closed form (second subproblem of Paden and Kahan); the tip is over all that the table carries. Frames by
+Siemens NC Programming manual 12/2019, 2.12: TRANS takes every frame back and shifts, AROT turns counter-clockwise about the zero in force.
 """
 
 from __future__ import annotations

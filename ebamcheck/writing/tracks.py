@@ -1,7 +1,6 @@
-"""The plain description of a program that every post-processor writes: tracks of beads, layer by layer.
+"""The plain description of a program that every post-processor writes: tracks of beads, layer by layer, contour rings before hatch.
 
-A track is one unbroken bead: the beam and the wire go on at its start and off at its end. Contour rings come
-first, then the hatch of the islands in scan order.
+A track is one unbroken bead: the beam and the wire go on at its start and off at its end.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""The controls LinuxCNC and plain G-code: their templates, codes and modal groups, and the names of their writers and readers.
-
-Source of the modal groups: LinuxCNC G-code reference.
-"""
+"""The controls LinuxCNC and plain G-code: templates, codes, and modal groups (LinuxCNC G-code reference); their writers and readers by name."""
 
 from __future__ import annotations
 

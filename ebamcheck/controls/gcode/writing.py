@@ -1,7 +1,6 @@
 """Post-processors for controls that take one file: LinuxCNC (G5, arcs, lines) and plain G-code (arcs, lines).
 
-Sources: LinuxCNC G-code reference (G5 carries a cubic span as ``I J P Q``, from the start to the second Bezier
-point and from the end to the third; G64 P is the tolerance of the path; G91.1 makes I and J relative).
+LinuxCNC G-code reference: G5 carries a cubic span as ``I J P Q``; G64 P is the tolerance of the path; G91.1 makes I and J relative.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """The waiting main program judged by what it does: its text is run against doors that answer, are silent, late, or wrong.
 
-It is run block by block (:mod:`ebamcheck.controls.sinumerik.waiting_run`). The check asks for nothing of how the loop is
-written: what counts is which layers are called, when, which releases are taken, and what is off when the program stops.
+What counts is which layers are called, when, which releases are taken, and what is off when the program stops.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """The main program that waits between layers for the next one to be released, and calls it by its name.
 
-Eight R parameters are the handshake, from ``machine.live_r`` on: layers done, layer released, number of its program, least wait
-before it, time waited, what is left to wait, and, from the eleventh further on, key and seal of the release. The layer is released last
-of all; -1 says that the part is built. A release counts whose seal fits its values and whose key follows that of the layer below
-(:mod:`ebamcheck.controls.sinumerik.release_keys`); the first one after the start brings the key that all others follow.
-Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, TRUNC, STOPRE); written by the book and tried on no
-control.
+Eight R parameters from ``machine.live_r`` on are the handshake: layers done, layer released (-1: the part is built), number of its program,
+least wait, time waited, wait left, and from the eleventh further on key and seal (:mod:`ebamcheck.controls.sinumerik.release_keys`).
+Sources: Siemens Job Planning manual (indirect call by a STRING, ``<<``, SUBSTR, TRUNC, STOPRE); tried on no control.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""A waiting main program run block by block, as far as it needs: labels, jumps, R parameters, variables, waits, messages, calls.
+"""A waiting main program run block by block, as far as it needs; what is not known here is refused, and nothing shared with what writes it.
 
-What is not known here is refused. The program around the layers sets the modes of the profile before anything else, switches nothing on,
-and moves once, over all that stands and to the place where the tool is parked. Nothing here is shared with what writes the program.
+It sets the modes of the profile before anything else, switches nothing on, and moves once, over all that stands to where the tool is parked.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """The door to a control: what is seen on it decides, over and over, what is done next.
 
-Nothing is remembered that can be seen. A layer is uploaded, read back and compared before its number is written, and is released last of
-all, once, and only to a program that is seen to wait for it. What was released and is gone (RESET) is released again on the operator's
-word alone, since nobody here knows how much of it lies on the part.
+A layer is uploaded, read back and compared, and released last of all, once, to a program that is seen to wait for it. What was released and
+is gone (RESET) is released again on the operator's word alone, since nobody here knows how much of it lies on the part.
 """
 
 from __future__ import annotations

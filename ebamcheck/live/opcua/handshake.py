@@ -1,7 +1,6 @@
 """The handshake with a control: its nodes, what was seen in them, and what releases a layer: file, values and keys.
 
-R parameters from ``machine.live_r`` on: the first six, and key and seal at the end, are those of the waiting main program, the others
-are of `live` and of who measures.
+Of the R parameters from ``machine.live_r`` on, the first six, key and seal are the waiting main program's, the others of `live` and who measures.
 """
 
 from __future__ import annotations
