@@ -7,10 +7,9 @@ at so many m/s. Keywords as its ``Init.cpp`` reads them: groups in braces, lengt
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -76,23 +75,12 @@ class HeatPath:
         return replace(self, rows=changed)
 
 
-class CasePost(Protocol):
-    """A post of this module: it takes a layer, which programs for controls do not."""
-
-    def __call__(
-        self, curves: CurveColumns, plan: ScanColumns, config: Config, folder: str | Path, *, validated: bool = False,
-        header: Mapping[str, str] | None = None, layer: int | None = None,
-    ) -> ProgramFiles:  # fmt: skip
-        """Write a case."""
-        ...
-
-
-def case_post(control: str) -> CasePost:
-    """Post of a simulator; raises :class:`SettingsError` for a control, which no single layer can be written for."""
+def case_post(control: str) -> Callable[..., ProgramFiles]:
+    """Writer of a simulator, which takes a `layer`, too; raises :class:`SettingsError` for a control, which takes a whole program."""
     found = control_named(control)
     if found.is_read:
         raise SettingsError(f"--layer: {control} takes a whole program; one layer is for heat simulators")
-    post: CasePost = found.load("writer")
+    post: Callable[..., ProgramFiles] = found.load("writer")
     return post
 
 

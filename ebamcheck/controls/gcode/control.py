@@ -57,15 +57,19 @@ def _linuxcnc_words(machine: MachineSettings) -> tuple[str, ...]:
     return "G17", "G21", "G90", "G91.1", "G94", *offsets_off, machine.work_offset, "G64"
 
 
+def lines_of_curves(machine: MachineSettings) -> dict[str, str]:
+    """Line of the header on curves of controls that have arcs and lines alone."""
+    g1 = machine.curve_form == "lines"
+    return {"CURVES": f"{'G1' if g1 else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"}
+
+
 def _linuxcnc_lines(machine: MachineSettings) -> dict[str, str]:
     """Lines of the header on curves and smoothing."""
-    g1 = machine.curve_form == "lines"
-    within = f"{'G1' if g1 else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"
     tolerance = plain(machine.smoothing_tolerance_mm)
-    return {
-        "CURVES": within if machine.curve_form in ("arcs", "lines") else "G5, exactly",
-        "SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm",
-    }
+    curves = (
+        lines_of_curves(machine) if machine.curve_form in ("arcs", "lines") else {"CURVES": "G5, exactly"}
+    )
+    return curves | {"SMOOTHING": f"G64 P{tolerance}, path may leave the program by {tolerance} mm"}
 
 
 LINUXCNC = Control(
@@ -108,12 +112,6 @@ def _plain_words(machine: MachineSettings) -> tuple[str, ...]:
     return "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G92.1", machine.work_offset
 
 
-def _plain_lines(machine: MachineSettings) -> dict[str, str]:
-    """Lines of the header on curves."""
-    g1 = machine.curve_form == "lines"
-    return {"CURVES": f"{'G1' if g1 else 'G2 and G3'}, within {machine.line_tolerance_mm:g} mm"}
-
-
 PLAIN_GCODE = Control(
     name="plain-gcode",
     writer="ebamcheck.controls.gcode.writing:write_plain_gcode",
@@ -124,6 +122,6 @@ PLAIN_GCODE = Control(
     dwell_address="S",
     groups=GROUPS,
     words=_plain_words,
-    form_lines=_plain_lines,
+    form_lines=lines_of_curves,
     splines="arcs",
 )
