@@ -65,16 +65,14 @@ class Entry:
 
     def record(self) -> dict[str, Any]:
         """The entry as strict JSON holds it."""
-        measured = self.measured
-        return {
+        measured = dict(vars(self.measured))
+        layers = {name: list(column) for name, column in measured.pop("columns").items()}
+        known = {
             "backend": self.key.backend,
             "settings": dict(self.settings),
-            "status": measured.status,
-            "why": measured.why,
-            "metrics": dict(measured.metrics),
-            "layers": {name: list(column) for name, column in measured.columns.items()},
             "metadata": dict(self.metadata),
         }
+        return {**known, **measured, "layers": layers}
 
 
 def read_baselines(folder: Path, models: Iterable[str]) -> dict[Key, Entry]:
@@ -173,10 +171,8 @@ class Growth:
     places: tuple[Place, ...]
 
     def __str__(self) -> str:
-        return (
-            f"{self.column}: {self.count} of {self.compared} layers worse, at most by {self.largest:g}, "
-            f"on average by {self.mean:g}"
-        )
+        by = f"at most by {self.largest:g}, on average by {self.mean:g}"
+        return f"{self.column}: {self.count} of {self.compared} layers worse, {by}"
 
 
 @dataclass(frozen=True)
@@ -197,16 +193,14 @@ class Change:
 
     def lines(self) -> list[str]:
         """The change in words: the figure, the layers behind it, the first places."""
-        text = f"{self.metric} {self.old:g} -> {self.new:g} ({self.new - self.old:+g}, tolerance {self.allowed:g})"
-        if self.growth is None:
-            return [text]
-        more = self.growth.count - len(self.growth.places)
-        return [
-            text,
-            f"  {self.growth}",
-            *(f"    {place}" for place in self.growth.places),
-            *([f"    and {more} more"] if more > 0 else []),
+        lines = [
+            f"{self.metric} {self.old:g} -> {self.new:g} ({self.new - self.old:+g}, tolerance {self.allowed:g})"
         ]
+        if self.growth is not None:
+            more = self.growth.count - len(self.growth.places)
+            lines += [f"  {self.growth}", *(f"    {place}" for place in self.growth.places)]
+            lines += [f"    and {more} more"] if more > 0 else []
+        return lines
 
 
 @dataclass(frozen=True)
@@ -276,11 +270,9 @@ def _held(new: Entry, old: Entry | None, tolerances: Tolerances) -> Difference:
 
 def _circumstances(new: Entry, old: Entry) -> str:
     """What else changed since the baseline: the mesh, the versions, the renderer."""
-    changed = [
-        f"{name} {old.metadata[name]} -> {new.metadata.get(name)}"
-        for name in ("mesh_sha256", "versions", "renderer")
-        if name in old.metadata and old.metadata[name] != new.metadata.get(name)
-    ]
+    was, now = old.metadata, new.metadata
+    names = (name for name in ("mesh_sha256", "versions", "renderer") if name in was)
+    changed = [f"{name} {was[name]} -> {now.get(name)}" for name in names if was[name] != now.get(name)]
     return f"changed with it: {'; '.join(changed)}" if changed else ""
 
 

@@ -93,17 +93,14 @@ class JudgedLayer:
 
         table = self.table
         ours, theirs = table["model_k"].to_numpy(), table["thesis_k"].to_numpy()
+        rises = ("model", "thesis", "thesis_spot", "thesis_hottest")
         # The first island is cold in any model.
-        rest = np.arange(len(table)) > 0
-        many = rest.sum() > 1
+        many, rest = len(table) > 2, (ours[1:], theirs[1:])
         return {
             "islands": float(len(table)),
-            "model_max_k": float(ours.max()),
-            "thesis_max_k": float(theirs.max()),
-            "thesis_spot_max_k": float(table["thesis_spot_k"].max()),
-            "thesis_hottest_max_k": float(table["thesis_hottest_k"].max()),
-            "kendall_tau": float(kendalltau(ours[rest], theirs[rest]).statistic) if many else math.nan,
-            "spearman": float(spearmanr(ours[rest], theirs[rest]).statistic) if many else math.nan,
+            **{f"{name}_max_k": float(table[f"{name}_k"].max()) for name in rises},
+            "kendall_tau": float(kendalltau(*rest).statistic) if many else math.nan,
+            "spearman": float(spearmanr(*rest).statistic) if many else math.nan,
             "thesis_over_model": float(theirs.sum() / ours.sum()) if ours.sum() > 0.0 else math.nan,
         }
 
@@ -189,13 +186,11 @@ def judge_layer(
 
 def _places(islands: NDArray[np.object_], entered: Floats, count: int) -> tuple[Ints, Floats]:
     """Where temperatures are read: owner (P,) and place (P, 3); of each island its entry, then places over its area."""
-    owner, places = [], []
-    for number, (island, entry) in enumerate(zip(islands, entered, strict=True)):
+    places = []
+    for island, entry in zip(islands, entered, strict=True):
         inside = _spread(island, count)
-        mine = np.column_stack([inside, np.full(len(inside), entry[2])])
-        places += [entry[None], mine]
-        owner.append(np.full(len(mine) + 1, number))
-    return np.concatenate(owner), np.concatenate(places)
+        places.append(np.vstack([entry, np.column_stack([inside, np.full(len(inside), entry[2])])]))
+    return np.repeat(np.arange(len(places)), [len(mine) for mine in places]), np.concatenate(places)
 
 
 def _spread(island: BaseGeometry, count: int) -> Floats:
@@ -256,8 +251,7 @@ def rises_k(
 ) -> Floats:
     """Temperature rises (P,), K over ``process.ambient_temperature_k``, at places (P, 3), mm, each at the moment of its owner (E,), by 3DThesis.
 
-    Raises BackendMissing where it is not installed, BackendFailed where it fails, runs too long, leaves no temperatures, or finds that a
-    place was cooled.
+    Raises BackendMissing where it is not installed, BackendFailed where it fails, or finds that a place was cooled.
     """
     THESIS.path()
     rises = np.empty(len(places))

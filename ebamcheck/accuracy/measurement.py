@@ -71,11 +71,7 @@ def truth_of(model: Model, tolerance_mm: float, layers: int) -> Truth:
 
 
 def _level_planes(model: Model, part: Part) -> Floats:
-    """Heights of level faces, at most :data:`MOST_PLANES`, on which mesh and model mean the same side of a step.
-
-    Vertices are rounded to single precision; where that moves a step down, the model's section at the mesh's
-    height is still the lower one, and the plane is left out.
-    """
+    """Heights of level faces on which mesh and model mean the same side of a step, which the rounding of vertices may have moved down."""
     z = part.vertices[:, 2][part.faces]
     levels = np.unique(z[(z == z[:, :1]).all(axis=1), 0])
     kept = []
@@ -94,11 +90,7 @@ def _sections(model: Model, heights: Floats) -> Layers:
 
 
 def _allowance(model: Model, exact: Layers, tolerance_mm: float) -> Floats:
-    """Depth that the mesh may have against the exact sections, (L,) mm.
-
-    No point of the mesh is farther than t from the surface, so its section at z lies about those of the model
-    between z - t and z + t, dilated by t: on a slope the contours move by more than t, near a step by all of it.
-    """
+    """Depth that the mesh may have against the exact sections, (L,) mm: it lies about those between z - t and z + t, dilated by t."""
     pair, depth = Pair(0, 1, tolerance_mm, True, False), Figures._fields.index("depth")
     moved = []
     for side in (-1.0, 1.0):
@@ -162,38 +154,32 @@ Column = Sequence[float]
 
 @dataclass(frozen=True)
 class Metric:
-    """One figure: its name, the column of layers that it sums up (none for a figure of the whole), and how."""
+    """One figure: its name, the column of layers that it sums up, how, and what it says."""
 
     name: str
     column: str
-    summary: Callable[[Column], float]
+    summary: str
     what: str
 
 
-def _largest(column: Column) -> float:
-    return max(map(abs, column), default=0.0)
-
-
-def _mean(column: Column) -> float:
-    return math.fsum(map(abs, column)) / len(column) if column else 0.0
-
-
-def _count(column: Column) -> float:
-    return float(sum(value != 0 for value in column))
-
+SUMMARIES: dict[str, Callable[[Column], float]] = {
+    "largest": lambda column: max(map(abs, column), default=0.0),
+    "mean": lambda column: math.fsum(map(abs, column)) / len(column) if column else 0.0,
+    "count": lambda column: float(sum(value != 0 for value in column)),
+}
 
 # Figures that sum up a column of the layers
 METRICS = (
-    Metric("depth_max_mm", "depth_mm", _largest, "deepest point of the symmetric difference with the exact section"),
-    Metric("depth_mean_mm", "depth_mm", _mean, "mean over the layers of their deepest points"),
-    Metric("hausdorff_max_mm", "hausdorff_mm", _largest, "largest Hausdorff distance of the contours"),
-    Metric("area_error_max_mm2", "area_error_mm2", _largest, "largest error of a layer's area"),
-    Metric("area_error_mean_mm2", "area_error_mm2", _mean, "mean error of the layers' areas, signs dropped"),
-    Metric("ring_mismatch_layers", "ring_mismatch", _count, "layers with more or fewer rings than the truth"),
-    Metric("hole_mismatch_layers", "hole_mismatch", _count, "layers with more or fewer holes than the truth"),
-    Metric("empty_mismatch_layers", "empty_mismatch", _count, "layers empty where the truth is not, or the reverse"),
-    Metric("open_path_layers", "open_paths", _count, "layers with open paths"),
-    Metric("beyond_bound_layers", "beyond_bound_mm", _count, "layers deeper than bound and mesh allow"),
+    Metric("depth_max_mm", "depth_mm", "largest", "deepest point of the symmetric difference with the exact section"),
+    Metric("depth_mean_mm", "depth_mm", "mean", "mean over the layers of their deepest points"),
+    Metric("hausdorff_max_mm", "hausdorff_mm", "largest", "largest Hausdorff distance of the contours"),
+    Metric("area_error_max_mm2", "area_error_mm2", "largest", "largest error of a layer's area"),
+    Metric("area_error_mean_mm2", "area_error_mm2", "mean", "mean error of the layers' areas, signs dropped"),
+    Metric("ring_mismatch_layers", "ring_mismatch", "count", "layers with more or fewer rings than the truth"),
+    Metric("hole_mismatch_layers", "hole_mismatch", "count", "layers with more or fewer holes than the truth"),
+    Metric("empty_mismatch_layers", "empty_mismatch", "count", "layers empty where the truth is not, or the reverse"),
+    Metric("open_path_layers", "open_paths", "count", "layers with open paths"),
+    Metric("beyond_bound_layers", "beyond_bound_mm", "count", "layers deeper than bound and mesh allow"),
 )  # fmt: skip
 # Figures of an entry that no column explains
 WHOLE = {
@@ -211,7 +197,7 @@ TOLERANCE_NAMES = (*NAMES, *LAYER_COLUMNS)
 
 def summarised(columns: Mapping[str, Column]) -> dict[str, float]:
     """All metrics of an entry's columns."""
-    return {metric.name: rounded(metric.summary(columns[metric.column])) for metric in METRICS}
+    return {metric.name: rounded(SUMMARIES[metric.summary](columns[metric.column])) for metric in METRICS}
 
 
 def rounded(value: float, digits: int = 6, decimals: int | None = 7) -> float:

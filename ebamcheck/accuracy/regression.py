@@ -129,13 +129,11 @@ def run_regression(
 def _usable(names: Sequence[str]) -> tuple[list[str], dict[str, str]]:
     if names:
         return [registry.available_slicer(name).name for name in dict.fromkeys(names)], {}
-    usable, not_run = [], {}
-    for name in registry.house_slicers():
-        probe = registry.probe(name)
-        if probe.available:
-            usable.append(name)
-        else:
-            not_run[name] = f"{probe.why}{f'; {probe.hint}' if probe.hint else ''}"
+    probes = {name: registry.probe(name) for name in registry.house_slicers()}
+    usable = [name for name, probe in probes.items() if probe.available]
+    not_run = {
+        name: "; ".join(filter(None, (p.why, p.hint))) for name, p in probes.items() if not p.available
+    }
     if not usable:
         raise BackendMissing("no backend is available: see `ebamcheck backends` for the reasons")
     return usable, not_run
@@ -195,10 +193,8 @@ def updated(regression: Regression, mode: UpdateMode) -> list[Path]:
 
 def accepted(regression: Regression) -> Regression:
     """Return the report once its differences are accepted as the new baselines; failures stay."""
-    kept = [
-        replace(d, verdict="same") if d.verdict in UPDATED_BY_FAILED or d.verdict == "better" else d
-        for d in regression.differences
-    ]
+    taken = (*UPDATED_BY_FAILED, "better")
+    kept = [replace(d, verdict="same") if d.verdict in taken else d for d in regression.differences]
     return replace(regression, differences=kept)
 
 

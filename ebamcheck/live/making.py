@@ -32,7 +32,6 @@ from ebamcheck.mesh.inspection import inspect
 from ebamcheck.mesh.part import Part
 from ebamcheck.mesh.part_source import PlatePart
 from ebamcheck.nc.control import control
-from ebamcheck.nc.motions import NCProgram
 from ebamcheck.pipeline import gates, stages
 from ebamcheck.pipeline.cross_check import compared_layers, witness_backend
 from ebamcheck.pipeline.fit import fitted
@@ -121,6 +120,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
                 f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
             )
         self.sound = gates.input_gate(inspect(part))
+        self.height_mm = float(part.size[2])  # Z of its top
         keep_surface_of(part)
         # What every layer has alike is made once, and written out once.
         # The direction that a part has been turned by; settings of a plate are of the parts which name none.
@@ -131,9 +131,8 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         self.stands: Stands | None = None  # of a part that is turned between layers
         self._open = ExitStack()
         self._aside = self._open.enter_context(ThreadPoolExecutor(1))
-        given = config.slicing.settings
-        names = (self.primary, self.witness)
-        settings = {name: registry.slicer_settings(name, given.get(name, {})) for name in names}
+        given = {name: config.slicing.settings.get(name, {}) for name in (self.primary, self.witness)}
+        settings = {name: registry.slicer_settings(name, values) for name, values in given.items()}
         self._bounds = declared_bounds(part, settings)
         self._slicings = {
             name: self._open.enter_context(Slicing(part, name, **values.model_dump()))
@@ -148,11 +147,6 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
     def bottom_mm(self) -> float:
         """Absolute height of the part's lowest point."""
         return float(self.part.bounds[0, 2])
-
-    @property
-    def height_mm(self) -> float:
-        """Height of the part: Z of its top."""
-        return float(self.part.size[2])
 
     def section_at(self, height_mm: float, backend: str = "") -> BaseGeometry:
         """Section of the part at a height over its lowest point."""
@@ -216,7 +210,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         with timed(seconds, "verify"):
             read = control(config.machine.control).load("reader")
             program, match = matched(read(files.main, config), laid.path)
-            weighing = self._aside.submit(self._weighed, program, witness, after, config)
+            weighing = self._aside.submit(metal_checks, program, witness, after, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
             checks = verify_program(
@@ -232,8 +226,11 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
                 sha256=files.sha256,
                 smooth=stages.smooth_sections(verdict.curves, config),
             )
+            cut_mm = float(witness.heights[0])
+            by_mesh = layer_check(self.part, cut_mm, config.base_mm, config.layer_height_mm)
+            sections = sections_check(self.part, witness, config)
             beside, after = weighing.result()
-            checks += [*beside, *form_checks(program, config), self._of_file]
+            checks += [*beside, by_mesh, sections, *form_checks(program, config), self._of_file]
             if self.stands is not None:
                 section = witness.section(0)
                 checks += turned_checks(program, section, config.layers.heights_mm[0], self.stands, config)
@@ -244,13 +241,6 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             wanted, config, files, tuple(made), tuple(checks), after, wait_s, len(plan.islands),
             scan_s + (after.last.time_s if after.last else 0.0), seconds,
         )  # fmt: skip
-
-    def _weighed(
-        self, program: NCProgram, witness: Layers, before: Before, config: Config
-    ) -> tuple[list[Check], Before]:
-        checks, after = metal_checks(program, witness, before, config)
-        height = layer_check(self.part, float(witness.heights[0]), config.base_mm, config.layer_height_mm)
-        return [*checks, height, sections_check(self.part, witness, config)], after
 
     def _cut(self, wanted: Wanted, config: Config) -> dict[str, Layers]:
         cut_mm = config.layers.heights_mm[0]

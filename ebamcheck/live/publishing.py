@@ -58,7 +58,8 @@ def certificate_of(
     """What is known of a made layer, and was `measured` under it, as its certificate holds it: nothing of the clock."""
     wanted, after, config, part, files = made.wanted, made.after, made.config, maker.part, made.files
     assert after.below is not None
-    suffix = control(config.machine.control).subprogram_suffix
+    # The subprogram is called, or the one file of a control without subprograms.
+    calls = bool(control(config.machine.control).subprogram_suffix) and len(files.names) > 1
     fields = {
         "format": FORMAT,
         "software": __version__,
@@ -85,8 +86,7 @@ def certificate_of(
         "leave_k": after.surface_k,
         "gates": [gate_record(gate) for gate in made.gates],
         "checks": len(made.checks),
-        # The subprogram, or the one file of a control without subprograms.
-        "called": files.names[1] if suffix and len(files.names) > 1 else files.names[0],
+        "called": files.names[calls],
         "files": dict(files.sha256),
         "validated": made.passed,
     }
@@ -139,12 +139,11 @@ def publish(
         _sync_folder(path)
     target = folder / LAYERS / made.wanted.name
     target.parent.mkdir(parents=True, exist_ok=True)
-    fresh = not target.exists()
-    if not fresh:
+    if fresh := not target.exists():
+        os.rename(staged, target)
+    else:
         _check_hashes(target / PROGRAM, made.files.sha256)
         shutil.rmtree(staged)
-    else:
-        os.rename(staged, target)
     _sync_folder(target.parent)
     current = current_of(certificate)
     wrong = current_off(target / PROGRAM, folder / str(current["program"]), current, certificate)
@@ -245,19 +244,21 @@ class Journal(AbstractContextManager["Journal"]):
         try:
             self._last, whole, self.lines = FIRST, 0, 0
             for line, _ in _lines(path):
-                self._last, whole, self.lines = _hash(line), whole + len(line), self.lines + 1
+                self._last, whole, self.lines = (
+                    hashlib.sha256(line).hexdigest(),
+                    whole + len(line),
+                    self.lines + 1,
+                )
             self._file.truncate(whole)
         except BaseException:
             self._file.close()
             raise
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
-        self.close()
-
-    def close(self) -> None:
         """Close the file and let go of the lock."""
         self._file.close()
+
+    close = __exit__
 
     def append(self, entry: Mapping[str, Any]) -> None:
         """Add a line; it is on disk when this returns."""
@@ -266,13 +267,12 @@ class Journal(AbstractContextManager["Journal"]):
         self._file.write(line)
         self._file.flush()
         os.fsync(self._file.fileno())
-        self._last, self.lines = _hash(line), self.lines + 1
+        self._last, self.lines = hashlib.sha256(line).hexdigest(), self.lines + 1
 
 
 def read_journal(path: Path) -> Iterator[dict[str, Any]]:
     """Entries of a journal, from the first; a last line that a kill has cut off is left out, a damaged one raises :class:`InputError`."""
-    for _, entry in _lines(path):
-        yield entry
+    return (entry for _, entry in _lines(path))
 
 
 def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
@@ -294,9 +294,5 @@ def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
                 raise InputError(
                     f"{path}:{number}: does not follow the line before: one was changed or is missing"
                 )
-            last = _hash(line)
+            last = hashlib.sha256(line).hexdigest()
             yield line, entry
-
-
-def _hash(line: bytes) -> str:
-    return hashlib.sha256(line).hexdigest()
