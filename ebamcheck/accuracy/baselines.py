@@ -30,9 +30,7 @@ from ebamcheck.errors import InputError
 from ebamcheck.json_values import plain, read_json
 
 FORMAT_VERSION = 1
-
 STORED = (MEASURED, REFUSED)  # a refusal with its reason is an accepted answer, a crash never is
-
 UpdateMode = Literal["failed", "all"]
 
 
@@ -137,8 +135,6 @@ def strict_json(value: Any, indent: int = 0) -> str:
         return "[\n" + ",\n".join(items) + "\n" + pad[2:] + "]"
     return json.dumps(plain(value), sort_keys=True, allow_nan=False, ensure_ascii=False)
 
-
-# -- differences -----------------------------------------------------------------------------------
 
 Verdict = Literal["same", "worse", "better", "new", "vanished", "failed", "not run"]
 

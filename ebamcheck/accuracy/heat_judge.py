@@ -33,12 +33,10 @@ from ebamcheck.slicers.outside.lattices import Program
 
 # Beads that heat: those of the islands, which are what our model of the islands counts, or those along the contour, too
 BEADS = ("islands", "all")
-
 # What 3DThesis heats: a half space, or the box around the section, whose sides, and an insulated base, let no heat through
 BODIES = ("half-space", "box")
 # Places over which an island is averaged, about: the greatest means of ten plans lie within 10 % of those over 400, over 16 within 21 %
 PLACES = 64
-
 # Columns of a judged layer; all temperatures in K
 COLUMNS = {
     "island": "number of the island in the plan",
@@ -216,8 +214,6 @@ def _no_contours(plan: ScanPlan) -> Curves:
     closed, control = none.astype(np.bool_), np.zeros((0, 2))
     return Curves(plan.heights, layers, start, closed, kinds, start, control, start, np.zeros(0))
 
-
-# -- the program 3DThesis --------------------------------------------------------------------------
 
 # Moments that one run is asked for, at all places: many at once cost their square, few cost a start each
 TIMES_A_RUN = 16

@@ -148,7 +148,6 @@ def _columns(exact: Layers, allowance_mm: Floats, outcome: Outcome, layers: Laye
 
 # -- The figures by which an accuracy is held: each a number of one entry, less is better ----------------------
 # A metric that sums up a column of the layers can be explained by it: which layers, by how much, where.
-
 Column = Sequence[float]
 
 
@@ -191,7 +190,6 @@ WHOLE = {
 NAMES = (*(metric.name for metric in METRICS), *WHOLE)
 # Columns that are held layer by layer, too: a loss on one layer must not hide behind a worse one
 LAYER_COLUMNS = tuple(dict.fromkeys(metric.column for metric in METRICS))
-
 TOLERANCE_NAMES = (*NAMES, *LAYER_COLUMNS)
 
 
@@ -289,9 +287,6 @@ def rounds(matrix: Matrix, model: str, backends: Sequence[str]) -> list[dict[str
                 found.append({})
             found[k][name] = subject
     return found
-
-
-# -- tolerances ------------------------------------------------------------------------------------
 
 
 class Tolerance(Section):

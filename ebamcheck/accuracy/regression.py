@@ -39,7 +39,6 @@ from ebamcheck.showing.markup import Markup, element, join, text
 from ebamcheck.slicers.isolation import Limits, slice_all
 
 UPDATED_BY_FAILED = ("worse", "new", "vanished")  # by ``--update-baseline=failed``
-
 Note = Callable[[str], None]
 
 
@@ -211,8 +210,6 @@ def default_baselines(given: Path | None, setting: str) -> Path:
     )
 
 
-# -- the page --------------------------------------------------------------------------------------
-
 TREND_METRICS = ("depth_max_mm", "area_error_mean_mm2")  # one of shape, one of size
 WIDTH_PX, HEIGHT_PX = 640, 150
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 74, 14, 12, 26
@@ -316,10 +313,7 @@ def _chart(model: str, lines: Sequence[Trend], metric: str) -> Markup:
     return join([element("h4", model), svg, element("div", *keys)])
 
 
-# -- history ---------------------------------------------------------------------------------------
-
 HISTORY = "history.sqlite"
-
 SCHEMA = """
 CREATE TABLE IF NOT EXISTS results (
     result INTEGER PRIMARY KEY,
@@ -403,9 +397,6 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
         raise InputError(
             f"{path}: is no history that can be used ({error}): name another with --history"
         ) from None
-
-
-# -- test results ----------------------------------------------------------------------------------
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:

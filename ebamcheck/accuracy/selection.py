@@ -162,10 +162,7 @@ def _fault(workpiece: Workpiece, outcome: Outcome, comparison: Comparison) -> st
     return f"{where}: {f.metric} {f.value:.4g} over {f.limit:.4g}"
 
 
-# -- The choice of a machine's slicers by stated rules, with the reason for each that is not chosen ------------
-
 TIE_SHARE = 0.1  # times that differ by less than this share of the shorter are a tie: runs differ by as much from each other
-
 RULES = (
     "A slicer must be available and slice the part without a fault; its bound and its measured error must meet the "
     "tolerance; of those left the fastest is primary. Times within 10 % are a tie, which goes by priority, then by "
@@ -235,9 +232,6 @@ def ranked(trials: Sequence[Trial]) -> list[Trial]:
         order.append(min(tied, key=lambda trial: (-trial.priority, trial.name)))
         left.remove(order[-1])
     return order
-
-
-# -- the section of the settings file --------------------------------------------------------------
 
 
 def write_choice(

@@ -35,7 +35,6 @@ from ebamcheck.settings.config import Config, load_config
 from ebamcheck.settings.machine import OpcuaSettings
 
 MODES = ("uniform", "adaptive", "listed")
-
 MOVED_PART = "File of the part, if it was moved since the run."
 ANNEALING = Option(min=0, help="Moves by which the order of islands is improved; each thousand takes time.")
 

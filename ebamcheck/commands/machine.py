@@ -31,7 +31,6 @@ from ebamcheck.testing.played_control.program import FAULTS, Growth, PlayedLayer
 from ebamcheck.testing.played_control.server import PROFILE, SESSIONS, desk_profile, faults_of, played
 
 TABLE = "machine.csv"
-
 START = "from ebamcheck.commands.main import main; import sys; sys.argv[0] = 'ebamcheck'; main()"
 
 

@@ -22,10 +22,8 @@ if TYPE_CHECKING:
     from ebamcheck.settings.config import Config
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-
 # Settings that are taken where none are named, if there are some in the working folder
 DEFAULT_CONFIG = Path("ebamcheck.toml")
-
 # Options and arguments that mean the same in every command, by the names of their parameters
 KNOWN: dict[str, Any] = {
     "part": Argument(help="Mesh file: .stl, .obj, .ply or .3mf; or plate.toml."),

@@ -49,7 +49,6 @@ from ebamcheck.showing.short_text import text_table
 from ebamcheck.slicers.slicing import slice_part
 
 BUILT = "built_s"  # column: time from the start of the build to the end of a layer, with the waits between
-
 # Figures of the printed table of orders, and their headings
 HEADINGS = {
     "order": "order", "entry_max_k": "entry max, K", "entry_sd_k": "sd, K", "excess_uniformity": "excess R",
@@ -111,9 +110,6 @@ def scan_command(
     return scan_layer(placed, config, height, wanted, seeds, exported, output, as_json)
 
 
-# -- all layers --------------------------------------------------------------------------------------
-
-
 def scan_all(
     part: Part, config: Config, order: str, output: Path | None, as_json: bool, yes: bool
 ) -> ExitCode:
@@ -155,9 +151,6 @@ def scan_all(
     shown = [*(name for name in WHOLE_PART if name != "stored_j"), BUILT]
     typer.echo(text_table(shown, [[figure(row[name]) for name in shown] for row in rows]))
     return ExitCode.PASS
-
-
-# -- one layer ---------------------------------------------------------------------------------------
 
 
 @dataclass

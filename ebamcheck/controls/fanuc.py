@@ -116,8 +116,6 @@ def write_program(
     return write_files({f"{machine.program_name}.cnc": text}, Path(folder), validated=validated)
 
 
-# -- reading -------------------------------------------------------------------------------------------
-
 DIALECT = replace(
     PLAIN_GCODE, name=NAME, codes=(PLAIN_GCODE.codes | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
 )

@@ -149,8 +149,6 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
     return HeatPath(rows, np.repeat(layer, sizes + 1), np.repeat(island, sizes + 1))
 
 
-# -- the files around the path ---------------------------------------------------------------------------
-
 NAME = "ebamcheck"  # Name of the simulation, with which its result files begin
 # The file that names all others, and the one with the threads.
 INPUT, SETTINGS = "ParamInput.txt", "Settings.txt"

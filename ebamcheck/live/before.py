@@ -113,9 +113,6 @@ def metal_checks(
     return checks, replace(before, below=below, surface=found.surface, spent=spent_after(used))
 
 
-# -- as measured -------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Correction:
     """What a pyrometer says of the model: temperature of the surface then, before it was corrected, and factor of its rise."""

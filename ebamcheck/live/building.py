@@ -32,7 +32,6 @@ from ebamcheck.live.verifying import FollowedLayers
 TRIES = ((1.0, 0), (0.97, 0), (1.03, 0), (1.0, 3), (1.0, 6))
 MAKING = ".making."  # begin of the names of folders in which layers are made
 NOT_STARTED = "nothing is published yet: send `start` first"
-
 Answer = dict[str, Any]
 
 
@@ -89,8 +88,6 @@ class Building:
         """Number of layers that are done when the next reading comes; 0 before anything is published."""
         return 0 if self._standing is None else self._standing.done + 1
 
-    # -- what comes in ------------------------------------------------------------------------------
-
     def start(self) -> Answer:
         """Publish the lowest layer on the plate; on a build that is under way, tell again what is published."""
         if self.told:
@@ -145,8 +142,6 @@ class Building:
             "finished": self.finished,
             "top_mm": self.rule.slopes.top_mm,
         }
-
-    # -- decisions ----------------------------------------------------------------------------------
 
     def _decide(self, reading: Reading) -> Answer:
         """Write a reading down, plan on it, and publish the next layer or say why not."""
@@ -242,8 +237,6 @@ class Building:
                          "the machining allowance, or weld them up by hand"), None  # fmt: skip
         return _kept(reading, why), None
 
-    # -- going on -----------------------------------------------------------------------------------
-
     def _of(self) -> dict[str, Any]:
         return {
             "format": publishing.JOURNAL_FORMAT,
@@ -326,9 +319,6 @@ def _refuse_relayered(folder: Path) -> None:
             f"{layers}: holds {found[0]}{more}, which `ebamcheck relayer` made and a build would name again: give the build "
             "another folder with -o, or move them away"
         )
-
-
-# -- the door of JSON lines ------------------------------------------------------------------------
 
 
 class Lines:

@@ -51,9 +51,6 @@ class Refused(InputError):
         return {"answer": "refused", "code": self.code, "reason": str(self)}
 
 
-# -- files -------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class HeightMap:
     """Measured places (n,) in the coordinates of the program, without holes; heights over the base plate; distance of neighbours."""
@@ -164,9 +161,6 @@ def _known(
         raise InputError(f"{where}: has no height at all")
     height = frame.zero_mm + frame.unit_mm * value[known]
     return HeightMap(x[known], y[known], np.asarray(height, np.float64), step_mm)
-
-
-# -- cells -------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,8 +315,6 @@ def _place(surface: Surface, cell: int) -> tuple[float, float]:
     x, y = ((np.array([column, row]) + np.array(surface.corner) + 0.5) * surface.step_mm).tolist()
     return round(x, 2), round(y, 2)
 
-
-# -- readings --------------------------------------------------------------------------------------
 
 LONGEST_LINE = 4096  # bytes of a line; a reading takes a hundred
 

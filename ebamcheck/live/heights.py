@@ -22,15 +22,11 @@ from ebamcheck.settings.process_window import nominal_wire_speed_mm_s, speed_win
 from ebamcheck.writing.wire import MOST_MENDED
 
 Mode = Literal["uniform", "listed", "adaptive"]
-
 LEVEL_MM = 1e-6  # faces nearer than this lie at one height
 ROUNDING = 1e-9
 # Least and greatest local height of a layer over its height, on a surface that was measured: a wire feed has several times that room
 LOCAL = (1.0 - MOST_MENDED, 1.0 + MOST_MENDED)
 CONTOURS = 1.25  # wire of a bead along a contour over that of the layer: it lays the rim, too
-
-
-# -- feed --------------------------------------------------------------------------------------------
 
 
 def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] = (1.0, 1.0)) -> float | None:
@@ -83,9 +79,6 @@ def has_room(config: Config, thickness_mm: float) -> bool:
     wire, process = nominal_wire_speed_mm_s(config, thickness_mm), config.process
     low, high = wire * LOCAL[0], wire * LOCAL[1] * CONTOURS
     return low >= process.wire_speed_min_mm_s and high <= process.wire_speed_max_mm_s
-
-
-# -- limits ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -152,9 +145,6 @@ def _farthest(holds: Callable[[float], bool], good_mm: float, to_mm: float, halv
         middle = 0.5 * (good_mm + bad_mm)
         good_mm, bad_mm = (middle, bad_mm) if holds(middle) else (good_mm, middle)
     return good_mm
-
-
-# -- layers ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)

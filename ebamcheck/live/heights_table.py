@@ -83,8 +83,6 @@ def read_heights(path: Path) -> dict[str, Floats]:
     return {field.name: np.array([float(row[field.name]) for row in rows]) for field in fields(LaidHeight)}
 
 
-# -- plot ----------------------------------------------------------------------------------------------
-
 WIDTH_PX, PANEL_PX, LEFT_PX, TOP_PX, GAP_PX, RIGHT_PX = 900.0, 170.0, 70.0, 46.0, 58.0, 20.0
 # Title of each panel, and its lines: name, column, and the column that is taken off it
 PANELS = (

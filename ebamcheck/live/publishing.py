@@ -221,8 +221,6 @@ def _sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-# -- the journal -----------------------------------------------------------------------------------
-
 JOURNAL_FORMAT = "ebamcheck journal 2"  # counts layers from 1; journals without a format counted from 0
 FIRST = "0" * 64  # in place of a hash in the first line
 

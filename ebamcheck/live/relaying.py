@@ -125,9 +125,6 @@ def relayer(
     return Relayered(made, certificate, plan.said, None)
 
 
-# -- the finished run ------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
     """A run whose program passed: its record, settings and part."""

@@ -208,9 +208,6 @@ def read_verified(folder: Path) -> dict[str, VerifiedLayer]:
         raise InputError(f"{path}: is not what `ebamcheck verify` writes") from None
 
 
-# -- heat and metal of a build, followed by its texts ----------------------------------------------
-
-
 def layer_text(
     program: Path, paper: Mapping[str, Any], config: Config
 ) -> tuple[BeadHeat, BaseGeometry] | None:

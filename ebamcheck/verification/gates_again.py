@@ -176,9 +176,6 @@ def _agreement(
     return gate, comparison
 
 
-# -- against the record ------------------------------------------------------------------------------
-
-
 def compared(again: Again, manifest: Mapping[str, Any]) -> list[Check]:
     """Checks of the gates as they were found again, and of what the record says of them."""
     recorded = {g["name"]: g for g in manifest["gates"]}

@@ -82,7 +82,6 @@ def numbered(lines: Iterable[str]) -> str:
 
 # -- safe states -------------------------------------------------------------------------------------
 # Every layer begins with them, so that a program can be entered at any layer: nothing that holds in it depends on what ran before.
-
 Templates = Mapping[str, tuple[str, ...]]
 
 

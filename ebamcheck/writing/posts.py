@@ -67,7 +67,6 @@ def write_program(
 
 # -- going on after a break: the same layers, without those before ---------------------------------------
 # Each layer sets its own modes and values, so that its blocks are those of the whole program, byte for byte.
-
 _CALL = re.compile(r"N\d+ (\S+_L\d+)")
 _LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
 

@@ -136,7 +136,6 @@ def chords(found: Spans, tolerance_mm: float) -> tuple[Ints, Floats]:
 # -- splines as arcs: tangent-continuous pairs ---------------------------------------------------------
 # Each stretch of a span becomes two arcs that share end points and tangents with it and a tangent with each other, with legs of
 # equal length (Bolton, Biarc curves, CAD 7, 1975); a stretch that leaves the tolerance is halved.
-
 SAMPLES = 12  # Places inside a stretch where the distance from its arcs is measured
 # A stretch of 2^-14 of a span that is still no pair of arcs has a cusp, and becomes a straight line.
 MOST_HALVINGS = 14

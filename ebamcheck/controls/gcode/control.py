@@ -26,8 +26,6 @@ GROUPS = (
     Group("program flow", ("M0", "M1", "M2", "M30", "M60", "M98", "M99", "O", "G65", "G66")),
 )  # fmt: skip
 
-# -- LinuxCNC ----------------------------------------------------------------------------------------
-
 # M64, M65 switch digital outputs at once, M68 sets analog ones, M67 does with the motion that follows: the beam is given its
 # current at once before it is switched on, or it would stand at that of before.
 LINUXCNC_TEMPLATES = {
@@ -87,8 +85,6 @@ LINUXCNC = Control(
     smoothing_needs_tolerance="G64",
 )
 
-
-# -- plain G-code: hobby and laser controls, M3 S and M5 for the source, M42 for a pin, M8 and M9 ---------
 
 PLAIN_TEMPLATES = {
     "beam_on": ("M3 S{power_w} ; beam on, W",),

@@ -255,8 +255,6 @@ class SinumerikReader(Reader):
         out.line = here
 
 
-# -- names and first lines of files --------------------------------------------------------------------
-
 # A name that is none of a device, and a path.
 _FILE_NAME = re.compile(
     r"(?!(?:CON|PRN|AUX|NUL|COM\d|LPT\d)\.)(?=.{1,24}\.)(?:[A-Z]{2}|_[A-Z])[A-Z0-9_]*\.(?:MPF|SPF)"

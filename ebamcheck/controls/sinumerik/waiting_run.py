@@ -207,8 +207,6 @@ class Expression:
         raise ValueError(f"{ast.unparse(node)!r} is no expression")
 
 
-# -- beside waiting: modes, switches, and the way out when the part is built ------------------------------
-
 OFF = ("beam_off", "wire_stop")
 
 

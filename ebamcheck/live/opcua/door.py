@@ -108,8 +108,6 @@ class Door:
             elif entry["kind"] == AGAIN:
                 self._released = None
 
-    # -- connections -------------------------------------------------------------------------------
-
     async def run(self) -> Answer:
         """Lead the build to its end, over connections; SettingsError where none lets us in, or has no such nodes, before anything was done."""
         pause_s, ever = self._opcua.retry_s, False
@@ -137,8 +135,6 @@ class Door:
                 self._telling.say("lost", reason=failure_of(error), kept=kept)
             await asyncio.sleep(pause_s)
             pause_s = min(2.0 * pause_s, self._opcua.longest_retry_s)
-
-    # -- one look ----------------------------------------------------------------------------------
 
     async def _look(self, link: Link) -> Answer | None:
         """Look at the control, and do what follows from it; the last answer where the build is over."""
@@ -241,8 +237,6 @@ class Door:
     def _name(self, role: str) -> str:
         return self._opcua.nodes.get(role) or f"R{self._machine.live_r + handshake.OFFSETS[role]}"
 
-    # -- heights -----------------------------------------------------------------------------------
-
     async def _measure(self, link: Link, seen: handshake.Seen) -> None:
         """A layer is done: take its height, once it belongs to that layer and stands still."""
         done, now = int(seen.done), time.monotonic()
@@ -273,8 +267,6 @@ class Door:
         self._keeps = answer["answer"] == "kept"
         self._telling.made(answer)
         link.changed.set()
-
-    # -- releases ----------------------------------------------------------------------------------
 
     async def _release(self, link: Link, seen: handshake.Seen, layer: int) -> None:
         """The layer that is published is the next one of the control: release it, unless that was done."""
@@ -373,8 +365,6 @@ class Door:
             await link.write("released", handshake.BUILT)
         await link.write("owner", 0.0)
         return {**self._building.told, "answer": "built"}
-
-    # -- what is told ------------------------------------------------------------------------------
 
     def _sees_waiting(self, number: int) -> bool:
         """Whether the main program waits for a layer; says so where it does not."""

@@ -22,7 +22,6 @@ from ebamcheck.settings.machine import ROLES, WARMTH_ROLES, MachineSettings, Opc
 
 # R parameter of each role, counted from `machine.live_r`; the fifth is the program's own
 OFFSETS = dict(zip(ROLES, (0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12), strict=True))
-
 BUILT = -1.0  # in ``released``: the part is built
 KEY_FILE = "release.key"  # in the folder of a build: the key from which those of all its layers follow; its owner alone may read it
 
@@ -108,9 +107,6 @@ class Waiting:
     def after(self, moment_s: float) -> bool:
         """Whether it still waited when a moment of the clock, and the time to notice it, were over."""
         return self._since > moment_s + self._noticed_s
-
-
-# -- what releases a layer --------------------------------------------------------------------------
 
 
 def keys_of(folder: Path) -> ReleaseKeys:

@@ -20,9 +20,7 @@ if TYPE_CHECKING:
     from asyncua.client.client import Client
 
 FILES = ("certificate", "private_key", "server_certificate")  # files that a protected channel needs
-
 T = TypeVar("T")
-
 # Kinds of status codes, by how they begin
 LOGIN = ("BadIdentityTokenInvalid", "BadIdentityTokenRejected", "BadUserAccessDenied", "BadSecurityChecksFailed", "BadCertificate")  # fmt: skip
 FULL = (
@@ -100,9 +98,6 @@ def password_of(opcua: OpcuaSettings) -> str:
         raise SettingsError(f"opcua.password_file {path}: cannot be read: {error.strerror}") from None
 
 
-# -- certificates -----------------------------------------------------------------------------------
-
-
 def _loaded(opcua: OpcuaSettings, key: str) -> tuple[bytes, str, Any]:
     """Content of the file of a certificate or key, its form, and what it holds."""
     from cryptography import x509
@@ -161,9 +156,6 @@ def is_offered(opcua: OpcuaSettings, shown: Iterable[bytes]) -> bool:
     return any(found.startswith(given) for found in shown)
 
 
-# -- waits with a limit ------------------------------------------------------------------------------
-
-
 class BrokenOff(Exception):
     """What was waited for was cancelled from within: the library does so with all requests when a connection breaks."""
 
@@ -193,9 +185,6 @@ async def cancelled(task: asyncio.Future[T]) -> None:
     task.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
     task.cancel()
     await asyncio.wait([task], timeout=1.0)
-
-
-# -- the connection ----------------------------------------------------------------------------------
 
 
 class Link:
@@ -283,8 +272,6 @@ class Link:
             with suppress(Exception):
                 client.disconnect_socket()
 
-    # -- values ------------------------------------------------------------------------------------
-
     async def seen(self) -> Seen:
         """Read all values at once."""
         roles = (role for role in (*ROLES, "map", *WARMTH_ROLES) if role in self._ids)
@@ -324,8 +311,6 @@ class Link:
                 said = f"{role} was written as {given[role]!r} and reads {found!r}"
                 raise NotTaken("write-lost", f"{said}: the control takes no writes, or another writes to it")
 
-    # -- files -------------------------------------------------------------------------------------
-
     async def upload(self, name: str, data: bytes, replace: bool) -> None:
         """Write a file."""
         from asyncua import ua
@@ -357,8 +342,6 @@ class Link:
         client = self._there()
         parent = client.get_node(self._opcua.methods_node)
         return await self._answered(parent.call_method(ua.NodeId.from_string(method), *arguments), what)
-
-    # -- answers -----------------------------------------------------------------------------------
 
     def _there(self) -> Client:
         if self._client is None:
