@@ -151,7 +151,7 @@ class LayerCase:
                 (x0, x1), (y0, y1), base_mm if config.process.base == "insulated" else None
             )
         if beads == BEADS[0]:
-            path = path.without_power(path.island < 0)
+            path.rows[path.island < 0, 4] = 0.0
         where = _places(islands, visits.place, places)
         return cls(path, islands, visits, section, height_mm, mirrors, *where)
 
@@ -274,7 +274,9 @@ def _run(case: Path, times_s: Floats, places: Floats, mirrors: thesis.Mirrors | 
     results = case / "Data"
     shutil.rmtree(results, ignore_errors=True)
     said = THESIS.run([thesis.INPUT], case, TIME_LIMIT_S)
-    return np.stack([_table(results / thesis.snapshot(n), places, said) for n in range(len(times_s))])
+    # Files with x, y, z in metres, and T in K.
+    files = (results / f"{thesis.NAME}.Snapshot.{number:02d}.csv" for number in range(len(times_s)))
+    return np.stack([_table(file, places, said) for file in files])
 
 
 def _table(file: Path, places: Floats, said: str) -> Floats:

@@ -103,7 +103,8 @@ def main() -> None:
             # A name that the terminal's encoding cannot show is no reason to fail.
             stream.reconfigure(errors="backslashreplace")
     sys.stdout = cast(TextIO, PrintableStream(sys.stdout))
-    signal.signal(signal.SIGTERM, _terminate)
+    # End on SIGTERM as on Ctrl-C: workers are ended and temporary files go.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt):
@@ -133,8 +134,3 @@ def _open_streams() -> None:
             break
     sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115
     sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115
-
-
-def _terminate(*_: object) -> None:
-    """End on SIGTERM as on Ctrl-C: workers are ended and temporary files go."""
-    raise KeyboardInterrupt

@@ -91,12 +91,8 @@ def _compile(mark: Path) -> None:
         return
     mark.touch()
     _tell(f"kernels are compiled ({time.perf_counter() - start:.0f} s); they are kept for the next time")
-    _remove_old(mark.parent)
-
-
-def _remove_old(current: Path) -> None:
-    """Remove folders of kernels that no command has asked for in a while: their sources have changed since."""
-    for folder in set(current.parent.glob("*-*")) - {current}:
+    # Folders of kernels that no command has asked for in a while go: their sources have changed since.
+    for folder in set(mark.parent.parent.glob("*-*")) - {mark.parent}:
         asked_for_s = max(f.stat().st_mtime for f in (folder, *folder.glob("warm-*")))
         if time.time() - asked_for_s > 30.0 * 86400.0:
             shutil.rmtree(folder, ignore_errors=True)

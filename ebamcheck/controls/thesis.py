@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -67,12 +67,6 @@ class HeatPath:
         rows = self.rows[mine]
         rows[0, 5] = LEAST_SPOT_S
         return HeatPath(rows, self.layer[mine], self.island[mine])
-
-    def without_power(self, rows: Bools) -> HeatPath:
-        """Return the same path with the beam off on some rows."""
-        changed = self.rows.copy()
-        changed[rows, 4] = 0.0
-        return replace(self, rows=changed)
 
 
 def case_post(control: str) -> Callable[..., ProgramFiles]:
@@ -231,11 +225,6 @@ def readings(times_s: Sequence[float], places: Floats, mirrors: Mirrors | None =
         SETTINGS: groups({"Compute": {"MaxThreads": 1}}),
         POINTS: f"X(mm)\tY(mm)\tZ(mm)\t@status@\n{points}",
     }
-
-
-def snapshot(number: int) -> str:
-    """Name of the file with the temperatures at a time, in the folder ``Data``: x, y, z in metres, and T in K."""
-    return f"{NAME}.Snapshot.{number:02d}.csv"
 
 
 def groups(texts: Mapping[str, Group]) -> str:

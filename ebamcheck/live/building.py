@@ -14,6 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -158,9 +159,8 @@ class Building:
             entry = {"kind": "layer", **{key: certificate[key] for key in ("name", "files", "wait_s")}}
             if "temperature" in answer:
                 entry["why_wait"] = f"{certificate['wait_s']:g} s: {answer['temperature']['why']}"
-            current = publishing.publish(
-                self.folder, layer, certificate, before=lambda: self.journal.append(entry)
-            )
+            journaled = partial(self.journal.append, entry)
+            current = publishing.publish(self.folder, layer, certificate, before=journaled)
         except (EbamcheckError, OSError) as error:
             return self._noted(reading, _kept(reading, failure_of(error)))
         finally:
@@ -179,10 +179,8 @@ class Building:
     def _take(self, reading: Reading, answer: Answer, layer: MadeLayer | None) -> None:
         below = self._standing
         if below is not None:
-            tops_mm, top_mm = self._planned_tops_mm, below.top_mm
-            self.heights.add(
-                laid_height(below.done, tops_mm, below.base_mm, top_mm, reading.height_mm, below.cusp_mm)
-            )
+            planned = below.done, self._planned_tops_mm, below.base_mm, below.top_mm
+            self.heights.add(laid_height(*planned, reading.height_mm, below.cusp_mm))
         self._last, self.told = reading, answer
         if layer is None:
             self.finished = True

@@ -129,11 +129,8 @@ def feed_limits(config: Config, limits: Limits) -> Limits:
     )
     least, most = min(least, limits.least_mm), max(most, limits.most_mm)
     bead, feed = "process.layer_over_bead", "wire, beam and every feed"
-    why = (
-        bead if least <= low * (1.0 + ROUNDING) else feed,
-        bead if most >= high * (1.0 - ROUNDING) else feed,
-    )
-    return Limits(least, most, limits.usual_mm, why)
+    by_bead = least <= low * (1.0 + ROUNDING), most >= high * (1.0 - ROUNDING)
+    return Limits(least, most, limits.usual_mm, (bead if by_bead[0] else feed, bead if by_bead[1] else feed))
 
 
 def _farthest(holds: Callable[[float], bool], good_mm: float, to_mm: float, halvings: int) -> float:
@@ -301,10 +298,8 @@ class HeightRule:
                 while kept and z - (kept[-2] if len(kept) > 1 else base_mm) < limits.least_mm:
                     kept.pop()
                 if kept:
-                    said.append(
-                        f"the face at Z {kept[-1]:.3f} is not met: the top lies {z - kept[-1]:.3f} mm over it"
-                    )
-                    kept.pop()
+                    over = f"the top lies {z - kept[-1]:.3f} mm over it"
+                    said.append(f"the face at Z {kept.pop():.3f} is not met: {over}")
             kept.append(z)
             low = z
         return kept, said
@@ -330,10 +325,8 @@ class HeightRule:
                     return even.tolist(), said or self._said_of_cusp(even, low_mm)
         # What cannot be laid is not planned: the nearest that can misses the height by half the least layer at most.
         fewest = max(1, math.floor(gap / outer.most_mm))
-        count, thick = min(
-            ((n, min(max(gap / n, outer.least_mm), outer.most_mm)) for n in (fewest, fewest + 1)),
-            key=lambda planned: abs(planned[0] * planned[1] - gap),
-        )
+        near = [(n, min(max(gap / n, outer.least_mm), outer.most_mm)) for n in (fewest, fewest + 1)]
+        count, thick = min(near, key=lambda planned: abs(planned[0] * planned[1] - gap))
         off_mm = count * thick - gap
         said = (
             f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {outer.least_mm:.3f} mm "

@@ -98,14 +98,13 @@ def relayer(
     program = maker.config.machine.program_name
     made_folder(folder)
     if (folder / publishing.JOURNAL).is_file():
-        raise SettingsError(
-            f"{folder}: is the folder of a build, whose own layers would come to the same names: give another with -o"
-        )
+        what = "is the folder of a build, whose own layers would come to the same names: give another with -o"
+        raise SettingsError(f"{folder}: {what}")
     plan = height_rule(maker.part, maker.config).plan(measured_mm)
     if not len(plan):
-        said = f": {plan.said[0]}" if plan.said else ""
+        left = f"nothing is left to be laid{f': {plan.said[0]}' if plan.said else ''}"
         raise SettingsError(
-            f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, nothing is left to be laid{said}"
+            f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, {left}"
         )
     # As high as it has to be for the rest to end at the part's top.
     name = publishing.layer_name(program, layer, len(_made_before(folder, program, layer)) + 1)

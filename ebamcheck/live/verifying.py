@@ -269,21 +269,17 @@ class FollowedMetal:
 
     def wrong_with(self, program: Path, paper: Mapping[str, Any], config: Config) -> str:
         """Lay one more layer; what is wrong with it, empty where nothing is."""
-        said = self._laid(program, paper, config) if self._known else None
-        self._known = said is not None
-        return said or ""
-
-    def _laid(self, program: Path, paper: Mapping[str, Any], config: Config) -> str | None:
-        """What is wrong with one more layer; None where what lies above cannot be told."""
-        text, _ = read_checked(program, config)
+        known, self._known = self._known, False  # what lies above this cannot be told, unless this is laid
+        text, _ = read_checked(program, config) if known else (None, None)
         if text is None or "height_map" in paper:
-            return None
+            return ""
         part = self._placed = self._placed or read_part(self._file, config.part)[0]
         try:
             section = slice_part(part, cut_heights(part, config), witness_backend(str(paper["primary"])))
             told = paper["metal_so_far"]
         except (EbamcheckError, KeyError, TypeError, ValueError):
-            return None
+            return ""
+        self._known = True
         before = self._before or Before.plate(part, config)
         text = by_height(text, np.array([config.base_mm + config.layer_height_mm]))
         checks, self._before = metal_checks(text, section, before.measured(), config)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
-from ebamcheck.kernels import Bools, Floats, Ints
+from ebamcheck.kernels import Floats
 from ebamcheck.nc.control import control
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, CurveColumns, ScanColumns
 from ebamcheck.settings.config import Config
@@ -64,21 +66,16 @@ def uppermost_seams(path: Toolpath, process: ProcessSettings, below: Floats) -> 
     return _seams(path, process, Tracks.of(path), below)[1]
 
 
-def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floats) -> tuple[Floats, Floats]:
-    """Shift of each track, (T,), and the seams of the uppermost layer."""
-    if process.seam_shift_mm <= 0.0:
-        return np.zeros(path.ring.size), below
-    layers, starts, shift_mm = path.layer_starts, path.track_starts, process.seam_shift_mm
-    return seam_shifts(layers, starts, tracks.closed, path.points, path.lengths, shift_mm, below)
-
-
 def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stretches:
     """Cut every track where it starts, closes, ends, and where the power changes."""
     every, whole = np.arange(seams.size), tracks.length
     shift = snapped(tracks, every, seams)
     shift[shift > whole - SHORTEST_BLOCK_MM] = 0.0
     total = whole + np.where(tracks.closed, np.minimum(process.overlap_mm, whole), 0.0)
-    up, down = ramp_lengths(total, process)
+    # Ramps are shorter where a bead is shorter than both.
+    ramps = process.ramp_up_mm + process.crater_fill_mm
+    share = np.minimum(1.0, total / ramps) if ramps > 0.0 else np.zeros(total.size)
+    up, down = share * process.ramp_up_mm, share * process.crater_fill_mm
     # Places along what is driven of a track, which begins at its shift.
     steps = np.arange(process.ramp_steps + 1) / process.ramp_steps
     places = [np.zeros(whole.size), whole - shift, 2.0 * whole - shift, whole, total]
@@ -96,13 +93,6 @@ def _stretches(tracks: Tracks, seams: Floats, process: ProcessSettings) -> Stret
     return Stretches(track[kept], (first + low)[kept], (first + high)[kept], lap[kept], power[kept])
 
 
-def ramp_lengths(bead_mm: Floats, process: ProcessSettings) -> tuple[Floats, Floats]:
-    """Lengths (n,) of the ramps at the start and at the end of beads: those set, less where a bead is shorter."""
-    ramps = process.ramp_up_mm + process.crater_fill_mm
-    share = np.minimum(1.0, bead_mm / ramps) if ramps > 0.0 else np.zeros(bead_mm.size)
-    return share * process.ramp_up_mm, share * process.crater_fill_mm
-
-
 def ramp_power(
     from_start: Floats, to_end: Floats, up_mm: Floats, down_mm: Floats, process: ProcessSettings
 ) -> Floats:
@@ -116,23 +106,22 @@ def ramp_power(
     return power
 
 
-def seam_shifts(
-    layer_starts: Ints, track_starts: Ints, closed: Bools, points: Floats, lengths: Floats, shift_mm: float,
-    below: Floats = NO_SEAMS,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Lengths along tracks at which they are to start, (T,) mm: 0 for open ones, and where there is no seam below; and the uppermost seams, (n, 2).
+def _seams(path: Toolpath, process: ProcessSettings, tracks: Tracks, below: Floats) -> tuple[Floats, Floats]:
+    """Lengths along tracks at which they are to start, (T,) mm, and the uppermost seams, (n, 2); `below` (n, 2) are those under the lowest layer.
 
-    A contour that is `closed` (T,) starts a shift further along itself than its place next to the seam below. `points` (N, 4, 2) and
-    `lengths` (N,) of segments are those of :mod:`ebamcheck.writing.cuts`, `below` (n, 2) the seams under the lowest layer.
+    A closed contour starts a shift further along itself than its place next to the seam below; others start where they do.
     """
-    shifts = np.zeros(closed.size)
-    for k in range(layer_starts.size - 1):
+    shifts = np.zeros(path.ring.size)
+    if process.seam_shift_mm <= 0.0:
+        return shifts, below
+    for first, last in pairwise(path.layer_starts.tolist()):
         seams = []
-        for t in range(int(layer_starts[k]), int(layer_starts[k + 1])):
-            a, b = int(track_starts[t]), int(track_starts[t + 1])
-            if closed[t] and b > a:
-                along, places = _places(points[a:b], lengths[a:b])
-                chosen = _chosen(along, places, float(lengths[a:b].sum()), below, shift_mm)
+        for t in range(first, last):
+            a, b = path.track_starts[t : t + 2].tolist()
+            if tracks.closed[t] and b > a:
+                along, places = _places(path.points[a:b], path.lengths[a:b])
+                whole_mm = float(path.lengths[a:b].sum())
+                chosen = _chosen(along, places, whole_mm, below, process.seam_shift_mm)
                 shifts[t] = along[chosen]
                 seams.append(places[chosen])
         below = np.array(seams) if seams else below
