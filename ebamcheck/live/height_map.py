@@ -90,10 +90,8 @@ def _from_csv(path: Path, frame: HeightMapSettings) -> HeightMap:
         table.columns = [str(name).strip() for name in table.columns]
         x, y, value = (table[name].to_numpy(np.float64) for name in COLUMNS)
     except (ValueError, UnicodeDecodeError) as error:
-        said = " ".join(str(error).split())[:120]
-        raise InputError(
-            f"{path}: is neither {','.join(COLUMNS)} with numbers below nor a grid of numbers: {said}"
-        ) from None
+        said = f"is neither {','.join(COLUMNS)} with numbers below nor a grid of numbers"
+        raise InputError(f"{path}: {said}: {' '.join(str(error).split())[:120]}") from None
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         row = int(np.argmin(np.isfinite(x) & np.isfinite(y)))
         raise InputError(f"{path}:{row + 2}: a place is no number; a hole is a row without a height")
@@ -120,9 +118,8 @@ def _from_tiff(path: Path) -> Floats:
             if image.width * image.height > MOST_POINTS:
                 raise InputError(f"{path}: has more than {MOST_POINTS} points")
             if image.mode not in ("F", "I", "I;16", "I;16B", "I;16L", "L"):
-                raise InputError(
-                    f"{path}: has the mode {image.mode!r}: give one channel of whole or floating numbers"
-                )
+                said = "give one channel of whole or floating numbers"
+                raise InputError(f"{path}: has the mode {image.mode!r}: {said}")
             return np.asarray(image).astype(np.float64)
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
         raise InputError(f"{path}: is no TIFF: {' '.join(str(error).split())[:120]}") from None
@@ -456,13 +453,11 @@ def check_height(reading: Reading, base_mm: float, top_mm: float) -> None:
         return
     for factor, unit in ((25.4, "inches"), (1000.0, "metres"), (1.0 / 1000.0, "micrometres")):
         if abs(height * factor - top_mm) <= 0.35 * planned:
-            raise Refused(
-                "unit", f"height_mm {height:g} would be the layer's height in {unit}: heights are in mm"
-            )
+            said = f"would be the layer's height in {unit}: heights are in mm"
+            raise Refused("unit", f"height_mm {height:g} {said}")
     if height <= base_mm:
-        raise Refused(
-            "decreasing", f"height_mm {height:g} is not over {base_mm:.3f}, on which the layer was laid"
-        )
+        said = f"is not over {base_mm:.3f}, on which the layer was laid"
+        raise Refused("decreasing", f"height_mm {height:g} {said}")
     off_mm = abs(height - top_mm)
     off = f"{off_mm:.3f}" if off_mm < 1e6 else f"{off_mm:.4g}"  # of one that no machine has a few digits
     raise Refused("absurd", f"height_mm {height:g} is {off} mm off the plan, {top_mm:.3f}: over {room:.3f}")

@@ -100,21 +100,18 @@ def bead_limits(config: Config) -> Limits:
     """Limits of the bead: the process window, the wire feed, and the power that melts the wire."""
     process = config.process
     per_mm = nominal_wire_speed_mm_s(config, 1.0)
-    lowest, highest = (share * process.bead_height_mm for share in process.layer_over_bead)
-    melted = _farthest(lambda mm: least_power_share(config, mm) <= 1.0, 0.0, highest, 60)
-    least = max(
-        (lowest, "process.layer_over_bead"),
-        (process.wire_speed_min_mm_s / per_mm, "process.wire_speed_min_mm_s"),
+    lowest, highest = (
+        (share * process.bead_height_mm, "process.layer_over_bead") for share in process.layer_over_bead
     )
-    most = min(
-        (highest, "process.layer_over_bead"),
-        (process.wire_speed_max_mm_s / per_mm, "process.wire_speed_max_mm_s"),
-        (melted, "the power of the beam"),
+    melted = _farthest(lambda mm: least_power_share(config, mm) <= 1.0, 0.0, highest[0], 60)
+    slowest, fastest = (
+        (getattr(process, name) / per_mm, f"process.{name}")
+        for name in ("wire_speed_min_mm_s", "wire_speed_max_mm_s")
     )
+    least, most = max(lowest, slowest), min(highest, fastest, (melted, "the power of the beam"))
     if least[0] > most[0]:
-        raise SettingsError(
-            f"no layer height is within the process: at least {least[0]:.3g} mm by {least[1]}, at most {most[0]:.3g} mm by {most[1]}"
-        )
+        bounds = f"at least {least[0]:.3g} mm by {least[1]}, at most {most[0]:.3g} mm by {most[1]}"
+        raise SettingsError(f"no layer height is within the process: {bounds}")
     usual = min(max(config.layer_height_mm, least[0]), most[0])
     return Limits(least[0], most[0], usual, (least[1], most[1]))
 

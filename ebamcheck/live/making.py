@@ -109,16 +109,14 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             preheat = config.preheat.model_copy(update={"scan_in": "layer"})
             config = config.model_copy(update={"preheat": preheat})
         if not control(name).is_read:
-            raise SettingsError(
-                f"machine.control {name!r}: what is written for it is not read back, so that no layer of it can be proved"
-            )
+            said = "what is written for it is not read back, so that no layer of it can be proved"
+            raise SettingsError(f"machine.control {name!r}: {said}")
         self.part, self.config, self.annealing_steps = part, config, annealing_steps
         self.primary = primary or config.slicing.primary or registry.default_backend()
         self.witness = witness_backend(self.primary)
         if self.witness == self.primary:
-            raise BackendMissing(
-                f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
-            )
+            said = f"no exact slicer beside {self.primary!r} is there: two methods have to agree"
+            raise BackendMissing(said)
         self.sound = gates.input_gate(inspect(part))
         self.height_mm = float(part.size[2])  # Z of its top
         keep_surface_of(part)
@@ -157,12 +155,8 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         cut_mm = self.bottom_mm + wanted.base_mm + 0.5 * wanted.thickness_mm
         sections = at_layer_feed(self.config, wanted.thickness_mm, mapped, along)
         # Values that were worked out here need no check of all others, which takes a while with many plugins.
-        of_layer = {
-            "heights_mm": (cut_mm,),
-            "layer_height_mm": wanted.thickness_mm,
-            "base_mm": wanted.base_mm,
-        }
-        layers = sections.layers.model_copy(update=of_layer)
+        heights = {"heights_mm": (cut_mm,), "layer_height_mm": wanted.thickness_mm}
+        layers = sections.layers.model_copy(update=heights | {"base_mm": wanted.base_mm})
         machine = sections.machine.model_copy(update={"program_name": wanted.name})
         update = {"part": self._of_part, "layers": layers, "scan": self._of_scan, "machine": machine}
         return sections.model_copy(update=update)
@@ -213,19 +207,14 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
             weighing = self._aside.submit(metal_checks, program, witness, after, config)
             # The program of the layer below ended with a rise, which the plan counts: it is not in the text of this one.
             rise_s = config.machine.safe_height_mm / config.machine.rapid_mm_s
-            checks = verify_program(
-                program,
-                config=config,
-                curves=laid.beads,
-                plan=plan,
-                match=match,
-                layers=witness,
-                heat=True,
-                before=before.rested(wait_s + rise_s).part.column,
-                under=self._under(config, self.witness),
-                sha256=files.sha256,
-                smooth=stages.smooth_sections(verdict.curves, config),
+            under, smooth_by = (
+                self._under(config, self.witness),
+                stages.smooth_sections(verdict.curves, config),
             )
+            checks = verify_program(
+                program, config=config, curves=laid.beads, plan=plan, match=match, layers=witness, heat=True,
+                before=before.rested(wait_s + rise_s).part.column, under=under, sha256=files.sha256, smooth=smooth_by,
+            )  # fmt: skip
             cut_mm = float(witness.heights[0])
             by_mesh = layer_check(self.part, cut_mm, config.base_mm, config.layer_height_mm)
             sections = sections_check(self.part, witness, config)

@@ -46,9 +46,8 @@ def layer_name(program: str, layer: int, number: int) -> str:
     """
     name = f"{program[:10]}_K{layer + 1:04d}R{number}"
     if len(name) > LONGEST_NAME - len("_L0001"):
-        raise SettingsError(
-            f"layer {layer + 1}, number {number}: the name {name!r} is too long for the control"
-        )
+        said = f"the name {name!r} is too long for the control"
+        raise SettingsError(f"layer {layer + 1}, number {number}: {said}")
     return name
 
 
@@ -109,9 +108,8 @@ def read_certificate(place: Path) -> dict[str, Any]:
     except (OSError, ValueError, TypeError, KeyError):
         raise InputError(f"{place / CERTIFICATE}: is no certificate of a layer") from None
     if found.get("format") != FORMAT:
-        raise InputError(
-            f"{place / CERTIFICATE}: is of the format {found.get('format')!r:.40}, not {FORMAT!r}: make the layer again"
-        )
+        said = f"is of the format {found.get('format')!r:.40}, not {FORMAT!r}: make the layer again"
+        raise InputError(f"{place / CERTIFICATE}: {said}")
     return found
 
 
@@ -123,10 +121,9 @@ def publish(
     `before` is called when it lies on disk under its name and is not yet the current one. Refused is one that did not pass, one of which
     the control would be told what is not so, and files that are not those that were verified.
     """
+    layer = f"layer {made.wanted.layer + 1}"
     if not made.passed:
-        raise InputError(
-            f"layer {made.wanted.layer + 1}: is not validated and cannot be published: {made.why}"
-        )
+        raise InputError(f"{layer}: is not validated and cannot be published: {made.why}")
     staged = made.files.folder.parent
     (staged / SETTINGS).write_text(values_as_toml(made.config), encoding="utf-8")
     (staged / CERTIFICATE).write_text(json_text(certificate), encoding="utf-8")
@@ -150,9 +147,7 @@ def publish(
     if wrong:
         if fresh:
             shutil.rmtree(target)
-        raise InputError(
-            f"layer {made.wanted.layer + 1}: the control would be told another {', '.join(wrong)}"
-        )
+        raise InputError(f"{layer}: the control would be told another {', '.join(wrong)}")
     before()
     write_synced(folder / CURRENT, json_text(current))
     return current
@@ -208,9 +203,8 @@ def _check_hashes(folder: Path, files: Mapping[str, str]) -> None:
     for path, wanted in ((folder / name, sha256) for name, sha256 in files.items()):
         found = sha256_of_file(path) if path.is_file() else "no file"
         if found != wanted:
-            raise SettingsError(
-                f"{path}: is not the file that was verified ({found[:12]}, not {wanted[:12]})"
-            )
+            hashes = f"{found[:12]}, not {wanted[:12]}"
+            raise SettingsError(f"{path}: is not the file that was verified ({hashes})")
 
 
 def _sync_folder(folder: Path) -> None:
@@ -236,17 +230,13 @@ class Journal(AbstractContextManager["Journal"]):
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             self._file.close()
-            raise SettingsError(
-                f"{path}: another `ebamcheck live` writes to it: end that one first"
-            ) from None
+            said = "another `ebamcheck live` writes to it: end that one first"
+            raise SettingsError(f"{path}: {said}") from None
         try:
             self._last, whole, self.lines = FIRST, 0, 0
             for line, _ in _lines(path):
-                self._last, whole, self.lines = (
-                    hashlib.sha256(line).hexdigest(),
-                    whole + len(line),
-                    self.lines + 1,
-                )
+                self._last = hashlib.sha256(line).hexdigest()
+                whole, self.lines = whole + len(line), self.lines + 1
             self._file.truncate(whole)
         except BaseException:
             self._file.close()
@@ -289,8 +279,7 @@ def _lines(path: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
             except (ValueError, KeyError, TypeError):
                 raise InputError(f"{path}:{number}: is no line of a journal") from None
             if after != last:
-                raise InputError(
-                    f"{path}:{number}: does not follow the line before: one was changed or is missing"
-                )
+                said = "does not follow the line before: one was changed or is missing"
+                raise InputError(f"{path}:{number}: {said}")
             last = hashlib.sha256(line).hexdigest()
             yield line, entry

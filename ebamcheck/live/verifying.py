@@ -91,9 +91,7 @@ def verify_build(
             files_of_it = place / PROGRAM, publishing.read_certificate(place), load_config(place / SETTINGS)
             warm = heat.too_warm(*files_of_it)
             heat.take()
-            layer = replace(
-                layer, why="; ".join(said for said in (metal.wrong_with(*files_of_it), warm) if said)
-            )
+            layer = replace(layer, why="; ".join(filter(None, (metal.wrong_with(*files_of_it), warm))))
         if build and layer.passed and number == len(layers):
             layer = replace(layer, why=_not_current(folder, name) or _ended_early(folder, name, part))
         found.append(layer)

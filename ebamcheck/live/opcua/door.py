@@ -145,9 +145,8 @@ class Door:
                 return await self._step(link, seen)
         except LinkLost:
             raise
-        except (
-            Exception
-        ) as error:  # a refusal, a full disk, a fault of the software: what was published stays
+        except Exception as error:
+            # A refusal, a full disk, a fault of the software: what was published stays.
             self._telling.refuse(error.code if isinstance(error, NotTaken) else "held", failure_of(error))
             self._telling.later()
         return None

@@ -23,12 +23,7 @@ FILES = ("certificate", "private_key", "server_certificate")  # files that a pro
 T = TypeVar("T")
 # Kinds of status codes, by how they begin
 LOGIN = ("BadIdentityTokenInvalid", "BadIdentityTokenRejected", "BadUserAccessDenied", "BadSecurityChecksFailed", "BadCertificate")  # fmt: skip
-FULL = (
-    "BadTooManySessions",
-    "BadMaxConnectionsReached",
-    "BadTooManySubscriptions",
-    "BadTooManyMonitoredItems",
-)
+FULL = ("BadTooManySessions", "BadMaxConnectionsReached", "BadTooManySubscriptions", "BadTooManyMonitoredItems")  # fmt: skip
 GONE = ("BadSession", "BadConnection", "BadServer", "BadShutdown", "BadSecureChannel", "BadTcp", "BadCommunication", "BadTimeout", "BadRequestTimeout")  # fmt: skip
 # Status codes of what is not taken: code and reason of the refusal
 REFUSALS = {
@@ -231,13 +226,9 @@ class Link:
             mode = {"sign": "Sign", "sign_and_encrypt": "SignAndEncrypt"}[opcua.security]
             own, key, control = (CertProperties(*_loaded(opcua, name)[:2]) for name in FILES)
             # The certificate of the control is given: that of whoever answers is not asked for.
-            await client.set_security(
-                getattr(security_policies, f"SecurityPolicy{opcua.policy}"),
-                own,
-                key,
-                server_certificate=control,
-                mode=getattr(ua.MessageSecurityMode, mode),
-            )
+            policy = getattr(security_policies, f"SecurityPolicy{opcua.policy}")
+            mode = getattr(ua.MessageSecurityMode, mode)
+            await client.set_security(policy, own, key, server_certificate=control, mode=mode)
             if opcua.user:
                 client.set_user(opcua.user)
                 client.set_password(password_of(opcua))
@@ -248,10 +239,8 @@ class Link:
         try:
             ends = await client.connect_and_get_server_endpoints()
             shown = [bytes(found.ServerCertificate or b"") for found in ends]
-        except (
-            Exception
-        ):  # a control that shows nothing to strangers: the channel itself tells, in its own way
-            return
+        except Exception:
+            return  # A control that shows nothing to strangers: the channel itself tells, in its own way.
         if any(shown) and not is_offered(self._opcua, shown):
             raise LoginRefused(
                 f"{self._opcua.url}: shows another certificate than opcua.server_certificate {self._opcua.server_certificate!r}: "
