@@ -64,10 +64,8 @@ def regress(
     if update_baseline not in ("", "failed", "all"):
         raise SettingsError(f"--update-baseline {update_baseline!r}: give failed or all")
     if update_baseline and own:
-        raise SettingsError(
-            f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, under which no baseline is made: leave it "
-            "out, or put it into the matrix as a variant"
-        )
+        what = "under which no baseline is made: leave it out, or put it into the matrix as a variant"
+        raise SettingsError(f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, {what}")
     table = checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
     limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
     found = regression.run_regression(
@@ -184,10 +182,8 @@ def _table(
     tolerance_mm: float,
 ) -> str:
     columns = ["slicer", "available", "bound mm", "measured mm", "seconds", "device", "reason"]
-    rows = [
-        [t.name, t.available, t.bound_mm, t.measured_mm, t.seconds, t.device, choice.reasons[t.name]]
-        for t in trials
-    ]
+    fields = ("name", "available", "bound_mm", "measured_mm", "seconds", "device")
+    rows = [[*(getattr(t, field) for field in fields), choice.reasons[t.name]] for t in trials]
     chosen = f"no slicer is accurate to {tolerance_mm:g} mm"
     if choice.primary:
         chosen = f"primary: {choice.primary}; required: {', '.join(choice.required)}"
@@ -280,9 +276,8 @@ def judge_command(
     with replacing(folder / TABLE) as temporary:
         judged.table.round(4).to_csv(temporary, index=False)
     if as_json:
-        options.print_json(
-            {**judged.figures(), "layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
-        )
+        of_case = {"layer": layer, "beads": beads, "body": body, "table": str(folder / TABLE)}
+        options.print_json({**judged.figures(), **of_case})
     else:
         _tell(judged, layer, body, config, folder)
     return ExitCode.PASS

@@ -25,14 +25,18 @@ from ebamcheck.installed import entry_points, is_house, sorted_out
 from ebamcheck.printable import printable
 
 COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin packages add
-
-
-# Commands that begin with all kernels compiled, beside those that show their progress
-MOST_KERNELS = frozenset(
-    ["verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper"]
-)
-# Commands that compile the few kernels that they need as they go
-FEW_KERNELS = frozenset(["slice_command", "inspect", "compare", "polar", "preflight_command"])
+# Commands that begin with all kernels compiled, beside those that show progress; and those that compile a few as they go
+MOST_KERNELS = [
+    "verify",
+    "live_command",
+    "relayer_command",
+    "post_command",
+    "fit_command",
+    "regress",
+    "select",
+    "paper",
+]
+FEW_KERNELS = ["slice_command", "inspect", "compare", "polar", "preflight_command"]
 
 
 class CommandGroup(TyperGroup):
@@ -56,9 +60,8 @@ class CommandGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the command; where a file stands in its place, the message says what to do with one."""
         if args and self.get_command(ctx, args[0]) is None and Path(args[0]).exists():
-            ctx.fail(
-                f"{args[0]!r} is no command: to make a program of a part, `ebamcheck run {shlex.join(args)}`"
-            )
+            how = f"to make a program of a part, `ebamcheck run {shlex.join(args)}`"
+            ctx.fail(f"{args[0]!r} is no command: {how}")
         return super().resolve_command(ctx, args)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:

@@ -71,12 +71,9 @@ def _merged(path: Path) -> ExitCode:
     made = merge(path)
     for key in made.added:
         typer.echo(f"added {key}")
-    typer.echo(
-        f"{path}: {len(made.added) or 'no'} new key{'' if len(made.added) == 1 else 's'}; what was set is kept"
-    )
+    new = f"{len(made.added) or 'no'} new key{'' if len(made.added) == 1 else 's'}"
+    typer.echo(f"{path}: {new}; what was set is kept")
     for text in made.unknown:
-        typer.echo(
-            f"ebamcheck: {path}: {text}; it stays in the file, but no command accepts the file until you remove it",
-            err=True,
-        )
+        stays = "it stays in the file, but no command accepts the file until you remove it"
+        typer.echo(f"ebamcheck: {path}: {text}; {stays}", err=True)
     return ExitCode.USAGE if made.unknown else ExitCode.PASS

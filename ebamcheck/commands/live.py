@@ -181,10 +181,8 @@ def relayer_command(
     if turned is not None:
         machine = found.config.machine
         if not (machine.tilt_axes or machine.rotary):
-            raise SettingsError(
-                f"--direction {direction}: the control {machine.control!r} has no axes that turn the part between layers "
-                "(machine.tilt_axes)"
-            )
+            what = "has no axes that turn the part between layers (machine.tilt_axes)"
+            raise SettingsError(f"--direction {direction}: the control {machine.control!r} {what}")
         upright = finished_run(run, part)
         built_mm = float(upright.tops_mm[index - 1]) if index else 0.0
         found = replace(found, config=tilted(upright, found, built_mm))

@@ -111,9 +111,8 @@ def part_or_plate(part: Path | None, plate: Path | None) -> Path:
     if (part is None) == (plate is None):
         raise SettingsError("give either the file of a part, or --plate with that of a plate")
     if plate is not None and plate.suffix.lower() != ".toml":
-        raise SettingsError(
-            f"--plate {plate}: a plate is a list of parts in TOML: give a file such as plate.toml"
-        )
+        what = "a plate is a list of parts in TOML: give a file such as plate.toml"
+        raise SettingsError(f"--plate {plate}: {what}")
     found = part or plate
     assert found is not None
     return found
@@ -137,11 +136,8 @@ def begun(source: Path, config: Config, job: str, yes: bool) -> Ready:
     found.preflight.stop(job)
     for check in found.preflight.checks:
         if check.level != "pass":
-            remedy = f": {check.remedy}" if check.remedy else ""
-            typer.echo(
-                printable(f"ebamcheck: preflight: {check.level}: {check.name}: {check.text}{remedy}"),
-                err=True,
-            )
+            said = ": ".join(filter(None, (check.level, check.name, check.text, check.remedy)))
+            typer.echo(printable(f"ebamcheck: preflight: {said}"), err=True)
     return found
 
 

@@ -246,9 +246,8 @@ def preflight_text(found: Preflight) -> str:
     for check in found.checks:
         figures = ["" if value is None else f"{value:.6g}" for value in (check.figure, known(check.limit))]
         rows.append([levels[check.level], check.name, *figures, check.unit, check.text])
-    remedies = [
-        f"{check.name}: {check.remedy}" for check in found.checks if check.level != "pass" and check.remedy
-    ]
+    warnings = (check for check in found.checks if check.level != "pass" and check.remedy)
+    remedies = [f"{check.name}: {check.remedy}" for check in warnings]
     counts = {level: sum(check.level == level for check in found.checks) for level in ("fault", "warning")}
     verdict = ", ".join(counted(count, level) for level, count in counts.items())
     table = text_table(["", "check", "figure", "limit", "unit", ""], rows)

@@ -283,9 +283,9 @@ def order_pictures(
     It ends at the hottest entry, or what most of a finished layer is under, and at boiling at last; `figures` are travel and hottest entry.
     """
     islands, section = compared.laid.islands, compared.laid.regions.section
+    plans = {name: result.plan for name, result in results.items()}
     scenes = {
-        name: pictures.Scene.of(section, result.plan.contours[0], result.plan.vectors_of(0))
-        for name, result in results.items()
+        n: pictures.Scene.of(section, plan.contours[0], plan.vectors_of(0)) for n, plan in plans.items()
     }
     files = {}
     for name, result in results.items():
@@ -307,14 +307,14 @@ def order_pictures(
     solidus, boiling = (k - ambient_k for k in (config.material.solidus_k, config.material.boiling_k))
     scale = pictures.TemperatureScale.of(max(hottest, warmest), solidus, boiling)
     for name, result in results.items():
-        title = f"{what}: entry temperature rise, {name}"
-        files[f"{name}-entry.svg"] = pictures.islands_svg(
-            islands, result.entry_k, title, " K", scene=scenes[name], temperatures=scale
+        title, scene = f"{what}: entry temperature rise, {name}", scenes[name]
+        entry = pictures.islands_svg(islands, result.entry_k, title, " K", scene=scene, temperatures=scale)
+        title, rises = (
+            f"{what}: temperature rise when the layer is done, {name}",
+            partial(_rises, plane, at_end[name]),
         )
-        title = f"{what}: temperature rise when the layer is done, {name}"
-        files[f"{name}-field.svg"] = pictures.field_svg(
-            partial(_rises, plane, at_end[name]), section, title, " K", scale.greatest, scenes[name], scale
-        )
+        field = pictures.field_svg(rises, section, title, " K", scale.greatest, scene, scale)
+        files |= {f"{name}-entry.svg": entry, f"{name}-field.svg": field}
     files["pareto.svg"] = pictures.pareto_svg(figures, f"{what}: {len(islands)} islands")
     return files
 

@@ -58,16 +58,9 @@ def sign_command(
     """
     path = run / CERTIFICATE
     refuse_unfit(RunFolder(run))
-    given: dict[str, Any] = {
-        "part_number": part_number,
-        "revision": revision,
-        "machine_serial": machine_serial,
-        "lots": lots_of(lot or []),
-        "operator": operator,
-        "approver": approver,
-        "date": date,
-        "deviations": deviation or [],
-    }
+    numbers = {"part_number": part_number, "revision": revision, "machine_serial": machine_serial}
+    people = {"operator": operator, "approver": approver, "date": date, "deviations": deviation or []}
+    given: dict[str, Any] = {**numbers, "lots": lots_of(lot or []), **people}
     release = {field: value for field, value in given.items() if value}
     if role == "approver" and not approver and not read_certificate(path)["release"]["approver"]:
         release["approver"] = name

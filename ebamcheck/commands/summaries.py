@@ -149,9 +149,8 @@ class TerminalObserver(LineObserver):
 
     def note(self, text: str) -> None:
         """Print a line above the bars."""
-        self._bars.console.print(
-            f"ebamcheck: {printable(text)}", markup=False, highlight=False, soft_wrap=True
-        )
+        line = f"ebamcheck: {printable(text)}"
+        self._bars.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
     def finish(self) -> None:
         """Fill the bar of the last stage."""
@@ -164,9 +163,8 @@ def watched() -> Iterator[LineObserver]:
     """Show progress while the block runs, which begins with all kernels compiled."""
     warm_kernels()
     # What shows bars takes a tenth of a second to load.
-    if not sys.stderr.isatty() and not any(
-        os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE")
-    ):
+    forced = any(os.environ.get(name) for name in ("FORCE_COLOR", "TTY_COMPATIBLE"))
+    if not (sys.stderr.isatty() or forced):
         yield LineObserver()
         return
     from rich.console import Console

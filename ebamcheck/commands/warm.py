@@ -64,9 +64,8 @@ def _mark() -> Path | None:
     from ebamcheck.kernels import cache_folder
     from ebamcheck.plugins import registry
 
-    packages = {
-        registry.points(registry.BACKENDS)[name].module.partition(".")[0] for name in registry.house_slicers()
-    }
+    points = registry.points(registry.BACKENDS)
+    packages = {points[name].module.partition(".")[0] for name in registry.house_slicers()}
     folders = [cache_folder(package) for package in ("ebamcheck", *sorted(packages - {"ebamcheck"}))]
     if folders[0] is None:
         return None

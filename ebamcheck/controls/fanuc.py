@@ -25,16 +25,14 @@ from ebamcheck.settings.machine import MachineSettings
 from ebamcheck.writing.layer_text import Post
 
 NAME = "fanuc"
+CURRENT, WIRE = "G102 A{current_ma:.4f} ; beam current, mA", "G103 A{wire_mm_s:.4f} ; wire speed, mm/s"
 TEMPLATES = {
     "beam_on": ("M60 ; beam on",),
     "beam_off": ("M61 ; beam off",),
-    "set_beam": (
-        "G101 A{voltage_kv:.4f} ; accelerating voltage, kV",
-        "G102 A{current_ma:.4f} ; beam current, mA",
-    ),
-    "set_power": ("G102 A{current_ma:.4f} ; beam current, mA",),
-    "wire_start": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s", "M62 ; wire on"),
-    "set_wire": ("G103 A{wire_mm_s:.4f} ; wire speed, mm/s",),
+    "set_beam": ("G101 A{voltage_kv:.4f} ; accelerating voltage, kV", CURRENT),
+    "set_power": (CURRENT,),
+    "wire_start": (WIRE, "M62 ; wire on"),
+    "set_wire": (WIRE,),
     "wire_stop": ("M63 ; wire off",),
     "wire_retract": ("G104 A{wire_retract_mm:.4f} ; wire drawn back, mm",),
     "layer_pause": ("G4 X{layer_pause_s:.3f} ; wait, s",),
@@ -63,9 +61,8 @@ _NO_POINT = re.compile(r"[XYZUVWABCIJKRF]\s*[+-]?\d+(?![\d.])")
 
 def words(machine: MachineSettings) -> tuple[str, ...]:
     """Words that hold at every motion."""
-    return (
-        "G17", "G21", "G90", "G94", "G40", "G49", "G80", "G50", "G69", machine.work_offset, "G92.1", "G64", "G5.1",
-    )  # fmt: skip
+    offsets_off = ("G40", "G49", "G80", "G50", "G69")
+    return "G17", "G21", "G90", "G94", *offsets_off, machine.work_offset, "G92.1", "G64", "G5.1"
 
 
 def form_lines(machine: MachineSettings) -> dict[str, str]:
@@ -116,9 +113,8 @@ def write_program(
     return write_files({f"{machine.program_name}.cnc": text}, Path(folder), validated=validated)
 
 
-DIALECT = replace(
-    PLAIN_GCODE, name=NAME, codes=(PLAIN_GCODE.codes | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
-)
+_CODES = (PLAIN_GCODE.codes | {"G50", "G69"}) - {"G91.1", "G92.1", "G61"}
+DIALECT = replace(PLAIN_GCODE, name=NAME, codes=_CODES)
 
 
 def read_program(main: Path, config: Config, **unused: object) -> NCProgram:

@@ -14,9 +14,7 @@ from ebamcheck.writing.bead_parts import power_shares
 from ebamcheck.writing.tracks import Toolpath
 
 # Roles of events: beads of contours, islands, thin walls and gaps, turns between their lines; moves and waits.
-CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = (
-    "contour", "hatch", "wall", "gap", "turn", "move", "wait",
-)  # fmt: skip
+CONTOUR, HATCH, WALL, FILLING, TURN, MOVE, WAIT = ["contour", "hatch", "wall", "gap", "turn", "move", "wait"]
 # A beam-off move of at most this many bead spacings stays at the layer's height; a longer one rises.
 NEAR_SPACINGS = 2.0
 # Columns of process_events and what they are.
@@ -55,9 +53,8 @@ def _beads(path: Toolpath, plan: ScanColumns, config: Config, heat: Interpass) -
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[track]
     island, ring = path.island[track], path.ring[track]
     kind = np.append(np.asarray(plan.island_kind), "")[island]
-    role = np.select(
-        [ring >= 0, path.turn, kind == THIN_WALL, kind == GAP], [CONTOUR, TURN, WALL, FILLING], HATCH
-    )
+    marks = [ring >= 0, path.turn, kind == THIN_WALL, kind == GAP]
+    role = np.select(marks, [CONTOUR, TURN, WALL, FILLING], HATCH)
     per_mm = np.array([wire_speed_mm_s(config, 1.0, float(h)) for h in path.thickness])
     first = np.zeros(track.size, np.int64)
     first[path.track_starts[:-1][sizes > 0]] = 1
@@ -140,16 +137,15 @@ def event_totals(events: pd.DataFrame, layers: int, config: Config) -> pd.DataFr
     }
     wire_mm = total(events["time_s"].to_numpy() * events["wire_mm_s"].to_numpy(), metal)
     kg_mm = wire_area_mm2(config) * 1e-9 * config.material.density_kg_m3
-    return pd.DataFrame(
-        {
-            "layer": np.arange(layers),
-            **lengths,
-            "travel_mm": total("length_mm", role == MOVE),
-            "starts": total("starts", metal).astype(np.int64),
-            "deposit_s": total("time_s", metal),
-            "travel_s": total("time_s", role == MOVE),
-            "wait_s": total("time_s", role == WAIT),
-            "wire_mm": wire_mm,
-            "wire_kg": wire_mm * kg_mm,
-        }
-    )
+    columns = {
+        "layer": np.arange(layers),
+        **lengths,
+        "travel_mm": total("length_mm", role == MOVE),
+        "starts": total("starts", metal).astype(np.int64),
+        "deposit_s": total("time_s", metal),
+        "travel_s": total("time_s", role == MOVE),
+        "wait_s": total("time_s", role == WAIT),
+        "wire_mm": wire_mm,
+        "wire_kg": wire_mm * kg_mm,
+    }
+    return pd.DataFrame(columns)

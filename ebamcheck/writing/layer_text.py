@@ -128,12 +128,8 @@ class _Layer:
         self._z, self._safe_z = form.value(z_mm), form.value(z_mm + config.machine.safe_height_mm)
         self._values, self._templates = post.values(k), post.templates
         ends = ("wire_stop", "wire_retract", "beam_off")
-        self._names = (
-            ("set_power",),
-            ("set_wire",),
-            ("beam_on", "wire_start"),
-            ends if self._values.wire_retract_mm > 0.0 else (ends[0], ends[2]),
-        )
+        off = ends if self._values.wire_retract_mm > 0.0 else (ends[0], ends[2])
+        self._names = (("set_power",), ("set_wire",), ("beam_on", "wire_start"), off)
         texts = ["".join(line for n in names for line in self._templates[n]) for names in self._names]
         # Whether the blocks of a group depend on the power, and on the wire.
         self._asked = [("{power_w" in text or "{current_ma" in text, "{wire_mm_s" in text) for text in texts]
@@ -180,9 +176,8 @@ class _Layer:
         key = (group, self._power if power else 0.0, self._wire if wire else 0.0)
         if key not in self._blocks:
             values = self._values.at(self._power, self._wire)
-            self._blocks[key] = [
-                line for n in self._names[group] for line in values.fill(n, self._templates[n])
-            ]
+            texts = (values.fill(name, self._templates[name]) for name in self._names[group])
+            self._blocks[key] = [line for text in texts for line in text]
         return self._blocks[key]
 
     def _feed(self, share: float) -> str:

@@ -74,9 +74,8 @@ _LAYER = re.compile(r"(?:; |\()LAYER: (\d+) OF (\d+)\b.*")
 def check_entry(layer: int, config: Config) -> None:
     """Refuse to begin at a layer (from 1) of a build that preheats: the plate's preheating belongs before its first one."""
     if layer > 1 and config.preheat.when != "off":
-        raise SettingsError(
-            f"--from-layer {layer}: preheat.when is {config.preheat.when!r}, which belongs to a build from the plate: set it to 'off'"
-        )
+        what = "which belongs to a build from the plate: set it to 'off'"
+        raise SettingsError(f"--from-layer {layer}: preheat.when is {config.preheat.when!r}, {what}")
 
 
 def begin_at_layer(files: ProgramFiles, layer: int) -> ProgramFiles:

@@ -69,14 +69,13 @@ def wired(path: Toolpath, plan: ScanColumns, config: Config, surface: Surface) -
     division = _Division.of(tracks, divided, stretch_mm)
     assert plan.sections is not None
     regions = [metal_region(section, config) for section in plan.sections]
-    found = run_each(
-        lambda k: _layer_beads(path, k, tracks, division, regions[k], surface.step_mm, config),
-        range(len(path.z)),
-    )
-    made = [
-        _flat(beads, surface, division, tracks, float(h), config, float(share))
-        for beads, h, share in zip(found, path.thickness, interpass_of(plan, config).power_share, strict=True)
-    ]
+
+    def laid_out(k: int) -> _LayerBeads:
+        return _layer_beads(path, k, tracks, division, regions[k], surface.step_mm, config)
+
+    shares, made = interpass_of(plan, config).power_share, list[Stretches]()
+    for beads, h, share in zip(run_each(laid_out, range(len(path.z))), path.thickness, shares, strict=True):
+        made.append(_flat(beads, surface, division, tracks, float(h), config, float(share)))
     columns = ([getattr(s, name) for s in made] for name in ("track", "low", "high", "lap", "width"))
     track, low, high, lap, width = (np.concatenate(column) for column in columns)
     return parts_of(path, tracks, Stretches(track, low, high, lap, width=width))
