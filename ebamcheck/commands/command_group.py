@@ -26,16 +26,7 @@ from ebamcheck.printable import printable
 
 COMMANDS = "ebamcheck.commands"  # entry point group of commands that plugin packages add
 # Commands that begin with all kernels compiled, beside those that show progress; and those that compile a few as they go
-MOST_KERNELS = [
-    "verify",
-    "live_command",
-    "relayer_command",
-    "post_command",
-    "fit_command",
-    "regress",
-    "select",
-    "paper",
-]
+MOST_KERNELS = ("verify", "live_command", "relayer_command", "post_command", "fit_command", "regress", "select", "paper")  # fmt: skip
 FEW_KERNELS = ["slice_command", "inspect", "compare", "polar", "preflight_command"]
 
 

@@ -11,8 +11,7 @@ from ebamcheck.heat.part_heat import BeadPower
 from ebamcheck.kernels import Bools, Floats, Ints
 from ebamcheck.nc.inputs import SHORTEST_BLOCK_MM, Interpass
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.cuts import segment_parts
-from ebamcheck.writing.segments import CIRCULAR, CUBIC
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, segment_parts
 from ebamcheck.writing.tracks import Toolpath, cleaned, rounded
 
 ROUNDING_MM = 1e-7  # Rounding of a length along a whole stack

@@ -24,8 +24,8 @@ from ebamcheck.nc.inputs import (
 )
 from ebamcheck.scan.filling.schedule import follows
 from ebamcheck.settings.config import Config
-from ebamcheck.writing.cuts import segment_lengths
-from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Circles, Form, circles, contour_segments
+from ebamcheck.writing import segments
+from ebamcheck.writing.segments import CIRCULAR, CUBIC, STRAIGHT, Circles, Form
 
 # An arc that leaves its chord by less is written as a line: a tenth of what a path read back may be off by, and its centre would lie too
 # far away for the numbers of a control.
@@ -69,7 +69,7 @@ class Toolpath:
 
     @cached_property
     def points(self) -> Floats:
-        """(N, 4, 2) points of each segment, as :mod:`ebamcheck.writing.cuts` takes them."""
+        """(N, 4, 2) points of each segment, as :mod:`ebamcheck.writing.segments` takes them."""
         points = np.stack([self.segment_start, self.segment_start, self.end, self.end], axis=1)
         points[self.kind == CUBIC] = self.bezier
         points[self.kind == CIRCULAR, 1:3] = self.middle[:, None]
@@ -78,13 +78,13 @@ class Toolpath:
     @cached_property
     def lengths(self) -> Floats:
         """(N,) length of each segment, mm."""
-        return segment_lengths(self.kind, self.points)
+        return segments.segment_lengths(self.kind, self.points)
 
     @cached_property
     def circles(self) -> Circles:
         """Circles of the circular segments alone, in their order."""
         at = self.kind == CIRCULAR
-        return circles(self.segment_start[at], self.middle, self.end[at])
+        return segments.circles(self.segment_start[at], self.middle, self.end[at])
 
 
 def toolpath(
@@ -127,7 +127,7 @@ _Columns = dict[str, np.ndarray[Any, Any]]
 
 
 def _contour_tracks(curves: CurveColumns, form: Form, tolerance_mm: float, decimals: int) -> _Columns:
-    made = contour_segments(curves, form, tolerance_mm)
+    made = segments.contour_segments(curves, form, tolerance_mm)
     ring_starts = np.asarray(curves.ring_starts, dtype=np.int64)
     ring = np.flatnonzero(np.diff(ring_starts) > 0)
     first = np.asarray(curves.control_starts)[ring_starts[ring]]
@@ -185,10 +185,10 @@ def _merged(cut: Floats, z: Floats, contours: _Columns, hatch: _Columns, width_m
     starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
     rows = np.repeat(first - starts[:-1], count) + np.arange(starts[-1])
     tracks: dict[str, Any] = {name: both[name][order] for name in ("start", "ring", "island")}
-    segments: dict[str, Any] = {name: both[name][rows] for name in ("kind", "end", "turn", "piece")}
+    of_segments: dict[str, Any] = {name: both[name][rows] for name in ("kind", "end", "turn", "piece")}
     layers = np.searchsorted(both["layer"][order], np.arange(cut.size + 1)).astype(np.int64)
     return Toolpath(
-        cut=cut, z=z, layer_starts=layers, track_starts=starts, **tracks, **segments, bezier=both["bezier"],
+        cut=cut, z=z, layer_starts=layers, track_starts=starts, **tracks, **of_segments, bezier=both["bezier"],
         middle=both["middle"], power=np.ones(rows.size), goes_on=np.zeros(rows.size, np.bool_), width=np.full(rows.size, width_mm),
     )  # fmt: skip
 

@@ -26,7 +26,7 @@ from ebamcheck.scan.islands.clipping import THIN_WALL
 from ebamcheck.settings.config import Config
 from ebamcheck.threads import run_each
 from ebamcheck.writing.bead_parts import ROUNDING_MM, Parts, Stretches, Tracks, cut, parts_of, snapped
-from ebamcheck.writing.cuts import segment_places
+from ebamcheck.writing.segments import segment_places
 from ebamcheck.writing.tracks import Toolpath
 
 # Length of contour, in bead widths, over which its wire is worked out: shorter ones would follow single hatch lines.
