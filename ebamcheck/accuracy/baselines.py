@@ -65,12 +65,8 @@ class Entry:
         """The entry as strict JSON holds it."""
         measured = dict(vars(self.measured))
         layers = {name: list(column) for name, column in measured.pop("columns").items()}
-        known = {
-            "backend": self.key.backend,
-            "settings": dict(self.settings),
-            "metadata": dict(self.metadata),
-        }
-        return {**known, **measured, "layers": layers}
+        known = {"settings": dict(self.settings), "metadata": dict(self.metadata), "layers": layers}
+        return {"backend": self.key.backend, **measured, **known}
 
 
 def read_baselines(folder: Path, models: Iterable[str]) -> dict[Key, Entry]:
@@ -84,10 +80,8 @@ def _read(path: Path, model: str) -> list[Entry]:
     try:
         values, found = read_json(path), []
         if values["format"] != FORMAT_VERSION:
-            raise InputError(
-                f"{path}: has format {values['format']!r}, this version reads {FORMAT_VERSION}: "
-                "write it anew with --update-baseline=all"
-            )
+            what = f"this version reads {FORMAT_VERSION}: write it anew with --update-baseline=all"
+            raise InputError(f"{path}: has format {values['format']!r}, {what}")
         for name, record in values["entries"].items():
             backend, _, settings_hash = name.rpartition(" ")
             measured = Measured(record["status"], record["why"], record["metrics"], record["layers"])

@@ -258,14 +258,11 @@ def provenance(choice: Choice, trials: Sequence[Trial], circumstances: Mapping[s
     """What the choice rests on, without a date: circumstances, and figures and versions of every backend."""
     backends: dict[str, dict[str, Any]] = {}
     for trial in trials:
-        told = {
-            "reason": choice.reasons[trial.name],
-            "device": trial.device,
-            "versions": dict(trial.versions),
-        }
+        told: dict[str, Any] = {"reason": choice.reasons[trial.name], "device": trial.device}
         figures = {name: getattr(trial, name) for name in ("bound_mm", "measured_mm", "seconds")}
         # Four digits: provenance, not input.
-        backends[trial.name] = told | {k: float(f"{v:.4g}") for k, v in figures.items() if v == v}
+        known = {name: float(f"{value:.4g}") for name, value in figures.items() if value == value}
+        backends[trial.name] = {**told, "versions": dict(trial.versions), **known}
     made: dict[str, Any] = plain({"ebamcheck": __version__, **circumstances, "backends": backends})
     return made
 
@@ -287,7 +284,6 @@ def _table(parent: Any, key: str, path: Path, is_super: bool = False) -> Any:
         parent[key] = tomlkit.table(is_super)
     found = parent[key]
     if not isinstance(found, Table | tomlkit.container.OutOfOrderTableProxy):
-        raise SettingsError(
-            f"{path}: {key!r} must be a table, as in [machines.NAME]: rename what stands there"
-        )
+        what = "must be a table, as in [machines.NAME]: rename what stands there"
+        raise SettingsError(f"{path}: {key!r} {what}")
     return found

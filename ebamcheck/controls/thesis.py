@@ -23,6 +23,7 @@ from ebamcheck.nc.inputs import CurveColumns, ScanColumns, interpass_of
 from ebamcheck.settings.config import Config
 from ebamcheck.writing.bead_ends import driven_path
 from ebamcheck.writing.bead_parts import power_shares
+from ebamcheck.writing.events import track_waits_s
 
 SCRIPT = "run.sh"  # What runs a case
 STATUS = "@status@"  # Stands in the texts of a case where its status will be
@@ -129,16 +130,8 @@ def heat_path(curves: CurveColumns, plan: ScanColumns, config: Config) -> HeatPa
     rows[spot, 5] = np.maximum(away / config.machine.rapid_mm_s, LEAST_SPOT_S)
     heat = interpass_of(plan, config)
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[tracks]
-    ring, island = path.ring[tracks], path.island[tracks]
-    # The wait before a layer that is not the first, a further contour, an island, or within it.
-    new_layer = np.diff(layer, prepend=-1) != 0
-    new_island = (island >= 0) & (np.diff(island, prepend=-1) != 0)
-    waits = np.where(new_layer, heat.wait_s[layer], np.where(ring >= 0, heat.ring_wait_s[layer], 0.0))
-    waits[:1] = 0.0
-    inner = (island >= 0) & ~new_island
-    waits[new_island] += heat.island_wait_s[island[new_island]]
-    waits[inner] += heat.inner_wait_s[island[inner]]
-    rows[spot, 5] += waits
+    island = path.island[tracks]
+    rows[spot, 5] += np.add(*track_waits_s(layer, path.ring[tracks], island, heat))
     rows[spot, 4], rows[line, 4] = 0.0, power_shares(path, heat, config)
     return HeatPath(rows, np.repeat(layer, sizes + 1), np.repeat(island, sizes + 1))
 

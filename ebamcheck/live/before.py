@@ -142,15 +142,11 @@ def check_warmth(before: Before, found: Warmth, config: Config) -> None:
     elif not 0.0 <= found.after_s <= LONGEST_S:
         why = f"after_s {found.after_s:g} is not from 0 to {LONGEST_S:g} s"
     elif not chamber_k <= found.surface_k <= config.material.solidus_k:
-        why = (
-            f"surface_k {found.surface_k:g} is not between the chamber's {chamber_k:g} K and the solidus, "
-            f"{config.material.solidus_k:g} K: give kelvins"
-        )
+        bounds = f"the chamber's {chamber_k:g} K and the solidus, {config.material.solidus_k:g} K"
+        why = f"surface_k {found.surface_k:g} is not between {bounds}: give kelvins"
     elif (off_k := abs(found.surface_k - (modelled_k := before.rested(found.after_s).surface_k))) > limit_k:
-        why = (
-            f"surface_k {found.surface_k:g} is {off_k:.0f} K off the model, {modelled_k:.0f} K then: over "
-            f"process.pyrometer_limit_k, {limit_k:g} K"
-        )
+        over = f"over process.pyrometer_limit_k, {limit_k:g} K"
+        why = f"surface_k {found.surface_k:g} is {off_k:.0f} K off the model, {modelled_k:.0f} K then: {over}"
     elif modelled_k - chamber_k < 20.0:
         why = f"surface_k: the part is as cold as the chamber ({modelled_k:.0f} K), of which a factor says nothing"
     else:

@@ -297,13 +297,14 @@ def figures_of(cells: MapCells, surface: Surface, config: Config) -> MapFigures:
         # The tip of the wire passes over half the usual height of a layer.
         limit = min(config.process.largest_unevenness_mm, 0.5 * config.layer_height_mm)
     if max(figures.hump_mm, figures.dip_mm) > limit:
-        hump = figures.hump_mm >= figures.dip_mm
-        off, (x, y) = (figures.hump_mm, figures.hump_at_mm) if hump else (figures.dip_mm, figures.dip_at_mm)
-        raise Refused(
-            "map-uneven",
-            f"the layer lies {off:.2f} mm {'over' if hump else 'under'} its mean of {mean_mm:.3f} mm at ({x:.1f}, {y:.1f}): at most "
-            f"{limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again",
+        hump, dip = (
+            (figures.hump_mm, "over", figures.hump_at_mm),
+            (figures.dip_mm, "under", figures.dip_at_mm),
         )
+        off, side, (x, y) = hump if hump[0] >= dip[0] else dip
+        where = f"the layer lies {off:.2f} mm {side} its mean of {mean_mm:.3f} mm at ({x:.1f}, {y:.1f})"
+        what = f"at most {limit:.2f} mm can be mended (height_map.uneven_mm): machine or fill it there, and measure again"
+        raise Refused("map-uneven", f"{where}: {what}")
     return figures
 
 

@@ -77,20 +77,11 @@ def _moves(path: Toolpath, config: Config, heat: Interpass) -> pd.DataFrame:
     layer = np.repeat(np.arange(len(path.z)), np.diff(path.layer_starts))[track]
     start, z, end = path.start[track], path.z[layer], path.end[path.track_starts[track + 1] - 1]
     begins = np.diff(layer, prepend=-1) != 0
-    island, ring = path.island[track], path.ring[track]
-    # Waits over the layer: before the track, and within the layer.
-    wait_s = np.where((ring >= 0) & ~begins, heat.ring_wait_s[layer], 0.0)
-    entered = np.diff(island, prepend=-1) != 0
-    first, inner = (island >= 0) & entered, (island >= 0) & ~entered
-    wait_s[first] = heat.island_wait_s[island[first]]
-    wait_s[inner] = heat.inner_wait_s[island[inner]]
+    layer_wait_s, wait_s = track_waits_s(layer, path.ring[track], path.island[track], heat)
     across = np.zeros(track.size)
     across[1:] = np.hypot(*(start[1:] - end[:-1]).T)
     # The tool rises before a far track.
     far = begins | (across > NEAR_SPACINGS * config.process.hatch_spacing_mm) | (wait_s > 0.0)
-    # Before each layer but the first that has metal, at its first track.
-    layer_wait_s = np.where(begins, heat.wait_s[layer], 0.0)
-    layer_wait_s[:1] = 0.0
     # The rise at the end of each layer, and on to the safe height of the next one, whether these have metal or not.
     every, last = np.arange(len(path.z)), np.zeros((len(path.z), 2))
     last[layer] = end
@@ -109,6 +100,18 @@ def _moves(path: Toolpath, config: Config, heat: Interpass) -> pd.DataFrame:
     table = pd.concat(rows, ignore_index=True)
     table["time_s"] = np.where(table["role"] == MOVE, table["length_mm"] / rapid, table["time_s"])
     return table[(table["length_mm"] > 0.0) | (table["time_s"] > 0.0)]
+
+
+def track_waits_s(layer: Ints, ring: Ints, island: Ints, heat: Interpass) -> tuple[Floats, Floats]:
+    """Waits before tracks that lay metal (T,): those before each layer but the first, and those within it."""
+    begins, entered = (np.diff(column, prepend=-1) != 0 for column in (layer, island))
+    before = np.where(begins, heat.wait_s[layer], 0.0)
+    before[:1] = 0.0
+    within = np.where((ring >= 0) & ~begins, heat.ring_wait_s[layer], 0.0)
+    first, inner = (island >= 0) & entered, (island >= 0) & ~entered
+    within[first] = heat.island_wait_s[island[first]]
+    within[inner] = heat.inner_wait_s[island[inner]]
+    return before, within
 
 
 def _rows(

@@ -28,8 +28,6 @@ class Release:
 class ReleaseKeys:
     """Keys of a build, worked out from the one drawn for its last layer.
 
-    Examples
-    --------
     >>> keys = ReleaseKeys(12345)
     >>> keys.of(7) == key_below(keys.of(8), 8)
     True
