@@ -183,9 +183,8 @@ class Change:
 
     def lines(self) -> list[str]:
         """The change in words: the figure, the layers behind it, the first places."""
-        lines = [
-            f"{self.metric} {self.old:g} -> {self.new:g} ({self.new - self.old:+g}, tolerance {self.allowed:g})"
-        ]
+        by = f"{self.new - self.old:+g}, tolerance {self.allowed:g}"
+        lines = [f"{self.metric} {self.old:g} -> {self.new:g} ({by})"]
         if self.growth is not None:
             more = self.growth.count - len(self.growth.places)
             lines += [f"  {self.growth}", *(f"    {place}" for place in self.growth.places)]

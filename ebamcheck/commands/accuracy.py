@@ -67,16 +67,11 @@ def regress(
         what = "under which no baseline is made: leave it out, or put it into the matrix as a variant"
         raise SettingsError(f"--update-baseline: {path} has slicing.settings.{next(iter(own))}, {what}")
     table = checked(Tolerances, settings.tolerances, f"{path}: regression.tolerances")
+    table = read_tolerances(tolerances) if tolerances else table
     limits = Limits(config.slicing.time_limit_s, config.slicing.memory_limit_mb)
-    found = regression.run_regression(
-        regression.default_baselines(baselines, settings.baselines),
-        options.names(models),
-        options.names(backends),
-        read_tolerances(tolerances) if tolerances else table,
-        limits=limits,
-        note=_note,
-        settings=own,
-    )
+    folder = regression.default_baselines(baselines, settings.baselines)
+    chosen = options.names(models), options.names(backends)
+    found = regression.run_regression(folder, *chosen, table, limits=limits, note=_note, settings=own)
     history = history or (Path(settings.history) if settings.history else output / regression.HISTORY)
     made_folder(output)
     regression.record(history, found)

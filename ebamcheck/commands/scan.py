@@ -251,15 +251,12 @@ def _export(
     step_mm = 0.5 * max(over_plate_mm, 1e-3)
     heights = np.array([height_mm - step_mm, height_mm])
     for name, result in shown.items() if simulators else ():
-        plan = result.plan
-        plan = replace(
-            plan,
-            heights=heights,
-            contours=np.array([shapely.Polygon(), *plan.contours], object),
-            island_layer=plan.island_layer + 1,
-            metrics=pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0),
-            sections=None if plan.sections is None else np.array([shapely.Polygon(), *plan.sections], object),
-        )
+        plan, none = result.plan, shapely.Polygon()
+        two: dict[str, Any] = {"heights": heights, "contours": np.array([none, *plan.contours], object)}
+        two["metrics"] = pd.concat([plan.metrics] * 2, ignore_index=True).assign(wait_s=0.0)
+        if plan.sections is not None:
+            two["sections"] = np.array([none, *plan.sections], object)
+        plan = replace(plan, island_layer=plan.island_layer + 1, **two)
         beads = bead_paths(from_polygons(heights, [[], []]), plan, config)
         for simulator in simulators:
             program = config.changed(machine={"control": simulator})

@@ -183,7 +183,7 @@ def physics(config: Config) -> dict[str, str]:
     """Return the files that are the same whenever and wherever temperatures are wanted."""
     process, material = config.process, config.material
     # Its standard deviation is that of our nonlinear model; its heat counts as ended at sqrt(6) of them.
-    width_m = METRES * (BEAM_SHARE * process.bead_width_mm * math.sqrt(-2.0 * math.log(math.exp(-3.0))))
+    width_m = METRES * (BEAM_SHARE * process.bead_width_mm * math.sqrt(6.0))
     simulation = {"Name": NAME, **{n: f"{n}.txt" for n in ("Mode", "Material", "Beam", "Path")}}
     options = {n: f"{n}.txt" for n in ("Domain", "Output", "Settings")}
     constants = {
@@ -222,16 +222,12 @@ def readings(times_s: Sequence[float], places: Floats, mirrors: Mirrors | None =
 
 def groups(texts: Mapping[str, Group]) -> str:
     """Write groups of keywords; the status goes into the first line, which has no keyword."""
-    blocks = (
-        name + "\n{\n" + "".join(f"\t{key}\t{_word(value)}\n" for key, value in group.items()) + "}\n"
-        for name, group in texts.items()
-    )
-    return "# @status@\n" + "".join(blocks)
-
-
-def _word(value: object) -> str:
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise ValueError(f"{value} is no number for a case")
-        return f"{value:.9g}"
-    return str(value)
+    text = "# @status@\n"
+    for name, group in texts.items():
+        text += f"{name}\n{{\n"
+        for key, value in group.items():
+            if isinstance(value, float) and not math.isfinite(value):
+                raise ValueError(f"{value} is no number for a case")
+            text += f"\t{key}\t{f'{value:.9g}' if isinstance(value, float) else value}\n"
+        text += "}\n"
+    return text

@@ -37,14 +37,12 @@ class Tilt:
         """Blocks that turn the table and set the frame; then the tool stands over the place `first` of the layer."""
         x, y = form.value(first[0]), form.value(first[1])
         zero = " ".join(f"{axis}{form.value(v)}" for axis, v in zip("XYZ", self.zero_mm, strict=True))
+        positions = zip(config.machine.rotary, self.positions_deg, strict=True)
         return [
             *off,
             f"G0 Z{form.value(self.up_mm)}",
             comment("TABLE TURNED"),
-            *(
-                f"G0 {_word(axis, form.value(at))}"
-                for axis, at in zip(config.machine.rotary, self.positions_deg, strict=True)
-            ),
+            *(f"G0 {_word(axis, form.value(at))}" for axis, at in positions),
             f"TRANS {zero}",
             f"AROT Z{form.value(self.turn_deg)}",
             f"G0 X{x} Y{y} Z{self._above(form)}",
