@@ -306,10 +306,8 @@ def order_pictures(
     for name, result in results.items():
         title, scene = f"{what}: entry temperature rise, {name}", scenes[name]
         entry = pictures.islands_svg(islands, result.entry_k, title, " K", scene=scene, temperatures=scale)
-        title, rises = (
-            f"{what}: temperature rise when the layer is done, {name}",
-            partial(_rises, plane, at_end[name]),
-        )
+        title = f"{what}: temperature rise when the layer is done, {name}"
+        rises = partial(_rises, plane, at_end[name])
         field = pictures.field_svg(rises, section, title, " K", scale.greatest, scene, scale)
         files |= {f"{name}-entry.svg": entry, f"{name}-field.svg": field}
     files["pareto.svg"] = pictures.pareto_svg(figures, f"{what}: {len(islands)} islands")

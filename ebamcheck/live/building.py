@@ -253,16 +253,12 @@ class Building:
             return
         journal = self.journal.path
         if first.get("format") != publishing.JOURNAL_FORMAT:
-            raise InputError(
-                f"{journal}: is of an earlier version of ebamcheck, which counted layers from 0: end that build with it, or give another "
-                "folder with -o"
-            )
+            what = "which counted layers from 0: end that build with it, or give another folder with -o"
+            raise InputError(f"{journal}: is of an earlier version of ebamcheck, {what}")
         for key, value in {"kind": "begin", **self._of()}.items():
             if first.get(key) != value:
-                raise InputError(
-                    f"{journal}: is of another build: its {key} is {first.get(key)!r:.20}, not {value!r:.20}: "
-                    "give another folder with -o"
-                )
+                other = f"its {key} is {first.get(key)!r:.20}, not {value!r:.20}"
+                raise InputError(f"{journal}: is of another build: {other}: give another folder with -o")
         waiting: Reading | None = None
         for entry in entries:
             kind = entry.get("kind")
@@ -286,9 +282,8 @@ class Building:
             told = {"wait_s": certificate["wait_s"], **entry}
             for key, what in (("files", "other bytes"), ("wait_s", "another wait")):
                 if certificate[key] != told.get(key):
-                    raise InputError(
-                        f"{layer_of_it} comes out as {what} than was published: the software or a slicer is another one"
-                    )
+                    why = "than was published: the software or a slicer is another one"
+                    raise InputError(f"{layer_of_it} comes out as {what} {why}")
             # Between the journal's line and the current file a kill may have come; the layer itself is there.
             current = publishing.publish(self.folder, layer, certificate)
         finally:
@@ -313,10 +308,9 @@ def _refuse_relayered(folder: Path) -> None:
         return
     if found := sorted(path.name for path in layers.iterdir()):
         more = f" and {len(found) - 1} more" if len(found) > 1 else ""
-        raise SettingsError(
-            f"{layers}: holds {found[0]}{more}, which `ebamcheck relayer` made and a build would name again: give the build "
-            "another folder with -o, or move them away"
-        )
+        what = "which `ebamcheck relayer` made and a build would name again"
+        how = "give the build another folder with -o, or move them away"
+        raise SettingsError(f"{layers}: holds {found[0]}{more}, {what}: {how}")
 
 
 class Lines:

@@ -287,9 +287,9 @@ class HeightRule:
                 continue
             if z - low < limits.least_mm * (1.0 - ROUNDING):
                 if z != top:
+                    least = f"less than the least layer, {limits.least_mm:.3f} mm by {limits.why[0]}"
                     said.append(
-                        f"the face at Z {z:.3f} is not met: {z - low:.3f} mm over {low:.3f} is less than the least layer, "
-                        f"{limits.least_mm:.3f} mm by {limits.why[0]}"
+                        f"the face at Z {z:.3f} is not met: {z - low:.3f} mm over {low:.3f} is {least}"
                     )
                     continue
                 while kept and z - (kept[-2] if len(kept) > 1 else base_mm) < limits.least_mm:
@@ -325,12 +325,10 @@ class HeightRule:
         near = [(n, min(max(gap / n, outer.least_mm), outer.most_mm)) for n in (fewest, fewest + 1)]
         count, thick = min(near, key=lambda planned: abs(planned[0] * planned[1] - gap))
         off_mm = count * thick - gap
-        said = (
-            f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {outer.least_mm:.3f} mm "
-            f"({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]}): it is planned {abs(off_mm):.3f} mm too "
-            f"{'high' if off_mm > 0.0 else 'low'}"
-        )
-        return [thick] * count, said
+        bounds = f"{outer.least_mm:.3f} mm ({outer.why[0]}) .. {outer.most_mm:.3f} mm ({outer.why[1]})"
+        said = f"from Z {low_mm:.3f} to {high_mm:.3f} mm no number of layers is within {bounds}"
+        side = "high" if off_mm > 0.0 else "low"
+        return [thick] * count, f"{said}: it is planned {abs(off_mm):.3f} mm too {side}"
 
     def _by_cusp(self, low_mm: float, high_mm: float) -> list[float]:
         """Layers from below, each as thick as the cusp allows; together at least the way."""
@@ -354,10 +352,9 @@ class HeightRule:
         k = int(np.argmax(cusp))
         if cusp[k] <= self.cusp_mm * (1.0 + 1e-6):
             return ""
-        return (
-            f"the cusp of the layer up to Z {tops[k]:.3f} is {cusp[k]:.3f} mm, over {self.cusp_mm:g} mm: thinner layers than "
-            f"{self.outer.least_mm:.3f} mm ({self.outer.why[0]}) would be needed"
-        )
+        cusps = f"the cusp of the layer up to Z {tops[k]:.3f} is {cusp[k]:.3f} mm, over {self.cusp_mm:g} mm"
+        least = f"{self.outer.least_mm:.3f} mm ({self.outer.why[0]})"
+        return f"{cusps}: thinner layers than {least} would be needed"
 
 
 def height_rule(

@@ -49,7 +49,6 @@ from ebamcheck.slicers.slicing import Slicing
 from ebamcheck.surface.part_surface import keep_surface_of
 
 ROOM_K = 10.0  # room under the limit beside what was found over it: with other waits and power beads are entered at other moments
-MOST_K = 150.0  # more than this no plan is to aim lower
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,7 @@ class LayerMaker(AbstractContextManager["LayerMaker"]):
         if made.passed or not config.process.feed_along_path:
             return made
         shut = [gate for gate in made.gates if not gate.passed]
-        if len(shut) == 1 and shut[0].name == "heat" and 0.0 < shut[0].value - shut[0].limit <= MOST_K:
+        if len(shut) == 1 and shut[0].name == "heat" and 0.0 < shut[0].value - shut[0].limit <= 150.0:
             made = self._made(wanted, before, folder, config, shut[0].value - shut[0].limit)
         if made.passed:
             return made

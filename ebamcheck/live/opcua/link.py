@@ -80,10 +80,8 @@ def password_of(opcua: OpcuaSettings) -> str:
     if found := os.environ.get(opcua.password_variable, ""):
         return found
     if not opcua.password_file:
-        raise SettingsError(
-            f"the environment variable {opcua.password_variable} is not set: it holds the password of {opcua.user!r}; "
-            "or give opcua.password_file"
-        )
+        what = f"it holds the password of {opcua.user!r}; or give opcua.password_file"
+        raise SettingsError(f"the environment variable {opcua.password_variable} is not set: {what}")
     path = Path(opcua.password_file)
     try:
         if path.stat().st_mode & 0o077:
@@ -119,27 +117,24 @@ def check_pair(opcua: OpcuaSettings) -> None:
 
     key, own = (_loaded(opcua, name)[2] for name in ("private_key", "certificate"))
     if key.public_key() != own.public_key():
-        raise SettingsError(
-            f"opcua.private_key {opcua.private_key!r}: is not the key of opcua.certificate {opcua.certificate!r}: give the two of one pair"
-        )
+        what = f"is not the key of opcua.certificate {opcua.certificate!r}: give the two of one pair"
+        raise SettingsError(f"opcua.private_key {opcua.private_key!r}: {what}")
     try:
         names = own.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         uris = names.get_values_for_type(x509.UniformResourceIdentifier)
     except x509.ExtensionNotFound:
         uris = []
     if opcua.application_uri not in uris:
-        raise SettingsError(
-            f"opcua.certificate {opcua.certificate!r}: is for {', '.join(uris) or 'no URI'}, opcua.application_uri is "
-            f"{opcua.application_uri!r}: a control refuses what is not alike"
-        )
+        own_uri = f"opcua.application_uri is {opcua.application_uri!r}: a control refuses what is not alike"
+        said = f"is for {', '.join(uris) or 'no URI'}, {own_uri}"
+        raise SettingsError(f"opcua.certificate {opcua.certificate!r}: {said}")
     now = datetime.datetime.now(datetime.UTC)
     for setting in ("certificate", "server_certificate"):
         found, file = _loaded(opcua, setting)[2], getattr(opcua, setting)
         first, last = found.not_valid_before_utc, found.not_valid_after_utc
         if not first <= now <= last:
-            raise SettingsError(
-                f"opcua.{setting} {file!r}: holds from {first:%Y-%m-%d} to {last:%Y-%m-%d}, today is {now:%Y-%m-%d}"
-            )
+            said = f"holds from {first:%Y-%m-%d} to {last:%Y-%m-%d}, today is {now:%Y-%m-%d}"
+            raise SettingsError(f"opcua.{setting} {file!r}: {said}")
 
 
 def is_offered(opcua: OpcuaSettings, shown: Iterable[bytes]) -> bool:
@@ -359,11 +354,10 @@ class _Told:
     def __init__(self, changed: asyncio.Event) -> None:
         self._changed = changed
 
-    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
+    def datachange_notification(self, *_: Any) -> None:
         self._changed.set()
 
-    def status_change_notification(self, status: Any) -> None:
-        self._changed.set()
+    status_change_notification = datachange_notification
 
 
 def _ours(error: Exception, url: str, what: str, connecting: bool) -> EbamcheckError:
