@@ -205,9 +205,8 @@ def default_baselines(given: Path | None, setting: str) -> Path:
     for folder in (Path.cwd(), *Path.cwd().parents):
         if (folder / shipped).is_dir():
             return folder / shipped
-    raise SettingsError(
-        f"there is no {shipped} here or above: name the folder of the baselines with --baselines"
-    )
+    what = "name the folder of the baselines with --baselines"
+    raise SettingsError(f"there is no {shipped} here or above: {what}")
 
 
 TREND_METRICS = ("depth_max_mm", "area_error_mean_mm2")  # one of shape, one of size
@@ -394,9 +393,8 @@ def _opened(path: Path) -> Iterator[sqlite3.Connection]:
             with database:
                 yield database
     except sqlite3.Error as error:
-        raise InputError(
-            f"{path}: is no history that can be used ({error}): name another with --history"
-        ) from None
+        what = f"is no history that can be used ({error}): name another with --history"
+        raise InputError(f"{path}: {what}") from None
 
 
 def write_junit(regression: Regression, folder: Path) -> Path:

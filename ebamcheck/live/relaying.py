@@ -103,9 +103,8 @@ def relayer(
     plan = height_rule(maker.part, maker.config).plan(measured_mm)
     if not len(plan):
         left = f"nothing is left to be laid{f': {plan.said[0]}' if plan.said else ''}"
-        raise SettingsError(
-            f"--measured-z {measured_mm:g}: the part is {maker.height_mm:.3f} mm high, {left}"
-        )
+        what = f"the part is {maker.height_mm:.3f} mm high, {left}"
+        raise SettingsError(f"--measured-z {measured_mm:g}: {what}")
     # As high as it has to be for the rest to end at the part's top.
     name = publishing.layer_name(program, layer, len(_made_before(folder, program, layer)) + 1)
     wanted = Wanted(layer, measured_mm, float(plan.thickness_mm[0]), name)
