@@ -62,10 +62,10 @@ def check_below(folder: Path, run: FinishedRun, layer: int, measured_mm: float) 
     try:
         check_height(Reading(layer, measured_mm), base_mm, top_mm)
     except Refused as fault:
-        raise SettingsError(
-            f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault}; what stands is planned to end at {top_mm:.3f} mm by {by}: measure it "
-            "again; where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
-        ) from None
+        said = f"layer {layer + 1}: the measured height {measured_mm:g} mm cannot be: {fault}"
+        plan = f"what stands is planned to end at {top_mm:.3f} mm by {by}: measure it again"
+        how = "where layers below came out otherwise, make each of them by `relayer`, or lead the build by `live`"
+        raise SettingsError(f"{said}; {plan}; {how}") from None
 
 
 def tilted(before: FinishedRun, now: FinishedRun, built_mm: float) -> Config:

@@ -239,20 +239,16 @@ class _Layer:
 
 def preheat_passes(plan: ScanColumns) -> Ints:
     """Passes (L,) before each layer of a plan; none of one that knows nothing of preheating."""
-    metrics = getattr(plan, "metrics", {})
-    if "preheat_passes" not in metrics:
-        return np.zeros(len(plan.heights), np.int64)
-    return np.asarray(metrics["preheat_passes"], np.int64)
+    none = np.zeros(len(plan.heights), np.int64)
+    return np.asarray(getattr(plan, "metrics", {}).get("preheat_passes", none), np.int64)
 
 
 def preheat_blocks(
     post: Post, k: int, passes: int, values: ProcessValues, after: ProcessValues, entry: Sequence[str]
 ) -> list[str]:
-    """Blocks of the scan before layer `k`.
+    """Blocks of the scan before layer `k`: its modes, values of beads at full power, and `after` it.
 
-    `entry` are the modes that hold in it, `values` those of beads at full power, and `after` those with which the beam is left.
-    Within the subprogram of its layer (``preheat.scan_in``) the focus is the last that is taken back, since it tells where the scan
-    ends.
+    Within the subprogram of its layer the focus is the last that is taken back, since it tells where the scan ends.
     """
     plan, config, form, templates = post.plan, post.config, post.form, post.templates
     bottom_mm = values.height_mm

@@ -181,10 +181,8 @@ def _up_mm(config: Config, positions_deg: tuple[float, ...], form: BlockFormat) 
     up_mm = float(np.ceil((highest + config.machine.safe_height_mm) * 1000.0) / 1000.0)
     limit = config.machine.travel_max_mm[2]
     if up_mm > limit:
-        raise SettingsError(
-            f"machine.rotary: the table turns below Z {up_mm:g} mm (all that it carries, and machine.safe_height_mm), and machine.travel_max_mm "
-            f"ends at {limit:g} mm"
-        )
+        what = f"the table turns below Z {up_mm:g} mm (all that it carries, and machine.safe_height_mm)"
+        raise SettingsError(f"machine.rotary: {what}, and machine.travel_max_mm ends at {limit:g} mm")
     return float(form.value(up_mm))
 
 

@@ -102,10 +102,9 @@ def _licensed_form(curves: CurveColumns, machine: MachineSettings) -> Form:
     if form == "bspline" and machine.bspline_shift == "uniform" and not machine.poly_licensed:
         pieces = np.flatnonzero(np.asarray(curves.kind) == SPLINE)
         if not all(even(_knots(curves, int(p))) for p in pieces):
-            raise SettingsError(
-                "machine.bspline_shift 'uniform': a spline of the contours has uneven knots, which the control could "
-                "drive as POLY alone, and it is not licensed; use curve_form 'arcs' or 'lines'"
-            )
+            what = "a spline of the contours has uneven knots, which the control could drive as POLY alone"
+            how = "and it is not licensed; use curve_form 'arcs' or 'lines'"
+            raise SettingsError(f"machine.bspline_shift 'uniform': {what}, {how}")
     return FORMS[form]
 
 
