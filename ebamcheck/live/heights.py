@@ -56,6 +56,15 @@ def speed_share(config: Config, thickness_mm: float, room: tuple[float, float] =
     return share if low <= share <= high else min(max(1.0, low), high)
 
 
+def at_speed(config: Config, share: float) -> Config:
+    """Return the settings of a layer that is laid at a share of the feed of the process."""
+    process, names = config.process, ("travel_speed_mm_s", "wire_speed_mm_s")
+    changes = {name: getattr(process, name) * share for name in names}
+    return (
+        config if share == 1.0 else config.model_copy(update={"process": process.model_copy(update=changes)})
+    )
+
+
 def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, along: bool = True) -> Config:
     """Return the settings of a layer with its feed; that of the process where no feed is within every limit: the gates tell of it.
 
@@ -65,10 +74,7 @@ def at_layer_feed(config: Config, thickness_mm: float, mapped: bool = False, alo
     least, most = LOCAL if mapped else (1.0, 1.0)
     parts = (1.0, 0.75, 0.5, 0.25, 0.0)
     found = (speed_share(config, thickness_mm, (least**part, (most * CONTOURS) ** part)) for part in parts)
-    share, process, laid = next((one for one in found if one is not None), 1.0), config.process, config
-    if share != 1.0:
-        changes = {name: getattr(process, name) * share for name in ("travel_speed_mm_s", "wire_speed_mm_s")}
-        laid = config.model_copy(update={"process": process.model_copy(update=changes)})
+    laid = at_speed(config, next((share for share in found if share is not None), 1.0))
     if not (mapped and along) or has_room(laid, thickness_mm):
         return laid
     return laid.model_copy(update={"process": laid.process.model_copy(update={"feed_along_path": True})})
